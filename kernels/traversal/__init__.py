@@ -1,0 +1,50 @@
+"""Ways to find hits: one file per traversal, and the table of them.
+
+**Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
+`(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind that the traversal walks, `triangles`
+the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.rays`, `counters` is written only where the config
+asks for it. One skeleton serves every query through `wp.static` switches. Every traversal gives the same hits to the bit
+(`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+
+To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
+"""
+
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.traversal import brute, single
+from wrt.kernels.traversal.config import TraversalConfig
+
+
+@dataclass(frozen=True)
+class Traversal:
+    """A way to find hits.
+
+    Attributes:
+        name: key in `TRAVERSALS`.
+        paper: authors, title, year.
+        tree: kind of tree that it walks: "kdtree", or "none" for all triangles.
+        make_kernel: config -> kernel.
+    """
+
+    name: str
+    paper: str
+    tree: str
+    make_kernel: Callable[[TraversalConfig], wp.Kernel]
+
+
+TRAVERSALS: dict[str, Traversal] = {
+    traversal.name: traversal
+    for traversal in (
+        Traversal("brute", "every ray against every triangle", "none", brute.make_kernel),
+        Traversal(
+            "single",
+            "Havran: Heuristic ray shooting algorithms (2001), robust intervals for both children",
+            "kdtree",
+            single.make_kernel,
+        ),
+    )
+}

@@ -1,0 +1,124 @@
+"""What builders take and give: stop rules, the finished tree, and what the build cost."""
+
+from dataclasses import dataclass, field
+from math import log2
+
+import warp as wp
+
+from wrt.builders.cost import Split, SplitCost, leaf_cost
+from wrt.kernels.boxes import INFINITY
+from wrt.kernels.kdtree import MAX_TREE_DEPTH, KdNodes
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class StopLimits:
+    """`StopRules` for a given number of triangles, as kernels see them."""
+
+    depth: int
+    bad_splits: int
+
+
+@dataclass(frozen=True)
+class StopRules:
+    """When a node becomes a leaf.
+
+    A node is a leaf if no plane splits it, if it is as deep as allowed, or if its best split costs at least as much as
+    the leaf and its ancestors have used up the allowance of such bad splits: a bad split may make good ones possible
+    (Wald and Havran 2006 call the alternative a local minimum), but not again and again.
+
+    Attributes:
+        max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), as Havran
+            suggests.
+        bad_splits: bad splits allowed between the root and a leaf.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    max_depth: int | None = None
+    bad_splits: int = 2
+
+    def __post_init__(self) -> None:
+        if self.max_depth is not None and not 0 <= self.max_depth <= MAX_TREE_DEPTH:
+            raise ValueError(f"max_depth is {self.max_depth}; it must be None or from 0 to {MAX_TREE_DEPTH}")
+        if self.bad_splits < 0:
+            raise ValueError(f"bad_splits is {self.bad_splits}; it must not be negative")
+
+    def limits(self, triangles: int) -> StopLimits:
+        """The rules for a mesh of so many triangles."""
+        limits = StopLimits()
+        automatic = min(MAX_TREE_DEPTH, round(8 + 1.3 * log2(max(triangles, 1))))
+        limits.depth = automatic if self.max_depth is None else self.max_depth
+        limits.bad_splits = self.bad_splits
+        return limits
+
+
+@wp.func
+def bad_splits_after(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, bad: int, split: Split):
+    """Bad splits on the path once the node is split this way; -1 if it becomes a leaf instead."""
+    if depth >= limits.depth or split.cost == INFINITY:
+        return -1
+    if split.cost < leaf_cost(cost, triangles):
+        return bad
+    return wp.where(bad < limits.bad_splits, bad + 1, -1)
+
+
+@dataclass
+class BuildStats:
+    """What a build cost.
+
+    Attributes:
+        seconds: wall time of each phase, by name.
+        peak_bytes: device memory held at the peak, the input and the finished tree included.
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    peak_bytes: int = 0
+
+    @property
+    def total_seconds(self) -> float:
+        """Wall time of the whole build."""
+        return sum(self.seconds.values())
+
+
+@dataclass
+class KdTree:
+    """A finished kd-tree on a device.
+
+    Attributes:
+        nodes: (nodes,) vec2i, see `wrt.kernels.kdtree`.
+        primitive: (blocks * width,) int32: triangle ids, leaf after leaf, -1 in unused lanes.
+        low, high: the root's box.
+        width: triangles a block.
+        stats: what the build cost.
+    """
+
+    nodes: wp.array
+    primitive: wp.array
+    low: wp.vec3
+    high: wp.vec3
+    width: int
+    stats: BuildStats
+
+    @property
+    def bytes(self) -> int:
+        """Memory of nodes and leaf lists; the triangle records come on top."""
+        return self.nodes.capacity + self.primitive.capacity
+
+    def struct(self) -> KdNodes:
+        """The tree for a traversal kernel."""
+        tree = KdNodes()
+        tree.nodes = self.nodes
+        tree.low = self.low
+        tree.high = self.high
+        return tree
+
+    def to(self, device: wp.Device) -> "KdTree":
+        """The tree on another device; itself if it is there already."""
+        if device == self.nodes.device:
+            return self
+        return KdTree(
+            self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats
+        )

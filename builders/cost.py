@@ -1,0 +1,167 @@
+"""What a split is worth: the surface area heuristic as an object, evaluated by every builder through the same functions.
+
+For a box of surface area A split into two of areas A_L and A_R, with n_L and n_R triangles,
+
+    cost = f (C_t + C_b (A_L / A * blocks(n_L) + A_R / A * blocks(n_R)))        leaf = C_b blocks(n)
+
+(survey, equations 4.6 and 4.7; MacDonald and Booth 1990, Wald and Havran 2006). `blocks(n) = ceil(n / W)`, because a
+leaf tests W triangles at once: with W = 1 this is the textbook's formula. f < 1 rewards cutting off empty space; triangles
+in the splitting plane are tried on both sides.
+
+Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
+make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the left.
+
+References:
+    J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
+    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
+    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
+        IEEE Symposium on Interactive Ray Tracing 2006.
+"""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class SplitCost:
+    """`SurfaceAreaCost` as kernels see it."""
+
+    traversal: float
+    block: float
+    empty_factor: float
+    width_bits: int
+    """log2 of the triangles in a block."""
+
+
+@dataclass(frozen=True)
+class SurfaceAreaCost:
+    """The surface area heuristic.
+
+    Attributes:
+        traversal: cost C_t of visiting an inner node.
+        block: cost C_b of testing one block of `width` triangles.
+        width: triangles a block, a power of two.
+        empty_factor: f, by which the cost of a split with an empty side is multiplied; 1 turns the bonus off.
+
+    Raises:
+        ValueError: a cost is negative or not finite, the width no power of two up to 16, or the factor not in (0, 1].
+    """
+
+    traversal: float = 1.0
+    block: float = 0.5
+    width: int = 8
+    empty_factor: float = 0.8
+
+    def __post_init__(self) -> None:
+        if self.width not in (1, 2, 4, 8, 16):
+            raise ValueError(f"width is {self.width}; it must be 1, 2, 4, 8 or 16")
+        if not (0.0 <= self.traversal < float("inf") and 0.0 < self.block < float("inf")):
+            raise ValueError(f"costs must be finite and positive, got traversal={self.traversal}, block={self.block}")
+        if not 0.0 < self.empty_factor <= 1.0:
+            raise ValueError(f"empty_factor is {self.empty_factor}; it must be above 0 and at most 1")
+
+    def struct(self) -> SplitCost:
+        """The values for a kernel."""
+        cost = SplitCost()
+        cost.traversal = self.traversal
+        cost.block = self.block
+        cost.empty_factor = self.empty_factor
+        cost.width_bits = self.width.bit_length() - 1
+        return cost
+
+
+@wp.struct
+class Split:
+    """A splitting plane and what it costs."""
+
+    cost: float
+    """inf: no plane found."""
+    axis: int
+    position: float
+    planar_left: bool
+    """Whether triangles in the plane go to the left child."""
+    left: int
+    """Triangles in the left child, planar ones included if they go there."""
+    right: int
+
+
+@wp.struct
+class AxisFrame:
+    """A box seen along one axis: the area of a slice of it is linear in the slice's length."""
+
+    axis: int
+    low: float
+    high: float
+    face: float
+    """Half the area of the two faces across the axis."""
+    rim: float
+    """Half the circumference of such a face."""
+    inverse_area: float
+
+
+@wp.func
+def no_split():
+    """A split that any plane beats."""
+    split = Split()
+    split.cost = INFINITY
+    return split
+
+
+@wp.func
+def axis_frame(axis: int, low: wp.vec3, high: wp.vec3):
+    """The box along `axis`."""
+    size = high - low
+    one = wp.where(axis == 0, size[1], size[0])
+    two = wp.where(axis == 2, size[1], size[2])
+    frame = AxisFrame()
+    frame.axis = axis
+    frame.low = low[axis]
+    frame.high = high[axis]
+    frame.face = one * two
+    frame.rim = one + two
+    frame.inverse_area = 1.0 / (frame.face + size[axis] * frame.rim)
+    return frame
+
+
+@wp.func
+def leaf_cost(cost: SplitCost, triangles: int):
+    """Cost of a leaf."""
+    return cost.block * float((triangles + (1 << cost.width_bits) - 1) >> cost.width_bits)
+
+
+@wp.func
+def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int):
+    """Cost of a split into children with so many triangles."""
+    area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area
+    area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area
+    price = cost.traversal + (area_left * leaf_cost(cost, left) + area_right * leaf_cost(cost, right))
+    return wp.where(left == 0 or right == 0, price * cost.empty_factor, price)
+
+
+@wp.func
+def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
+    """`best`, or a split at `position` if that is strictly inside the box and cheaper."""
+    if position > frame.low and position < frame.high:
+        price = plane_cost(cost, frame, position, left + planar, right)
+        if price < best.cost:
+            best.cost = price
+            best.axis = frame.axis
+            best.position = position
+            best.planar_left = True
+            best.left = left + planar
+            best.right = right
+        if planar > 0:
+            price = plane_cost(cost, frame, position, left, planar + right)
+            if price < best.cost:
+                best.cost = price
+                best.axis = frame.axis
+                best.position = position
+                best.planar_left = False
+                best.left = left
+                best.right = planar + right
+    return best

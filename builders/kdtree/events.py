@@ -1,0 +1,146 @@
+"""Events of a sweep: where each triangle's box starts and ends along each axis, sorted once for the whole build.
+
+A box that is flat along an axis gives one planar event there, any other a start and an end. Events are sorted by
+position; at equal positions ends come first, then planar ones, then starts, and among these the smaller triangle id
+(Wald and Havran 2006). Boxes are not clipped to nodes, so a part of a sorted list is a sorted list.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.launch import launch, run_tasks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+END = wp.constant(0)
+PLANAR = wp.constant(1)
+START = wp.constant(2)
+
+CHUNK = 4096
+"""Triangles that are counted together before a scan."""
+
+
+@wp.struct
+class Boxes:
+    """Bounding boxes of triangles, component by component."""
+
+    low: wp.array2d(dtype=float)
+    """(3, triangles)"""
+    high: wp.array2d(dtype=float)
+
+
+@wp.struct
+class Events:
+    """The sorted events of the three axes."""
+
+    position: wp.array2d(dtype=float)
+    """(3, capacity); only the first `count[axis]` of a row are in use."""
+    value: wp.array2d(dtype=int)
+    """(3, capacity): triangle << 2 | type."""
+    count: wp.vec3i
+
+
+@wp.kernel
+def compute_boxes(
+    first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes
+):
+    """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
+    i = first + wp.tid()
+    face = faces[i]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    for axis in range(3):
+        boxes.low[axis, i] = wp.min(a[axis], wp.min(b[axis], c[axis])) + 0.0
+        boxes.high[axis, i] = wp.max(a[axis], wp.max(b[axis], c[axis])) + 0.0
+
+
+@wp.kernel
+def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dtype=int)):
+    """Item: a chunk of triangles. counts: (3, chunks)."""
+    chunk = first + wp.tid()
+    for axis in range(3):
+        planar = int(0)
+        for i in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+            planar += wp.where(boxes.low[axis, i] == boxes.high[axis, i], 1, 0)
+        counts[axis, chunk] = planar
+
+
+@wp.kernel
+def emit_events(
+    first: int, boxes: Boxes, triangles: int, planar_before: wp.array2d(dtype=int), total: wp.vec3i, events: Events
+):
+    """Item: a chunk of triangles. Writes all ends, then all planar events, then all starts, each by triangle id."""
+    chunk = first + wp.tid()
+    for axis in range(3):
+        begin = chunk * CHUNK
+        planar = planar_before[axis, chunk]
+        spread = begin - planar
+        solid = triangles - total[axis]
+        for i in range(begin, wp.min(triangles, (chunk + 1) * CHUNK)):
+            low = boxes.low[axis, i]
+            high = boxes.high[axis, i]
+            if low == high:
+                events.position[axis, solid + planar] = low
+                events.value[axis, solid + planar] = (i << 2) | PLANAR
+                planar += 1
+            else:
+                events.position[axis, spread] = high
+                events.value[axis, spread] = (i << 2) | END
+                events.position[axis, triangles + spread] = low
+                events.value[axis, triangles + spread] = (i << 2) | START
+                spread += 1
+
+
+@dataclass
+class TriangleBoxes:
+    """Boxes of all triangles and the box of them all."""
+
+    boxes: Boxes
+    count: int
+    low: np.ndarray
+    high: np.ndarray
+
+
+def triangle_boxes(vertices: wp.array, faces: wp.array) -> TriangleBoxes:
+    """Bounding boxes of the triangles.
+
+    Args:
+        vertices: (V,) vec3.
+        faces: (F,) vec3i.
+    """
+    device, count = vertices.device, len(faces)
+    boxes = Boxes()
+    boxes.low = wp.empty((3, count), dtype=float, device=device)
+    boxes.high = wp.empty((3, count), dtype=float, device=device)
+    launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
+    return TriangleBoxes(boxes, count, boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
+
+
+def sorted_events(triangles: TriangleBoxes) -> Events:
+    """All events, sorted; the sorts of the three axes run side by side."""
+    boxes, count = triangles.boxes, triangles.count
+    device = boxes.low.device
+    chunks = -(-count // CHUNK)
+    counts = wp.empty((3, chunks), dtype=int, device=device)
+    launch(count_planar, chunks, [boxes, count, counts], device=device, chunk=1)
+    planar = counts.numpy()
+    total = planar.sum(axis=1)
+    before = wp.array(np.cumsum(planar, axis=1) - planar, dtype=int, device=device)
+    events = Events()
+    events.position = wp.empty((3, 4 * count), dtype=float, device=device)
+    events.value = wp.empty((3, 4 * count), dtype=int, device=device)
+    events.count = wp.vec3i(*(int(2 * count - n) for n in total))
+    launch(emit_events, chunks, [boxes, count, before, wp.vec3i(*map(int, total)), events], device=device, chunk=1)
+
+    def sort(axis: int) -> None:
+        wp.utils.radix_sort_pairs(events.position[axis], events.value[axis], int(events.count[axis]))
+
+    if device.is_cpu:
+        run_tasks(sort, 3)
+    else:
+        for axis in range(3):
+            sort(axis)
+    return events

@@ -1,0 +1,205 @@
+"""In-place parallel build of an SAH kd-tree (Choi et al. 2010; survey, section 4.2.2).
+
+**Problem.** A build that goes depth first has one node, then two, then four to share among the cores, and it copies every
+list at every level while it does.
+
+**Algorithm.** The events of all triangles are sorted once per axis (`events`). The top levels are built breadth first,
+parallel over the geometry, in place: nodes are written to triangles, not triangles to nodes (`levels`). As soon as there
+are enough live nodes, each becomes a task that builds its subtree depth first (`subtrees`); the parts are then put together
+in depth-first order (`assembly`). Exact SAH everywhere: every plane at which a triangle's box starts or ends is tried.
+
+**Complexity.** O(N log N): the sort, then O(N) a level.
+
+**What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until there are
+`TASKS` nodes whatever the number of threads, so that tasks can be shared out evenly. Sweeps start from the counts of the
+chunks before them, as in the same paper's nested algorithm, instead of from a shared counter. The split that a node gets
+does not depend on the phase in which it is built: the tree is the same for any number of threads, chunks and tasks.
+
+References:
+    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
+        High Performance Graphics 2010.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.common import BuildStats, KdTree, StopLimits
+from wrt.builders.cost import SplitCost
+from wrt.builders.kdtree import levels as level_phase
+from wrt.builders.kdtree import subtrees as subtree_phase
+from wrt.builders.kdtree.assembly import assemble
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, sorted_events
+from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership, Progress
+from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
+from wrt.kernels.launch import launch
+
+TASKS = 32
+"""Live nodes at which the build goes over to subtrees."""
+
+MAX_LEVELS = 12
+"""Levels after which it does so in any case."""
+
+ARENA_SHARE = 2.5
+"""Events that a task has room for, as a multiple of its own; doubled whenever that was too little."""
+
+
+def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree on the device that holds the boxes."""
+    builder = InPlaceBuilder(triangles, config)
+    with builder.phase("sort"):
+        events = sorted_events(triangles)
+    with builder.phase("top levels"):
+        membership = builder.build_levels(events)
+    share = ARENA_SHARE
+    while True:
+        with builder.phase("fill"):
+            arena, tasks, event_counts = builder.fill(events, membership, share)
+        with builder.phase("subtrees"):
+            results = builder.build_subtrees(arena, tasks, event_counts)
+        if not results.numpy()["overflow"].any():
+            break
+        share *= 2.0
+    with builder.phase("assemble"):
+        nodes, primitive = assemble(builder.levels[:-1], arena, tasks, results, config.cost.width)
+    return KdTree(
+        nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats
+    )
+
+
+class InPlaceBuilder:
+    """The state of one build."""
+
+    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig) -> None:
+        self.triangles = triangles
+        self.device = triangles.boxes.low.device
+        self.cost: SplitCost = config.cost.struct()
+        self.limits: StopLimits = config.stop.limits(triangles.count)
+        self.width = config.cost.width
+        self.stats = BuildStats()
+        self.levels: list[np.ndarray] = []
+        """Live nodes of each level so far."""
+        root = LiveNode()
+        root.low = wp.vec3(*triangles.low)
+        root.high = wp.vec3(*triangles.high)
+        root.triangles = triangles.count
+        self.live = wp.array([root], dtype=LiveNode, device=self.device)
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Adds the time of a phase to the statistics."""
+        start = perf_counter()
+        yield
+        wp.synchronize_device(self.device)
+        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
+
+    def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
+        """Launches a kernel on the build's device."""
+        launch(kernel, count, inputs, device=self.device, chunk=chunk)
+
+    def build_levels(self, events: Events) -> Membership:
+        """Builds level after level until there are enough live nodes; returns which of them each triangle lies in."""
+        count = self.triangles.count
+        membership = Membership()
+        membership.first = wp.array(np.arange(count + 1, dtype=np.int32), dtype=int, device=self.device)
+        membership.node = wp.zeros(count, dtype=int, device=self.device)
+        open_nodes = 1
+        while 0 < open_nodes < TASKS and len(self.levels) < MAX_LEVELS:
+            self.split_level(events, membership)
+            children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
+            counts = wp.empty(2, dtype=int, device=self.device)
+            self.run(level_phase.new_generation, 1, self.live, children, counts)
+            total, open_nodes = map(int, counts.numpy())  # the one round trip of a level
+            membership = self.reclassify(membership)
+            self.levels.append(self.live.numpy())
+            self.live = children[:total]
+        self.levels.append(self.live.numpy())
+        return membership
+
+    def split_level(self, events: Events, membership: Membership) -> None:
+        """Finds the split of every live node."""
+        chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
+        nodes = len(self.live)
+        counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
+        progress = wp.empty((3, chunks, nodes), dtype=Progress, device=self.device)
+        self.run(level_phase.count_events, 3 * chunks, events, membership, self.live, counts)
+        self.run(level_phase.scan_chunks, 3 * nodes, counts, chunk=64)
+        self.run(level_phase.search_planes, 3 * chunks, self.cost, events, membership, self.live, counts, progress)
+        self.run(level_phase.decide, nodes, self.cost, self.limits, progress, self.live, chunk=16)
+
+    def reclassify(self, membership: Membership) -> Membership:
+        """The triangles' nodes on the next level."""
+        count = self.triangles.count
+        counts = wp.zeros(count + 1, dtype=int, device=self.device)
+        boxes = self.triangles.boxes
+        self.run(level_phase.count_members, count, boxes, self.live, membership, counts, chunk=CHUNK)
+        new = Membership()
+        new.first = wp.empty(count + 1, dtype=int, device=self.device)
+        wp.utils.array_scan(counts, new.first, inclusive=False)
+        new.node = wp.empty(int(new.first[-1:].numpy()[0]), dtype=int, device=self.device)
+        self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=CHUNK)
+        return new
+
+    def fill(self, events: Events, membership: Membership, share: float) -> tuple[Arena, wp.array, wp.array]:
+        """Makes one task of each live node: its triangles, its events, and room to work in."""
+        sizes = self.levels[-1]["triangles"].astype(np.int64)
+        rooms = np.zeros(len(sizes), dtype=Task.numpy_dtype())
+
+        def reserve(name: str, capacity: np.ndarray) -> int:
+            rooms[f"{name}_first"] = np.cumsum(capacity) - capacity
+            if f"{name}_capacity" in rooms.dtype.names:
+                rooms[f"{name}_capacity"] = capacity
+            return int(capacity.sum())
+
+        arena = Arena()
+        total = reserve("events", (share * 6 * sizes).astype(np.int64) + 64)
+        arena.position = wp.empty(total, dtype=float, device=self.device)
+        arena.value = wp.empty(total, dtype=int, device=self.device)
+        total = reserve("triangles", sizes)
+        arena.triangle = wp.empty(total, dtype=int, device=self.device)
+        arena.side = wp.empty(total, dtype=wp.uint8, device=self.device)
+        total = reserve("nodes", (share * 0.5 * sizes).astype(np.int64) + 64)
+        arena.nodes = wp.empty(total, dtype=wp.vec2i, device=self.device)
+        total = reserve("blocks", (share * 2 * sizes / self.width).astype(np.int64) + 64)
+        arena.primitive = wp.empty(total * self.width, dtype=int, device=self.device)
+        tasks = wp.array(rooms, dtype=Task, device=self.device)
+        return arena, tasks, self.copy_to_tasks(events, membership, tasks, arena)
+
+    def copy_to_tasks(self, events: Events, membership: Membership, tasks: wp.array, arena: Arena) -> wp.array:
+        """Copies triangles and events to their tasks; returns each task's number of events per axis."""
+        count, device = self.triangles.count, self.device
+        chunks = -(-count // CHUNK)
+        places = wp.empty((chunks, len(tasks)), dtype=int, device=device)
+        local = wp.empty(len(membership.node), dtype=int, device=device)
+        self.run(subtree_phase.count_task_triangles, chunks, count, membership, places)
+        self.run(subtree_phase.scan_task_triangles, len(tasks), tasks, places, chunk=64)
+        self.run(subtree_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, arena)
+        chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
+        places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)
+        totals = wp.zeros(len(tasks), dtype=wp.vec3i, device=device)
+        self.run(subtree_phase.count_task_events, 3 * chunks, events, membership, places)
+        self.run(subtree_phase.scan_task_events, len(tasks), tasks, places, totals, chunk=64)
+        self.run(subtree_phase.fill_task_events, 3 * chunks, events, membership, local, places, arena)
+        return totals
+
+    def build_subtrees(self, arena: Arena, tasks: wp.array, event_counts: wp.array) -> wp.array:
+        """Builds all subtrees; returns what each task made."""
+        stack = wp.empty((len(tasks), STACK), dtype=Frame, device=self.device)
+        results = wp.empty(len(tasks), dtype=Result, device=self.device)
+        self.run(
+            subtree_phase.build_subtrees,
+            len(tasks),
+            self.cost,
+            self.limits,
+            self.live,
+            tasks,
+            event_counts,
+            arena,
+            stack,
+            results,
+        )
+        return results

@@ -1,0 +1,64 @@
+"""The few native loops: W lanes at a time, in portable C++ that Clang and NVRTC turn into what the device has.
+
+Warp's own vector types are unrolled, not vectorised; a plain loop over W floats with selects instead of branches compiles
+to full SIMD width. Control flow stays in Python kernels: only the W-wide bodies are here or are made from the pieces here.
+Nothing in this project is compiled with fused multiply-add (`fuse_fp=False`): a triangle tested alone, in a block, by
+another engine or on another device gives the same bits.
+"""
+
+
+from functools import cache
+
+import warp as wp
+
+MAX_WIDTH = 16
+
+FOR_LANES = """
+#ifndef WRT_FOR_LANES
+#if defined(__clang__)
+#define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
+#else
+#define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
+#endif
+#endif
+"""
+"""Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
+would be put together again lane by lane, at a third of the speed). W is a constant of the snippet."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs(mask) - 1;
+#else
+    return __builtin_ctz(mask);
+#endif
+""")
+def lowest_bit(mask: wp.uint32) -> int:
+    """Index of the lowest bit set; `mask` must not be 0."""
+    ...
+
+
+@cache
+def lanes(width: int) -> type:
+    """The vector type of `width` floats."""
+    return wp.types.vector(length=width, dtype=wp.float32)
+
+
+def native_width(device: wp.Device) -> int:
+    """Lanes that suit the device: 16 floats with AVX-512, 8 on other CPUs, 2 on CUDA (a thread there is one ray)."""
+    if device.is_cuda:
+        return 2
+    return 16 if "avx512f" in cpu_features() else 8
+
+
+@cache
+def cpu_features() -> frozenset[str]:
+    """SIMD extensions of this CPU that matter here, as far as the operating system tells."""
+    try:
+        with open("/proc/cpuinfo") as text:
+            for line in text:
+                if line.startswith(("flags", "Features")):
+                    return frozenset(line.split(":", 1)[1].split())
+    except OSError:
+        pass
+    return frozenset()

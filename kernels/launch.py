@@ -1,0 +1,163 @@
+"""How a kernel is run over N items: a pool of threads on the CPU, one launch on CUDA.
+
+Warp runs a CPU kernel on the calling thread, but lets go of the interpreter lock while it does. So the items are cut
+into contiguous chunks, some eight a thread (the chunks of a ray batch differ in cost: smaller ones balance the load),
+and the caller and its helpers take chunks from one queue until it is empty. The caller works too, so that a call from
+inside another call's chunk cannot wait for itself, and small batches never leave the calling thread.
+
+Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
+What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
+"""
+
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from typing import Any
+
+import warp as wp
+
+CHUNKS_PER_THREAD = 8
+MAX_CHUNK = 1 << 16
+"""Upper bound of a chunk's items: one chunk is the longest that a Ctrl-C has to wait."""
+
+MAX_THREADS = 1024
+
+_lock = threading.RLock()
+_loaded: set[tuple[wp.Kernel, str]] = set()
+_executor: ThreadPoolExecutor | None = None
+_num_threads: int | None = None
+
+
+def available_threads() -> int:
+    """Cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def get_num_threads() -> int:
+    """Threads that CPU kernels use: `set_num_threads`, else the variable WRT_NUM_THREADS, else all cores.
+
+    Raises:
+        ValueError: WRT_NUM_THREADS is not a whole number from 1 to 1024.
+    """
+    global _num_threads
+    if _num_threads is None:
+        text = os.environ.get("WRT_NUM_THREADS", "").strip()
+        if not text:
+            return available_threads()
+        if not text.isdigit():
+            raise ValueError(f"WRT_NUM_THREADS is {text!r}; set it to a whole number from 1 to {MAX_THREADS}")
+        _num_threads = check_num_threads(int(text), "WRT_NUM_THREADS")
+    return _num_threads
+
+
+def set_num_threads(count: int | None) -> None:
+    """Sets the threads that CPU kernels use from now on; None goes back to the default.
+
+    Raises:
+        ValueError: `count` is not from 1 to 1024.
+    """
+    global _num_threads
+    _num_threads = None if count is None else check_num_threads(count, "count")
+
+
+def check_num_threads(count: int, name: str) -> int:
+    """Returns `count` if it is a valid number of threads; raises an error that names `name` otherwise."""
+    if isinstance(count, bool) or not isinstance(count, int):
+        raise TypeError(f"{name} must be an int, not {type(count).__name__}")
+    if not 1 <= count <= MAX_THREADS:
+        raise ValueError(f"{name} is {count}; it must be from 1 to {MAX_THREADS}")
+    return count
+
+
+def launch(kernel: wp.Kernel, count: int, inputs: Sequence[Any], *, device: wp.Device, chunk: int = 256) -> None:
+    """Runs `kernel` for the items 0 .. count - 1.
+
+    Args:
+        kernel: a kernel whose first parameter is `first: int`, the number of the first item of the chunk.
+        count: number of items.
+        inputs: the kernel's other arguments.
+        device: where the arguments live; on CUDA this is one launch on the device's current stream.
+        chunk: on the CPU, the least number of items that is worth a launch of its own.
+    """
+    if count <= 0:
+        return
+    load([kernel], device)
+    if device.is_cuda:
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+        return
+    threads = get_num_threads()
+    chunks = min(CHUNKS_PER_THREAD * threads, -(-count // chunk)) if threads > 1 else 1
+    size = min(-(-count // chunks), max(chunk, MAX_CHUNK))
+
+    def run(number: int) -> None:
+        first = number * size
+        wp.launch(kernel, dim=min(size, count - first), inputs=[first, *inputs], device=device)
+
+    run_tasks(run, -(-count // size))
+
+
+def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
+    """Compiles and loads the kernels' modules, once, whatever the number of threads that ask for them at a time."""
+    for kernel in kernels:
+        if (kernel, device.alias) not in _loaded:
+            with _lock:
+                kernel.module.load(device, block_dim=1 if device.is_cpu else None)
+                _loaded.add((kernel, device.alias))
+
+
+def run_tasks(task: Callable[[int], Any], count: int) -> None:
+    """Calls `task(0)` .. `task(count - 1)`, on the caller's thread and the pool's; returns when all are done.
+
+    The first exception (a KeyboardInterrupt too) stops the handing out of tasks, waits for those that run and is raised.
+    """
+    helpers = min(get_num_threads(), count) - 1
+    if helpers <= 0:
+        for number in range(count):
+            task(number)
+        return
+    pending = deque(range(count))
+
+    def work() -> None:
+        while True:
+            try:
+                number = pending.popleft()
+            except IndexError:
+                return
+            try:
+                task(number)
+            except BaseException:
+                pending.clear()
+                raise
+
+    futures: list[Future[None]] = [_pool().submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        pending.clear()
+        for future in futures:
+            future.cancel()
+        wait(futures)
+    for future in futures:
+        if not future.cancelled():
+            future.result()
+
+
+def _pool() -> ThreadPoolExecutor:
+    global _executor
+    with _lock:
+        if _executor is None:
+            _executor = ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="wrt")
+        return _executor
+
+
+def _forget_pool() -> None:
+    """A forked child has none of the pool's threads."""
+    global _executor, _lock
+    _executor, _lock = None, threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)

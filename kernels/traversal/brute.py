@@ -1,0 +1,71 @@
+"""Brute force: every ray against every triangle. The judge of every tree and every traversal; O(rays x triangles)."""
+
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, Counters, improves, start
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class AllTriangles:
+    """All triangles, in blocks in the order of their ids."""
+
+    count: int
+    low: wp.vec3
+    """Bounds of the scene."""
+    high: wp.vec3
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
+    test = TRIANGLE_TESTS[config.triangle_test]
+    prepare, intersect, load = test.prepare, test.intersect, test.record.load
+    box_low, box_high = test.record.box_low, test.record.box_high
+    width, counting, any_hit = config.width, config.counters, config.query == ANY
+
+    def brute_force(
+        first: int,
+        tree: AllTriangles,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        tested = int(0)
+        if ray.valid:
+            slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
+            state = prepare(ray.origin, ray.direction)
+            while tested < tree.count:
+                corners = load(triangles.records, tested, wp.static(width))
+                hit = intersect(state, corners)
+                if not wp.isnan(hit[0]):
+                    t = clamp_to_box(slabs, box_low(corners), box_high(corners), hit[0])
+                    if improves(t, triangles.primitive[tested], ray.t_min, best):
+                        best.t = t
+                        best.primitive = triangles.primitive[tested]
+                        best.u = hit[1]
+                        best.v = hit[2]
+                        if wp.static(any_hit):
+                            break
+                tested += 1
+        if wp.static(any_hit):
+            hits.occluded[i] = best.primitive >= 0
+        else:
+            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+        if wp.static(counting):
+            counters[i].triangles = tested
+
+    return wp.kernel(brute_force, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,96 @@
+"""One ray against one block of W triangles: the innermost step that all single-ray traversals share.
+
+Ties go to the smaller t, then to the smaller primitive id, so the order in which blocks are met never shows.
+"""
+
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.boxes import RaySlabs, clamp_to_box
+from wrt.kernels.lanes import lanes, lowest_bit
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class Candidate:
+    """The best hit so far."""
+
+    t: float
+    """Its t; before the first hit, the ray's t_max."""
+    primitive: int
+    """-1 before the first hit."""
+    u: float
+    v: float
+
+
+@wp.struct
+class Counters:
+    """Work done for one ray."""
+
+    nodes: int
+    """Inner nodes visited."""
+    leaves: int
+    """Leaves visited, empty ones included."""
+    triangles: int
+    """Triangles tested; the unused lanes of a block do not count."""
+
+
+@wp.func
+def start(t_max: float):
+    """No hit yet."""
+    best = Candidate()
+    best.t = t_max
+    best.primitive = -1
+    return best
+
+
+@wp.func
+def improves(t: float, primitive: int, t_min: float, best: Candidate):
+    """Whether a hit at t (NaN: none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
+    return t >= t_min and (
+        t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive))
+    )
+
+
+@cache
+def block_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
+    test = TRIANGLE_TESTS[config.triangle_test]
+    width = config.width
+    Lanes = lanes(width)
+    RayState = test.ray_state
+    intersect_block = test.block_test(width)
+    load, box_low, box_high = test.record.load, test.record.box_low, test.record.box_high
+    any_hit = config.query == ANY
+
+    @wp.func
+    def step(
+        triangles: TriangleBlocks, block: int, state: RayState, slabs: RaySlabs, t_min: float, best: Candidate
+    ):
+        t_lanes = Lanes()
+        u_lanes = Lanes()
+        v_lanes = Lanes()
+        mask = intersect_block(triangles.records, block, state, t_lanes, u_lanes, v_lanes)
+        while mask != wp.uint32(0):
+            lane = lowest_bit(mask)
+            mask = mask & (mask - wp.uint32(1))
+            slot = block * wp.static(width) + lane
+            corners = load(triangles.records, slot, wp.static(width))
+            t = clamp_to_box(slabs, box_low(corners), box_high(corners), t_lanes[lane])
+            primitive = triangles.primitive[slot]
+            if improves(t, primitive, t_min, best):
+                best.t = t
+                best.primitive = primitive
+                best.u = u_lanes[lane]
+                best.v = v_lanes[lane]
+                if wp.static(any_hit):
+                    mask = wp.uint32(0)
+        return best
+
+    return step

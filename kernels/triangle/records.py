@@ -1,0 +1,94 @@
+"""Per-triangle data in blocks of W triangles, structure of arrays: component by component, W lanes each.
+
+A block is `components * W` floats: `records[(block * components + component) * W + lane]`. Unused lanes of a last
+block hold NaN, which every test turns into a miss, and primitive -1.
+"""
+
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.boxes import greatest, least
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class TriangleBlocks:
+    """Triangles in the order in which a tree's leaves, or brute force, test them."""
+
+    records: wp.array(dtype=float)
+    """(blocks * components * W,) the test's records."""
+    primitive: wp.array(dtype=int)
+    """(blocks * W,) primitive ids; -1 in unused lanes."""
+
+
+@wp.struct
+class Corners:
+    """A triangle's vertices, relative to the scene's centre."""
+
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+
+
+@dataclass(frozen=True)
+class Record:
+    """How a triangle test stores a triangle.
+
+    Attributes:
+        components: floats a triangle.
+        pack: `wp.func(records, slot, width, corners)` that writes the record of one triangle; slot = block * W + lane.
+        load: `wp.func(records, slot, width)` that reads one record back, as the struct that the test's scalar form takes.
+        box_low, box_high: `wp.func(loaded)`: the corners of the triangle's exact bounding box.
+    """
+
+    components: int
+    pack: wp.Function
+    load: wp.Function
+    box_low: wp.Function
+    box_high: wp.Function
+
+
+@wp.func
+def pack_corners(records: wp.array(dtype=float), slot: int, width: int, corners: Corners):
+    """Layout: ax ay az bx by bz cx cy cz."""
+    first = (slot / width) * 9 * width + slot % width
+    for axis in range(3):
+        records[first + axis * width] = corners.a[axis]
+        records[first + (3 + axis) * width] = corners.b[axis]
+        records[first + (6 + axis) * width] = corners.c[axis]
+
+
+@wp.func_native("""
+    const float* r = &records.data[(size_t)(slot / width) * 9 * width + slot % width];
+    return wp::vec3(r[3 * vertex * width], r[(3 * vertex + 1) * width], r[(3 * vertex + 2) * width]);
+""")
+def load_vertex(records: wp.array(dtype=float), slot: int, width: int, vertex: int) -> wp.vec3:
+    """One vertex of a triangle, without the index checks of `records[...]`: this is in the innermost loop."""
+    ...
+
+
+@wp.func
+def load_corners(records: wp.array(dtype=float), slot: int, width: int):
+    """The vertices as `pack_corners` stored them."""
+    corners = Corners()
+    corners.a = load_vertex(records, slot, width, 0)
+    corners.b = load_vertex(records, slot, width, 1)
+    corners.c = load_vertex(records, slot, width, 2)
+    return corners
+
+
+@wp.func
+def corners_low(corners: Corners):
+    return least(corners.a, least(corners.b, corners.c))
+
+
+@wp.func
+def corners_high(corners: Corners):
+    return greatest(corners.a, greatest(corners.b, corners.c))
+
+
+CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high)
+"""The three vertices as they are: 36 bytes a triangle, nothing precomputed."""

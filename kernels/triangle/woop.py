@@ -1,0 +1,164 @@
+"""Watertight test: Woop, Benthin, Wald 2013.
+
+**Problem.** A test that works with rounded edges or barycentric coordinates may miss both triangles that share an edge.
+
+**Idea.** Move the origin to 0 and shear space so that the ray becomes the unit vector along its largest axis, z. A vertex
+goes to the same place whichever triangle it belongs to. Seen along the ray, the test is: on which side of each projected
+edge is the point 0? The three signed areas U, V, W of an edge seen from its two triangles are exact negatives of each
+other, because multiplication commutes and a - b = -(b - a) in floating point (as long as no multiply-add is fused). Where
+one is zero, the ray passes the edge to the last bit, or the products underflowed: the three are then computed again in
+float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the
+sheared vertices, and a ray can slip between neighbours at no edge and no vertex; on an edge it hits both.
+
+**Data.** Per triangle: the three vertices. Per ray: the axis order and the shear (`ShearedRay`).
+
+**Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only asks whether the three
+signs agree. The distance is compared by the caller (see `wrt.kernels.boxes`, the consistency rule).
+
+References:
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection.
+        Journal of Computer Graphics Techniques 2(1), 2013.
+"""
+
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.lanes import FOR_LANES, lanes
+from wrt.kernels.triangle.records import Corners
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class ShearedRay:
+    """A ray as the watertight test needs it."""
+
+    origin: wp.vec3
+    """The origin's components in the order x, y, z below."""
+    x: int
+    """Axes: z is that of the direction's largest component, x and y the next two, in cyclic order."""
+    y: int
+    z: int
+    shear: wp.vec3
+    """direction[x] / direction[z], direction[y] / direction[z], 1 / direction[z]."""
+
+
+@wp.func
+def prepare(origin: wp.vec3, direction: wp.vec3):
+    """Axis order and shear of a ray; `direction` is finite and not zero."""
+    size = wp.abs(direction)
+    ray = ShearedRay()
+    ray.z = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
+    ray.x = wp.where(ray.z == 2, 0, ray.z + 1)
+    ray.y = wp.where(ray.x == 2, 0, ray.x + 1)
+    ray.origin = wp.vec3(origin[ray.x], origin[ray.y], origin[ray.z])
+    ray.shear = wp.vec3(
+        direction[ray.x] / direction[ray.z], direction[ray.y] / direction[ray.z], 1.0 / direction[ray.z]
+    )
+    return ray
+
+
+@wp.func
+def sheared(ray: ShearedRay, vertex: wp.vec3):
+    """The vertex in the ray's space; its third component is the t of its plane across the ray's main axis."""
+    z = vertex[ray.z] - ray.origin[2]
+    x = (vertex[ray.x] - ray.origin[0]) - ray.shear[0] * z
+    y = (vertex[ray.y] - ray.origin[1]) - ray.shear[1] * z
+    return wp.vec3(x, y, ray.shear[2] * z)
+
+
+@wp.func
+def exact_area(p: wp.vec3, q: wp.vec3):
+    """Signed area p x q in float64, rounded to float32: the sign is exact, or the area so small that it counts as 0."""
+    return float(wp.float64(p[0]) * wp.float64(q[1]) - wp.float64(p[1]) * wp.float64(q[0]))
+
+
+@wp.func
+def intersect(ray: ShearedRay, corners: Corners):
+    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    area_a = c[0] * b[1] - c[1] * b[0]
+    area_b = a[0] * c[1] - a[1] * c[0]
+    area_c = b[0] * a[1] - b[1] * a[0]
+    if area_a == 0.0 or area_b == 0.0 or area_c == 0.0:
+        area_a = exact_area(c, b)
+        area_b = exact_area(a, c)
+        area_c = exact_area(b, a)
+    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (
+        area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0
+    )
+    total = (area_a + area_b) + area_c
+    if not inside or total == 0.0:
+        return wp.vec3(wp.nan, 0.0, 0.0)
+    scale = 1.0 / total
+    t = ((area_a * a[2] + area_b * b[2]) + area_c * c[2]) * scale
+    return wp.vec3(t, area_b * scale, area_c * scale)
+
+
+_BLOCK = """
+    const float* corner = &records.data[(size_t)block * (9 * W)];
+    const float *ax = corner + ray.x * W, *ay = corner + ray.y * W, *az = corner + ray.z * W;
+    const float *bx = ax + 3 * W, *by = ay + 3 * W, *bz = az + 3 * W;
+    const float *cx = ax + 6 * W, *cy = ay + 6 * W, *cz = az + 6 * W;
+    const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
+    const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
+    float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W];
+    unsigned mask = 0, edges = 0;
+    WRT_FOR_LANES(i) {
+        float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
+        float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
+        float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
+        float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
+        area_a[i] = a; area_b[i] = b; area_c[i] = c;
+        depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
+        bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+        bool on_edge = (a == 0.0f) | (b == 0.0f) | (c == 0.0f);
+        mask |= inside ? 1u << i : 0u;
+        edges |= on_edge ? 1u << i : 0u;
+    }
+    if (edges) {
+        for (int i = 0; i < W; ++i) {
+            if (!(edges >> i & 1u)) continue;
+            float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
+            double px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
+            double py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
+            float a = (float)(rx * qy - ry * qx), b = (float)(px * ry - py * rx), c = (float)(qx * py - qy * px);
+            area_a[i] = a; area_b[i] = b; area_c[i] = c;
+            bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+            bool hit = inside & ((a + b) + c != 0.0f);
+            mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
+        }
+    }
+    if (mask) {
+        WRT_FOR_LANES(i) {
+            float a = area_a[i], b = area_b[i], c = area_c[i];
+            float scale = 1.0f / ((a + b) + c);
+            t.c[i] = ((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale;
+            u.c[i] = b * scale;
+            v.c[i] = c * scale;
+        }
+    }
+    return mask;
+"""
+
+
+@cache
+def block_test(width: int) -> wp.Function:
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    Lanes = lanes(width)
+
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};{_BLOCK}")
+    def woop_block(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: ShearedRay,
+        t: wp.ref[Lanes],
+        u: wp.ref[Lanes],
+        v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return woop_block
