@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from math import log2
 
 import warp as wp
-
 from wrt.builders.cost import Split, SplitCost, leaf_cost
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.kdtree import MAX_TREE_DEPTH, KdNodes
@@ -119,6 +118,4 @@ class KdTree:
         """The tree on another device; itself if it is there already."""
         if device == self.nodes.device:
             return self
-        return KdTree(
-            self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats
-        )
+        return KdTree(self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats)

@@ -6,7 +6,6 @@ Nothing in this project is compiled with fused multiply-add (`fuse_fp=False`): a
 another engine or on another device gives the same bits.
 """
 
-
 from functools import cache
 
 import warp as wp

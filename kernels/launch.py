@@ -9,12 +9,13 @@ Every kernel launched here has `first: int` as its first parameter and works on 
 What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
 """
 
-
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import warp as wp
@@ -29,6 +30,7 @@ _lock = threading.RLock()
 _loaded: set[tuple[wp.Kernel, str]] = set()
 _executor: ThreadPoolExecutor | None = None
 _num_threads: int | None = None
+_local_threads: ContextVar[int | None] = ContextVar("wrt_threads", default=None)
 
 
 def available_threads() -> int:
@@ -37,12 +39,14 @@ def available_threads() -> int:
 
 
 def get_num_threads() -> int:
-    """Threads that CPU kernels use: `set_num_threads`, else the variable WRT_NUM_THREADS, else all cores.
+    """Threads that CPU kernels use: `use_threads`, else `set_num_threads`, else WRT_NUM_THREADS, else all cores.
 
     Raises:
         ValueError: WRT_NUM_THREADS is not a whole number from 1 to 1024.
     """
     global _num_threads
+    if (local := _local_threads.get()) is not None:
+        return local
     if _num_threads is None:
         text = os.environ.get("WRT_NUM_THREADS", "").strip()
         if not text:
@@ -61,6 +65,16 @@ def set_num_threads(count: int | None) -> None:
     """
     global _num_threads
     _num_threads = None if count is None else check_num_threads(count, "count")
+
+
+@contextmanager
+def use_threads(count: int | None) -> Iterator[None]:
+    """Sets the threads for the launches inside the `with` block, of the calling thread only; None changes nothing."""
+    token = _local_threads.set(_local_threads.get() if count is None else count)
+    try:
+        yield
+    finally:
+        _local_threads.reset(token)
 
 
 def check_num_threads(count: int, name: str) -> int:

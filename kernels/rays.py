@@ -1,7 +1,6 @@
 """Rays and hits as structures of arrays: what every traversal reads and writes."""
 
 import warp as wp
-
 from wrt.kernels.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -75,6 +74,7 @@ def load_ray(rays: RayBatch, i: int):
         is_finite(ray.origin)
         and is_finite(ray.direction)
         and wp.max(size[0], wp.max(size[1], size[2])) >= TINY
+        and ray.t_min >= 0.0
         and ray.t_min <= ray.t_max
     )
     return ray
@@ -86,3 +86,10 @@ def store_hit(hits: HitBatch, i: int, t: float, primitive: int, u: float, v: flo
     hits.t[i] = wp.where(primitive < 0, INFINITY, t)
     hits.primitive[i] = primitive
     hits.uv[i] = wp.vec2(u, v)
+
+
+@wp.kernel
+def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: wp.vec3d, out: wp.array(dtype=wp.vec3)):
+    """Item: a point. Float64 to float32, relative to the centre: what is lost is lost there, not far from the origin."""
+    i = first + wp.tid()
+    out[i] = wp.vec3(points[i] - center)

@@ -1,0 +1,45 @@
+"""wrt, "Warp Ray Tracing": ray queries against triangle meshes, on all CPU cores and on CUDA.
+
+    mesh = wrt.TriangleMesh.load("bunny.ply")
+    scene = wrt.Scene(mesh)
+    hits = scene.intersect(origins, directions)     # hits.t, hits.primitive_id, hits.uv, hits.position, hits.normal
+    dark = scene.occluded(origins, directions)      # bool
+    image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
+
+Names are loaded when they are first used, so that `import wrt` costs little more than `import warp`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Hits": "wrt.hits",
+    "KdTree": "wrt.accelerator",
+    "OrthographicCamera": "wrt.camera",
+    "PinholeCamera": "wrt.camera",
+    "Rays": "wrt.rays",
+    "Scene": "wrt.scene",
+    "TriangleMesh": "wrt.mesh",
+    "get_num_threads": "wrt.kernels.launch",
+    "render": "wrt.render",
+    "save_image": "wrt.image",
+    "set_num_threads": "wrt.kernels.launch",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'wrt' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOME[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -1,0 +1,40 @@
+"""Kd-tree builders: one file per way to build, and the table of them.
+
+**Contract.** A builder is a function `build(triangles, config) -> KdTree`: boxes of the triangles in
+(`wrt.builders.kdtree.events.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
+`wrt.kernels.kdtree` out, with the time of each phase. The root's box is that of the triangles; a triangle is listed in
+every leaf whose interior its box meets, and a triangle that lies in a splitting plane on the side that the split chose.
+
+To add a builder: write its file, add one line to `KDTREE_BUILDERS`; tests, command line and benchmarks pick it up.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from wrt.builders.common import KdTree
+from wrt.builders.kdtree import in_place
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.events import TriangleBoxes
+
+
+@dataclass(frozen=True)
+class KdTreeBuilder:
+    """A way to build a kd-tree.
+
+    Attributes:
+        name: key in `KDTREE_BUILDERS`.
+        paper: authors, title, year.
+        build: (boxes, config) -> tree.
+    """
+
+    name: str
+    paper: str
+    build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
+
+
+KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
+    builder.name: builder
+    for builder in (
+        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
+    )
+}

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-
 from wrt.kernels.launch import launch, run_tasks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -43,9 +42,7 @@ class Events:
 
 
 @wp.kernel
-def compute_boxes(
-    first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes
-):
+def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
     """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
     i = first + wp.tid()
     face = faces[i]
@@ -62,7 +59,7 @@ def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dt
     """Item: a chunk of triangles. counts: (3, chunks)."""
     chunk = first + wp.tid()
     for axis in range(3):
-        planar = int(0)
+        planar = 0
         for i in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
             planar += wp.where(boxes.low[axis, i] == boxes.high[axis, i], 1, 0)
         counts[axis, chunk] = planar

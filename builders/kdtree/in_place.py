@@ -26,7 +26,6 @@ from time import perf_counter
 
 import numpy as np
 import warp as wp
-
 from wrt.builders.common import BuildStats, KdTree, StopLimits
 from wrt.builders.cost import SplitCost
 from wrt.builders.kdtree import levels as level_phase
@@ -66,9 +65,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         share *= 2.0
     with builder.phase("assemble"):
         nodes, primitive = assemble(builder.levels[:-1], arena, tasks, results, config.cost.width)
-    return KdTree(
-        nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats
-    )
+    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats)
 
 
 class InPlaceBuilder:

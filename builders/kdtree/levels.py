@@ -13,13 +13,10 @@ Chunks begin where the position changes, so that planes are never shared; the wi
 of the axes and positions. So neither threads nor chunks show in the result.
 """
 
-import numpy as np
 import warp as wp
-
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import Split, SplitCost, axis_frame, better_split, no_split
-from wrt.builders.kdtree.events import CHUNK, END, PLANAR, START, Boxes, Events
-from wrt.kernels.launch import launch
+from wrt.builders.kdtree.events import END, PLANAR, START, Boxes, Events
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -90,18 +87,18 @@ def advance(cost: SplitCost, low: wp.vec3, high: wp.vec3, axis: int, progress: P
 def chunk_begin(events: Events, axis: int, chunk: int):
     """First event of a chunk: its nominal one, or the next at which the position changes."""
     begin = wp.min(chunk * EVENT_CHUNK, events.count[axis])
-    while (
-        begin > 0
-        and begin < events.count[axis]
-        and events.position[axis, begin] == events.position[axis, begin - 1]
-    ):
+    while begin > 0 and begin < events.count[axis] and events.position[axis, begin] == events.position[axis, begin - 1]:
         begin += 1
     return begin
 
 
 @wp.kernel
 def count_events(
-    first: int, events: Events, membership: Membership, nodes: wp.array(dtype=LiveNode), counts: wp.array3d(dtype=wp.vec2i)
+    first: int,
+    events: Events,
+    membership: Membership,
+    nodes: wp.array(dtype=LiveNode),
+    counts: wp.array3d(dtype=wp.vec2i),
 ):
     """Item: axis * chunks + chunk. counts: (3, chunks, nodes), (triangles that begin, triangles that end) in the chunk."""
     item = first + wp.tid()
@@ -202,10 +199,12 @@ def decide(
 
 
 @wp.kernel
-def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
+def new_generation(
+    first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)
+):
     """One item. Lists the next level's nodes in order; count: (2,), its nodes and those of them that are not finished."""
-    total = int(0)
-    open_nodes = int(0)
+    total = 0
+    open_nodes = 0
     for index in range(nodes.shape[0]):
         node = nodes[index]
         node.left = total
@@ -248,7 +247,7 @@ def count_members(
 ):
     """Item: a triangle. Number of nodes that it lies in on the next level."""
     triangle = first + wp.tid()
-    count = int(0)
+    count = 0
     for m in range(membership.first[triangle], membership.first[triangle + 1]):
         node = nodes[membership.node[m]]
         count += 1
@@ -268,7 +267,7 @@ def fill_members(
     to = refined.first[triangle]
     for m in range(membership.first[triangle], membership.first[triangle + 1]):
         node = nodes[membership.node[m]]
-        side = int(1)
+        side = 1
         if not node.finished:
             axis = node.split.axis
             side = sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle])

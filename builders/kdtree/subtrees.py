@@ -16,7 +16,6 @@ References:
 """
 
 import warp as wp
-
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events import CHUNK, END, PLANAR, START, Events
@@ -190,16 +189,16 @@ def search(cost: SplitCost, arena: Arena, frame: Frame):
     best = no_split()
     for axis in range(3):
         along = axis_frame(axis, frame.low, frame.high)
-        left = int(0)
+        left = 0
         right = int(frame.triangles)
         i = int(frame.first[axis])
         end = i + frame.count[axis]
         while i < end:
             position = arena.position[i]
-            started = int(0)
-            planar = int(0)
-            ended = int(0)
-            same = bool(True)
+            started = 0
+            planar = 0
+            ended = 0
+            same = True
             while same:
                 kind = arena.value[i] & 3
                 started += wp.where(kind == START, 1, 0)
@@ -298,8 +297,8 @@ def build_subtrees(
     frame.depth = root.depth
     frame.parent = -1
     result = Result()
-    waiting = int(0)
-    building = bool(True)
+    waiting = 0
+    building = True
     while building:
         events = frame.count[0] + frame.count[1] + frame.count[2]
         top = frame.first[2] + frame.count[2]

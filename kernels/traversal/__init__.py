@@ -9,12 +9,10 @@ asks for it. One skeleton serves every query through `wp.static` switches. Every
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
 
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
-
 from wrt.kernels.traversal import brute, single
 from wrt.kernels.traversal.config import TraversalConfig
 

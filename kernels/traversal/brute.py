@@ -1,14 +1,12 @@
 """Brute force: every ray against every triangle. The judge of every tree and every traversal; O(rays x triangles)."""
 
-
 from functools import cache
 
 import warp as wp
-
 from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, Counters, improves, start
+from wrt.kernels.traversal.leaf import Counters, improves, start
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -44,7 +42,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         i = first + wp.tid()
         ray = load_ray(rays, i)
         best = start(ray.t_max)
-        tested = int(0)
+        tested = 0
         if ray.valid:
             slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
             state = prepare(ray.origin, ray.direction)

@@ -1,6 +1,5 @@
 """What a traversal kernel is specialised for, and what its caller may ask of it."""
 
-
 from dataclasses import dataclass
 
 CLOSEST = "closest"

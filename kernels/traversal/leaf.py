@@ -3,11 +3,9 @@
 Ties go to the smaller t, then to the smaller primitive id, so the order in which blocks are met never shows.
 """
 
-
 from functools import cache
 
 import warp as wp
-
 from wrt.kernels.boxes import RaySlabs, clamp_to_box
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
@@ -53,9 +51,7 @@ def start(t_max: float):
 @wp.func
 def improves(t: float, primitive: int, t_min: float, best: Candidate):
     """Whether a hit at t (NaN: none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
-    return t >= t_min and (
-        t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive))
-    )
+    return t >= t_min and (t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive)))
 
 
 @cache
@@ -70,9 +66,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
     any_hit = config.query == ANY
 
     @wp.func
-    def step(
-        triangles: TriangleBlocks, block: int, state: RayState, slabs: RaySlabs, t_min: float, best: Candidate
-    ):
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: RaySlabs, t_min: float, best: Candidate):
         t_lanes = Lanes()
         u_lanes = Lanes()
         v_lanes = Lanes()

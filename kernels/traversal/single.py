@@ -21,17 +21,15 @@ References:
     J. Rahikainen: survey of real-time ray tracing, 2013, chapter 5.
 """
 
-
 from functools import cache
 
 import warp as wp
-
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import ray_slabs, reach, slab_interval
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start
+from wrt.kernels.traversal.leaf import Counters, block_step, start
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -66,8 +64,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
             stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
             stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-            size = int(0)
-            index = int(0)
+            size = 0
+            index = 0
             searching = entry <= leave
             while searching:
                 node = kdtree.load_node(tree.nodes, index)

@@ -9,12 +9,10 @@ ray's *line* meets the triangle and where; whether that t counts is the traversa
 To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command line and benchmarks pick it up.
 """
 
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
-
 from wrt.kernels.triangle import moeller_trumbore, woop
 from wrt.kernels.triangle.records import CORNERS, Record
 

@@ -10,11 +10,9 @@ References:
     T. Moeller, B. Trumbore: Fast, minimum storage ray/triangle intersection. Journal of Graphics Tools 2(1), 1997.
 """
 
-
 from functools import cache
 
 import warp as wp
-
 from wrt.kernels.lanes import FOR_LANES, lanes
 from wrt.kernels.triangle.records import Corners
 

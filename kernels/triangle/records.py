@@ -4,11 +4,9 @@ A block is `components * W` floats: `records[(block * components + component) * 
 block hold NaN, which every test turns into a miss, and primitive -1.
 """
 
-
 from dataclasses import dataclass
 
 import warp as wp
-
 from wrt.kernels.boxes import greatest, least
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -20,11 +20,9 @@ References:
         Journal of Computer Graphics Techniques 2(1), 2013.
 """
 
-
 from functools import cache
 
 import warp as wp
-
 from wrt.kernels.lanes import FOR_LANES, lanes
 from wrt.kernels.triangle.records import Corners
 
@@ -88,9 +86,7 @@ def intersect(ray: ShearedRay, corners: Corners):
         area_a = exact_area(c, b)
         area_b = exact_area(a, c)
         area_c = exact_area(b, a)
-    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (
-        area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0
-    )
+    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0)
     total = (area_a + area_b) + area_c
     if not inside or total == 0.0:
         return wp.vec3(wp.nan, 0.0, 0.0)

@@ -1,0 +1,79 @@
+"""What follows from a hit's primitive and weights: the point, the normal, which geometry it belongs to."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class SceneMesh:
+    """All triangles of a scene."""
+
+    vertices: wp.array(dtype=wp.vec3)
+    """Relative to `center`."""
+    faces: wp.array(dtype=wp.vec3i)
+    center: wp.vec3d
+    geometry_first: wp.array(dtype=int)
+    """(geometries + 1,) number of each geometry's first triangle."""
+
+
+@wp.kernel
+def hit_positions(
+    first: int,
+    mesh: SceneMesh,
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    positions: wp.array(dtype=wp.vec3d),
+):
+    """Item: a ray. The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
+    i = first + wp.tid()
+    nan = wp.float64(wp.nan)
+    point = wp.vec3d(nan, nan, nan)
+    if primitive[i] >= 0:
+        face = mesh.faces[primitive[i]]
+        u = wp.float64(uv[i][0])
+        v = wp.float64(uv[i][1])
+        a = wp.vec3d(mesh.vertices[face[0]])
+        b = wp.vec3d(mesh.vertices[face[1]])
+        c = wp.vec3d(mesh.vertices[face[2]])
+        point = mesh.center + (a + u * (b - a) + v * (c - a))
+    positions[i] = point
+
+
+@wp.kernel
+def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
+    """Item: a ray. Unit normal of the triangle by its winding; 0 for a miss and for a triangle without area."""
+    i = first + wp.tid()
+    normal = wp.vec3d()
+    if primitive[i] >= 0:
+        face = mesh.faces[primitive[i]]
+        a = wp.vec3d(mesh.vertices[face[0]])
+        normal = wp.normalize(wp.cross(wp.vec3d(mesh.vertices[face[1]]) - a, wp.vec3d(mesh.vertices[face[2]]) - a))
+    normals[i] = wp.vec3(normal)
+
+
+@wp.kernel
+def locate_geometry(
+    first: int,
+    mesh: SceneMesh,
+    primitive: wp.array(dtype=int),
+    geometry: wp.array(dtype=int),
+    local: wp.array(dtype=int),
+):
+    """Item: a ray. Turns the scene's triangle number into a geometry and a triangle of it; -1, -1 for a miss."""
+    i = first + wp.tid()
+    found = -1
+    inside = -1
+    if primitive[i] >= 0:
+        low = 0
+        high = mesh.geometry_first.shape[0] - 1
+        while high - low > 1:
+            middle = (low + high) / 2
+            if mesh.geometry_first[middle] <= primitive[i]:
+                low = middle
+            else:
+                high = middle
+        found = low
+        inside = primitive[i] - mesh.geometry_first[low]
+    geometry[i] = found
+    local[i] = inside

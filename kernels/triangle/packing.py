@@ -1,0 +1,56 @@
+"""From a mesh and a list of triangle ids to the blocks that a triangle test reads."""
+
+from functools import cache
+
+import warp as wp
+from wrt.kernels.launch import launch
+from wrt.kernels.triangle.records import Corners, Record, TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@cache
+def make_kernel(record: Record) -> wp.Kernel:
+    """The kernel that writes records of one kind."""
+    pack = record.pack
+
+    def pack_records(
+        first: int,
+        vertices: wp.array(dtype=wp.vec3),
+        faces: wp.array(dtype=wp.vec3i),
+        primitive: wp.array(dtype=int),
+        width: int,
+        records: wp.array(dtype=float),
+    ):
+        slot = first + wp.tid()
+        triangle = primitive[slot]
+        corners = Corners()
+        corners.a = wp.vec3(wp.nan, wp.nan, wp.nan)
+        corners.b = corners.a
+        corners.c = corners.a
+        if triangle >= 0:
+            face = faces[triangle]
+            corners.a = vertices[face[0]]
+            corners.b = vertices[face[1]]
+            corners.c = vertices[face[2]]
+        pack(records, slot, width, corners)
+
+    return wp.kernel(pack_records, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+def pack_blocks(record: Record, vertices: wp.array, faces: wp.array, primitive: wp.array, width: int) -> TriangleBlocks:
+    """Packs triangles into blocks.
+
+    Args:
+        record: the kind of record.
+        vertices: (V,) vec3, relative to the scene's centre.
+        faces: (F,) vec3i.
+        primitive: (blocks * width,) int32 triangle ids, -1 in unused lanes.
+        width: triangles a block.
+    """
+    blocks = TriangleBlocks()
+    blocks.primitive = primitive
+    blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)
+    inputs = [vertices, faces, primitive, width, blocks.records]
+    launch(make_kernel(record), len(primitive), inputs, device=vertices.device, chunk=4096)
+    return blocks

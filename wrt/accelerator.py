@@ -1,0 +1,76 @@
+"""Descriptions of acceleration structures: what to build, not the built thing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.builders.kdtree.config import KdTreeConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class KdTree:
+    """A kd-tree by the surface area heuristic.
+
+    Attributes:
+        builder: key in `wrt.builders.kdtree.KDTREE_BUILDERS`.
+        width: triangles tested at once, 1, 2, 4, 8 or 16; None for what suits the device.
+        traversal_cost: cost of a step through an inner node.
+        block_cost: cost of testing one block of `width` triangles.
+        empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
+        max_depth: greatest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
+        bad_splits: splits that do not pay by themselves allowed on the way to a leaf.
+
+    Raises:
+        ValueError: unknown builder, or a value out of its range.
+    """
+
+    builder: str = "in_place"
+    width: int | None = None
+    traversal_cost: float = 1.0
+    block_cost: float = 0.5
+    empty_factor: float = 0.8
+    max_depth: int | None = None
+    bad_splits: int = 1
+
+    def __post_init__(self) -> None:
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        lookup(KDTREE_BUILDERS, self.builder, "builder")
+        self.config(width=8)
+
+    def config(self, width: int) -> KdTreeConfig:
+        """The builder's configuration; `width` is used where the description leaves it open."""
+        from wrt.builders.common import StopRules
+        from wrt.builders.cost import SurfaceAreaCost
+        from wrt.builders.kdtree.config import KdTreeConfig
+
+        cost = SurfaceAreaCost(
+            traversal=self.traversal_cost,
+            block=self.block_cost,
+            width=width if self.width is None else self.width,
+            empty_factor=self.empty_factor,
+        )
+        return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits))
+
+
+ACCELERATORS = ("auto", "kdtree")
+"""Names that `wrt.Scene` takes in place of a description."""
+
+
+def resolve_accelerator(accelerator: str | KdTree) -> KdTree:
+    """The description that a name stands for.
+
+    Raises:
+        ValueError: unknown name.
+        TypeError: neither a name nor a description.
+    """
+    if isinstance(accelerator, KdTree):
+        return accelerator
+    if not isinstance(accelerator, str):
+        raise TypeError(f"accelerator must be a name or a wrt.KdTree, not {type(accelerator).__name__}")
+    lookup(dict.fromkeys(ACCELERATORS), accelerator, "accelerator")
+    return KdTree()

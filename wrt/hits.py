@@ -1,0 +1,128 @@
+"""Closest hits: what was stored by the traversal, and what follows from it when asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.launch import launch
+
+if TYPE_CHECKING:
+    from wrt.kernels.hits import SceneMesh
+    from wrt.kernels.rays import HitBatch
+    from wrt.rays import RayBuffers
+
+
+class Hits:
+    """Closest hits of a batch of rays, in its leading shape (...).
+
+    NumPy arrays if the rays were, Warp arrays on the scene's device if the rays were. `t`, `primitive_id` and `uv` are
+    there from the start, everything else is computed when it is first asked for.
+
+    Attributes:
+        t: (...) float32, in units of the direction's length; inf for a miss.
+        primitive_id: (...) int32, index of the triangle within its geometry; -1 for a miss.
+        geometry_id: (...) int32, index of the mesh within the scene; -1 for a miss.
+        uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
+        is_hit: (...) bool.
+        position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
+        normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
+            0 for a miss and for a triangle without area.
+        counters: {"nodes", "leaves", "triangles": (...) int32}, the work done for each ray, if it was asked for.
+    """
+
+    def __init__(self, batch: HitBatch, rays: RayBuffers, mesh: SceneMesh, counters: wp.array | None) -> None:
+        self._batch = batch
+        self._mesh = mesh
+        self._counters = counters
+        self._geometries = mesh.geometry_first.shape[0] - 1
+        self._shape, self._is_warp, self._dtype = rays.shape, rays.is_warp, rays.dtype
+
+    def __repr__(self) -> str:
+        return f"Hits(shape={self._shape})"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The leading shape."""
+        return self._shape
+
+    @cached_property
+    def t(self) -> Any:
+        return self._out(self._batch.t)
+
+    @cached_property
+    def uv(self) -> Any:
+        return self._out(self._batch.uv)
+
+    @cached_property
+    def primitive_id(self) -> Any:
+        return self._out(self._located[1])
+
+    @cached_property
+    def geometry_id(self) -> Any:
+        return self._out(self._located[0])
+
+    @cached_property
+    def is_hit(self) -> Any:
+        if self._is_warp:
+            return wp.array(self._batch.primitive.numpy() >= 0, dtype=wp.bool, device=self._device).reshape(self._shape)
+        return self._out(self._batch.primitive) >= 0
+
+    @cached_property
+    def position(self) -> Any:
+        from wrt.kernels.hits import hit_positions
+
+        out = self._empty(wp.vec3d)
+        self._launch(hit_positions, self._batch.primitive, self._batch.uv, out)
+        return self._as_dtype(out)
+
+    @cached_property
+    def normal(self) -> Any:
+        from wrt.kernels.hits import hit_normals
+
+        out = self._empty(wp.vec3)
+        self._launch(hit_normals, self._batch.primitive, out)
+        return self._as_dtype(out)
+
+    @cached_property
+    def counters(self) -> dict[str, Any]:
+        if self._counters is None:
+            raise ValueError("no work was counted; call scene.intersect(..., counters=True)")
+        work = self._counters.numpy()
+        return {name: np.ascontiguousarray(work[name]).reshape(self._shape) for name in work.dtype.names}
+
+    @cached_property
+    def _located(self) -> tuple[wp.array, wp.array]:
+        """Geometry and triangle within it."""
+        from wrt.kernels.hits import locate_geometry
+
+        geometry, local = self._empty(int), self._empty(int)
+        self._launch(locate_geometry, self._batch.primitive, geometry, local)
+        return geometry, local
+
+    @property
+    def _device(self) -> wp.Device:
+        return self._batch.t.device
+
+    def _empty(self, dtype: type) -> wp.array:
+        return wp.empty(len(self._batch.t), dtype=dtype, device=self._device)
+
+    def _launch(self, kernel: wp.Kernel, *inputs: wp.array) -> None:
+        launch(kernel, len(self._batch.t), [self._mesh, *inputs], device=self._device, chunk=4096)
+
+    def _out(self, values: wp.array) -> Any:
+        if self._is_warp:
+            return values.reshape(self._shape)
+        array = values.numpy()
+        return array.reshape(self._shape + array.shape[1:])
+
+    def _as_dtype(self, values: wp.array) -> Any:
+        wanted = wp.vec3d if self._dtype is np.float64 else wp.vec3f
+        if values.dtype is not wanted:
+            converted = self._empty(wanted)
+            wp.utils.array_cast(values, converted)
+            values = converted
+        return self._out(values)

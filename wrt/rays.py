@@ -1,0 +1,208 @@
+"""Rays as users give them, and their way to the device: without a copy where none is needed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.launch import launch
+from wrt.kernels.rays import RayBatch, center_float64_points
+
+Array = Any
+"""A NumPy array or anything that NumPy converts; a Warp array; or an object with `__dlpack__`."""
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays origin + t direction.
+
+    Attributes:
+        origins: (..., 3) float32 or float64; the leading shapes of the four broadcast against each other.
+        directions: (..., 3) float32 or float64, of any length; t counts in units of it.
+        t_min, t_max: scalars or (...) arrays: hits count if t_min <= t <= t_max (closed interval), 0 <= t_min.
+    """
+
+    origins: Array
+    directions: Array
+    t_min: Array = 0.0
+    t_max: Array = float("inf")
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The leading shape: that of the results."""
+        return np.broadcast_shapes(
+            *(_leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
+        )
+
+    def __len__(self) -> int:
+        """Number of rays."""
+        return int(np.prod(self.shape))
+
+
+@dataclass
+class RayBuffers:
+    """Rays on the device.
+
+    Attributes:
+        batch: what kernels read.
+        shape: leading shape of the results.
+        is_warp: whether any input was on the Warp side, so that results stay there.
+        dtype: float64 if any of origins and directions was, else float32: the type of positions and normals.
+        keep: arrays that must live as long as the batch.
+    """
+
+    batch: RayBatch
+    shape: tuple[int, ...]
+    is_warp: bool
+    dtype: type
+    keep: list[Any]
+
+    @property
+    def count(self) -> int:
+        """Number of rays."""
+        return int(np.prod(self.shape))
+
+
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
+    """Brings rays to the device, relative to `center` (origins in float64 become float32 only then).
+
+    Raises:
+        TypeError: an argument is not an array of real numbers.
+        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device.
+    """
+    origins = _as_array(rays.origins, "origins", device)
+    directions = _as_array(rays.directions, "directions", device)
+    is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
+    t_min = _as_range(rays.t_min, "t_min", device)
+    t_max = _as_range(rays.t_max, "t_max", device)
+    shape = _common_shape(origins, directions, t_min, t_max)
+    batch = RayBatch()
+    batch.center = wp.vec3d(*(float(x) for x in center))
+    batch.origins, batch.origin_stride = _vectors(origins, shape, device, center)
+    batch.directions, batch.direction_stride = _vectors(directions, shape, device, np.zeros(3))
+    if _is_float64(origins):
+        batch.center = wp.vec3d()
+    batch.t_min, batch.t_min_stride = _scalars(t_min, shape, device)
+    batch.t_max, batch.t_max_stride = _scalars(t_max, shape, device)
+    dtype = np.float64 if _is_float64(origins) or _is_float64(directions) else np.float32
+    return RayBuffers(batch, shape, is_warp, dtype, [origins, directions, t_min, t_max])
+
+
+def _leading_shape(values: Array) -> tuple[int, ...]:
+    if isinstance(values, wp.array):
+        return values.shape if values.dtype in (wp.vec3f, wp.vec3d) else values.shape[:-1]
+    return np.shape(values)[:-1]
+
+
+def _is_float64(values: np.ndarray | wp.array) -> bool:
+    return values.dtype in (wp.vec3d, np.float64)
+
+
+def _as_array(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
+    """`values` as a Warp array of vectors or a NumPy array (..., 3) of float32 or float64."""
+    if not isinstance(values, (np.ndarray, wp.array)) and hasattr(values, "__dlpack__"):
+        values = wp.from_dlpack(values)
+    if isinstance(values, wp.array):
+        if values.device != device:
+            raise ValueError(
+                f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})"
+            )
+        if values.dtype in (wp.float32, wp.float64) and values.shape and values.shape[-1] == 3:
+            values = values.contiguous().view(wp.vec3f if values.dtype is wp.float32 else wp.vec3d)
+        if values.dtype not in (wp.vec3f, wp.vec3d):
+            raise TypeError(
+                f"{name} must hold vec3f, vec3d or (..., 3) float32 or float64, not {values.dtype.__name__}"
+            )
+        return values.contiguous()
+    values = _as_real(values, name)
+    if values.ndim == 0 or values.shape[-1] != 3:
+        raise ValueError(f"{name} must have shape (..., 3), not {values.shape}")
+    return values
+
+
+def _as_real(values: Array, name: str) -> np.ndarray:
+    """A NumPy array of float32 or float64; narrower floats become float32, integers and wider floats float64."""
+    try:
+        values = np.asarray(values)
+    except ValueError as error:
+        raise TypeError(f"{name} is no array: {error}") from error
+    if values.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold real numbers, not {values.dtype}; convert it to float32 or float64")
+    if values.dtype in (np.float32, np.float64):
+        return values
+    return values.astype(np.float32 if values.dtype == np.float16 else np.float64)
+
+
+def _as_range(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
+    """A bound of t as float32. On the Warp side its values are not looked at: a bad one makes its ray miss."""
+    if isinstance(values, wp.array):
+        if values.dtype is not wp.float32:
+            raise TypeError(f"{name} must hold float32, not {values.dtype.__name__}")
+        if values.device != device:
+            raise ValueError(
+                f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})"
+            )
+        return values.contiguous()
+    values = _as_real(values, name)
+    low = values.min(initial=np.inf)
+    if not low >= 0.0:
+        raise ValueError(f"{name} must not be negative or NaN, but its least value is {low}; pass distances from 0 up")
+    if name == "t_min" and np.isinf(values).any():
+        raise ValueError("t_min must be finite: no hit lies at infinity; leave it at 0 to count all hits")
+    with np.errstate(over="ignore"):
+        return np.asarray(values, dtype=np.float32)
+
+
+def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
+    shapes = [_leading_shape(origins), _leading_shape(directions), t_min.shape, t_max.shape]
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        names = ("origins", "directions", "t_min", "t_max")
+        listed = ", ".join(f"{name} {shape}" for name, shape in zip(names, shapes, strict=True))
+        raise ValueError(f"the leading shapes do not broadcast: {listed}") from None
+
+
+def _spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
+    """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
+    leading = values.ndim - len(trailing)
+    if all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True)):
+        if int(np.prod(shape)) != 1:
+            return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
+    return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
+
+
+def _vectors(
+    values: np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device, center: np.ndarray
+) -> tuple[wp.array, int]:
+    """Vectors as a flat (N,) or (1,) vec3 array; float64 ones are taken relative to `center`."""
+    stride = 1
+    if isinstance(values, wp.array):
+        stride = 0 if values.size == 1 else 1
+        if stride and values.shape != shape:
+            raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
+        values = values.flatten()
+    else:
+        values, stride = _spread(values, shape, (3,))
+        dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
+        values = wp.array(values, dtype=dtype, device=device, copy=False)
+    if values.dtype is wp.vec3d:
+        out = wp.empty(len(values), dtype=wp.vec3f, device=device)
+        launch(
+            center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096
+        )
+        values = out
+    return values, stride
+
+
+def _scalars(values: np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+    """Bounds of t as a flat (N,) or (1,) float array."""
+    if isinstance(values, wp.array):
+        if values.size != 1 and values.shape != shape:
+            raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
+        return values.flatten(), 0 if values.size == 1 else 1
+    values, stride = _spread(values, shape, ())
+    return wp.array(values, dtype=float, device=device, copy=False), stride

@@ -1,0 +1,248 @@
+"""A scene: meshes, a tree over their triangles, and the rays that are asked of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.accelerator import KdTree, resolve_accelerator
+from wrt.hits import Hits
+from wrt.kernels.hits import SceneMesh
+from wrt.kernels.launch import check_num_threads, launch, use_threads
+from wrt.kernels.rays import HitBatch
+from wrt.mesh import TriangleMesh
+from wrt.rays import RayBuffers, Rays, to_device
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.kernels.triangle.records import TriangleBlocks
+    from wrt.statistics import SceneStatistics
+
+AUTO = "auto"
+
+
+class Scene:
+    """Triangle meshes that rays can be shot at.
+
+    The tree is built at once; a scene does not change afterwards and may be used from several threads.
+
+    Args:
+        geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, or a sequence of such; each mesh of a sequence is a
+            geometry of its own (`Hits.geometry_id`), a trimesh.Scene is one.
+        accelerator: "auto", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
+        device: a Warp device or its name, such as "cpu" or "cuda:0"; None for Warp's default device.
+        num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
+
+    Raises:
+        TypeError: `geometry`, `accelerator` or `num_threads` is of a wrong type.
+        ValueError: unknown names, no such device, an empty sequence.
+    """
+
+    def __init__(
+        self,
+        geometry: Any,
+        accelerator: str | KdTree = AUTO,
+        *,
+        device: str | wp.Device | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        self.meshes = _as_meshes(geometry)
+        self.accelerator = resolve_accelerator(accelerator)
+        self.device = _as_device(device)
+        self.num_threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
+        vertices, faces, first = _join(self.meshes)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        self.center = (low.astype(np.float64) + high) / 2
+        """(3,) float64; geometry is held in float32 relative to this point."""
+        centered = (vertices - self.center).astype(np.float32)
+        with use_threads(self.num_threads):
+            self._build(centered, faces, first)
+
+    def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray) -> None:
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+        from wrt.builders.kdtree.events import triangle_boxes
+        from wrt.kernels.lanes import native_width
+
+        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+        host = wp.get_device("cpu")
+        host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
+        host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
+        config = self.accelerator.config(native_width(self.device))
+        build = KDTREE_BUILDERS[self.accelerator.builder].build
+        self.tree = build(triangle_boxes(host_vertices, host_faces), config).to(self.device)
+        self._mesh = SceneMesh()
+        self._mesh.vertices = host_vertices.to(self.device)
+        self._mesh.faces = host_faces.to(self.device)
+        self._mesh.center = wp.vec3d(*map(float, self.center))
+        self._mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
+        self._blocks: dict[tuple[str, int], TriangleBlocks] = {}
+
+    def __repr__(self) -> str:
+        return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of all meshes."""
+        return self._mesh.faces.shape[0]
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: lower and upper corner of the box of all triangles."""
+        return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
+
+    def intersect(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str = AUTO,
+        triangle_test: str = AUTO,
+        counters: bool = False,
+    ) -> Hits:
+        """Closest hits.
+
+        Among hits at the same t, the smaller geometry, then the smaller triangle wins: neither the tree, the traversal
+        nor the number of threads shows in the result. A ray with a NaN or an infinity, or with a direction of zero, misses.
+
+        Args:
+            origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
+            directions: (..., 3), of any length; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
+            traversal: "auto" or a key of `wrt.kernels.traversal.TRAVERSALS`.
+            triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            counters: whether to count each ray's work (`Hits.counters`).
+
+        Raises:
+            TypeError: an argument is of a wrong type.
+            ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            batch = HitBatch()
+            batch.t = wp.empty(buffers.count, dtype=float, device=self.device)
+            batch.primitive = wp.empty(buffers.count, dtype=int, device=self.device)
+            batch.uv = wp.empty(buffers.count, dtype=wp.vec2, device=self.device)
+            work = self._trace(buffers, batch, "closest", traversal, triangle_test, counters)
+        return Hits(batch, buffers, self._mesh, work)
+
+    def occluded(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Any:
+        """Whether anything is hit: (...) bool, a NumPy array if the rays were, else a Warp array.
+
+        Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            batch = HitBatch()
+            batch.occluded = wp.empty(buffers.count, dtype=wp.bool, device=self.device)
+            self._trace(buffers, batch, "any", traversal, triangle_test, False)
+        result = batch.occluded.reshape(buffers.shape)
+        return result if buffers.is_warp else result.numpy()
+
+    def statistics(self) -> SceneStatistics:
+        """Counts, histograms, costs and times of the mesh, the tree and its build."""
+        from wrt.statistics import scene_statistics
+
+        return scene_statistics(self)
+
+    def _trace(
+        self, rays: RayBuffers, hits: HitBatch, query: str, traversal: str, triangle_test: str, counters: bool
+    ) -> wp.array | None:
+        """Runs one query; returns the counters if they were asked for."""
+        from wrt.kernels.traversal import TRAVERSALS
+        from wrt.kernels.traversal.brute import AllTriangles
+        from wrt.kernels.traversal.config import TraversalConfig
+        from wrt.kernels.traversal.leaf import Counters
+        from wrt.kernels.triangle import TRIANGLE_TESTS
+
+        way = TRAVERSALS["single"] if traversal == AUTO else lookup(TRAVERSALS, traversal, "traversal")
+        test = (
+            TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+        )
+        config = TraversalConfig(test.name, self.tree.width, query, counters)
+        work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
+        if way.tree == "none":
+            tree = AllTriangles()
+            tree.count, tree.low, tree.high = self.triangle_count, self.tree.low, self.tree.high
+        else:
+            tree = self.tree.struct()
+        inputs = [tree, self._triangles(test.name, way.tree), rays.batch, hits, work]
+        launch(way.make_kernel(config), rays.count, inputs, device=self.device)
+        return work if counters else None
+
+    def _triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:
+        """The triangles in the order of the tree's leaves ("none": of their ids), as the test stores them; made once."""
+        from wrt.kernels.triangle import TRIANGLE_TESTS
+        from wrt.kernels.triangle.packing import pack_blocks
+
+        record = TRIANGLE_TESTS[triangle_test].record
+        key = (tree, record)
+        if key not in self._blocks:
+            primitive = self.tree.primitive
+            if tree == "none":
+                count, width = self.triangle_count, self.tree.width
+                ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
+                ids[:count] = np.arange(count)
+                primitive = wp.array(ids, dtype=int, device=self.device)
+            self._blocks[key] = pack_blocks(record, self._mesh.vertices, self._mesh.faces, primitive, self.tree.width)
+        return self._blocks[key]
+
+
+def _as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
+    if isinstance(geometry, TriangleMesh):
+        return (geometry,)
+    if isinstance(geometry, Sequence) and not isinstance(geometry, (str, bytes)):
+        if not geometry:
+            raise ValueError("geometry is an empty sequence; pass at least one mesh")
+        return tuple(mesh for item in geometry for mesh in _as_meshes(item))
+    if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
+        return (TriangleMesh.from_trimesh(geometry),)
+    raise TypeError(
+        f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
+        "make a mesh of a file with wrt.TriangleMesh.load(path)"
+    )
+
+
+def _as_device(device: str | wp.Device | None) -> wp.Device:
+    wp.init()
+    try:
+        return wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        names = ", ".join(str(d) for d in wp.get_devices())
+        raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None
+
+
+def _as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
+    if isinstance(origins, Rays):
+        if directions is not None:
+            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
+        return origins
+    if directions is None:
+        raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
+    return Rays(origins, directions, t_min, t_max)
+
+
+def _join(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces and each mesh's first triangle, of all meshes in one."""
+    counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
+    if len(meshes) == 1:
+        return meshes[0].vertices, meshes[0].faces, counts
+    offsets = np.cumsum([0] + [mesh.vertex_count for mesh in meshes])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)])
+    return vertices, faces.astype(np.int32), counts

@@ -1,0 +1,22 @@
+"""Names resolve through tables and fail loudly."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TypeVar
+
+Entry = TypeVar("Entry")
+
+
+def lookup(table: Mapping[str, Entry], name: str, argument: str) -> Entry:
+    """The entry called `name`.
+
+    Raises:
+        TypeError: the name is not a string.
+        ValueError: there is no such entry; the message lists those there are.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"{argument} must be a name, not {type(name).__name__}; choose from {', '.join(table)}")
+    if name not in table:
+        raise ValueError(f"{argument} {name!r} is unknown; choose from {', '.join(table)}")
+    return table[name]
