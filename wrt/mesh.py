@@ -1,0 +1,371 @@
+"""Triangle meshes: what every scene is made of, checked once at the door.
+
+A mesh here is an indexed face set: an array of points and an array of vertex index triples, nothing else (no
+materials, no texture coordinates). All checking of geometry happens in the constructor, so that builders and kernels
+further down may trust what they get: finite points, valid indices, at least one triangle. Degenerate triangles (zero
+area) and duplicate ones are legal, since real models are full of them; `TriangleMesh.summary` counts them.
+
+The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are
+exposed as read-only views: an accelerator built over a mesh that changes afterwards would answer for the old one.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterable
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["TriangleMesh"]
+
+# An angle below four rounding steps of float64 cannot be told from zero: the triangle counts as degenerate.
+_SINE_OF_DEGENERATE = 4.0 * np.finfo(np.float64).eps
+
+
+class TriangleMesh:
+    """An immutable indexed triangle mesh.
+
+    Triangle i has the corners `vertices[faces[i]]`, counter-clockwise when seen from the side its normal points to.
+
+    Args:
+        vertices: (V, 3) points, in any unit of length. float32 and float64 are kept, other real types become float64.
+        faces: (F, 3) integer vertex indices, zero-based, F >= 1; stored as int32.
+        name: a label for messages and tables.
+
+    Arrays that already have the right type and layout are not copied: do not write to them afterwards.
+
+    Raises:
+        TypeError: `vertices` is not real-valued, or `faces` is not an integer array.
+        ValueError: wrong shape, no triangle, NaN or infinite vertices (also unreferenced ones), index out of range.
+    """
+
+    def __init__(self, vertices: Any, faces: Any, *, name: str | None = None) -> None:
+        self._vertices = _read_only(_checked_vertices(vertices))
+        self._faces = _read_only(_checked_faces(faces, len(self._vertices)))
+        self.name = name
+
+    # -- in and out ----------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def load(cls, path: str | Path) -> TriangleMesh:
+        """Reads a file in any format that trimesh knows (.ply .obj .stl .glb .off ...).
+
+        Nothing is merged or reordered: primitive ids are the file's triangle order. Files with a scene graph are
+        flattened as in `from_trimesh`, in the order of their nodes. Polygons are triangulated by trimesh. Axes and
+        units stay as they are in the file (glTF, for one, has y up).
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: unknown format, unreadable content, no triangles, or bad geometry as in the constructor.
+        """
+        import trimesh
+
+        path = Path(path)
+        if not path.is_file():
+            raise FileNotFoundError(f"no mesh file at '{path}': check the path (now in '{Path.cwd()}')")
+        suffix = path.suffix.lower().lstrip(".")
+        known = sorted(trimesh.available_formats())
+        if suffix not in known:
+            raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
+        try:
+            if suffix == "obj":
+                source = io.BytesIO(_positions_only(path.read_bytes()))
+                loaded = trimesh.load(source, file_type="obj", process=False)
+            else:
+                loaded = trimesh.load(path, process=False)
+        except (PermissionError, MemoryError):
+            raise
+        except Exception as error:  # readers of thirty formats fail in as many ways
+            reason = f"{type(error).__name__}: {error}"
+            raise ValueError(f"cannot read '{path}' as .{suffix} ({reason}); is the file complete?") from error
+        if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
+            raise ValueError(f"'{path}' holds a {type(loaded).__name__} and no triangles; save it as a triangle mesh")
+        try:
+            return cls.from_trimesh(loaded, name=path.stem)
+        except ValueError as error:
+            raise ValueError(f"'{path}': {error}") from error
+
+    @classmethod
+    def from_trimesh(cls, source: trimesh.Trimesh | trimesh.Scene, *, name: str | None = None) -> TriangleMesh:
+        """Takes over a trimesh mesh, or a trimesh scene flattened into world coordinates.
+
+        Every node of the scene's graph that holds a mesh is transformed and appended, instances included; point
+        clouds and paths are left out.
+
+        Raises:
+            TypeError: `source` is neither a trimesh.Trimesh nor a trimesh.Scene.
+            ValueError: no triangles, or bad geometry as in the constructor.
+        """
+        import trimesh
+
+        if isinstance(source, trimesh.Trimesh):
+            return cls(source.vertices, source.faces, name=name)
+        if not isinstance(source, trimesh.Scene):
+            raise TypeError(
+                f"expected a trimesh.Trimesh or trimesh.Scene, got {type(source).__name__}; "
+                "give arrays to TriangleMesh(vertices, faces) and paths to TriangleMesh.load(path)"
+            )
+        parts = []
+        for node in source.graph.nodes_geometry:
+            matrix, geometry_name = source.graph[node]
+            geometry = source.geometry[geometry_name]
+            if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
+                parts.append(cls(geometry.vertices, geometry.faces).transformed(matrix))
+        if not parts:
+            raise ValueError("no triangles in it: a mesh needs at least one (point clouds and paths do not count)")
+        return cls.concatenate(parts, name=name)
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """Returns a trimesh.Trimesh with copies of the arrays, nothing merged."""
+        import trimesh
+
+        return trimesh.Trimesh(self._vertices.copy(), self._faces.copy(), process=False)
+
+    def save(self, path: str | Path) -> None:
+        """Writes a file whose format follows from its extension (.ply .obj .stl .glb .off ...).
+
+        Raises:
+            ValueError: trimesh cannot write that format.
+        """
+        suffix = Path(path).suffix.lower().lstrip(".")
+        try:
+            self.to_trimesh().export(str(path), file_type=suffix)
+        except ValueError as error:
+            raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
+
+    # -- what is in it -------------------------------------------------------------------------------------------------
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """(V, 3) float32 or float64 points, read-only."""
+        return self._vertices
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(F, 3) int32 vertex indices, read-only."""
+        return self._faces
+
+    @property
+    def vertex_count(self) -> int:
+        return len(self._vertices)
+
+    @property
+    def triangle_count(self) -> int:
+        return len(self._faces)
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64, the lowest and the highest corner of the box around all triangles.
+
+        Vertices that no triangle uses do not count.
+        """
+        used = np.zeros(self.vertex_count, dtype=bool)
+        used[self._faces] = True
+        points = self._vertices if used.all() else self._vertices[used]
+        return _read_only(np.array([points.min(axis=0), points.max(axis=0)], dtype=np.float64))
+
+    @property
+    def center(self) -> np.ndarray:
+        """(3,) float64, the centre of `bounds`."""
+        return 0.5 * self.bounds[0] + 0.5 * self.bounds[1]
+
+    @property
+    def extent(self) -> float:
+        """Length of the diagonal of `bounds`."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
+
+    @property
+    def face_normals(self) -> np.ndarray:
+        """(F, 3) float64 unit normals, right-handed; zero for degenerate triangles. Computed on every call."""
+        return _normals_and_areas(self._vertices, self._faces)[0]
+
+    @property
+    def surface_area(self) -> float:
+        """Sum of the triangle areas, in squared units of the vertices."""
+        return float(_normals_and_areas(self._vertices, self._faces)[1].sum())
+
+    def summary(self) -> dict[str, Any]:
+        """Counts and measures of the mesh, plain Python values that print and serialise well.
+
+        Returns:
+            A dict with the keys `name`, `triangles`, `vertices`, `bounds` ([[x, y, z], [x, y, z]]), `surface_area`,
+            `degenerate_triangles` (zero area), `duplicate_triangles` (those whose three corners an earlier triangle
+            has too, in any order), and `is_closed`: every edge belongs to exactly two triangles. The last two look at
+            positions, not indices: vertices that coincide exactly count as one; triangles that collapse to a line or
+            a point by it have no part in `is_closed`.
+        """
+        normals, areas = _normals_and_areas(self._vertices, self._faces)
+        faces = _first_of_equal_points(self._vertices)[self._faces]
+        corners = np.sort(faces, axis=1).astype(np.int64)
+        order = np.lexsort(corners.T)
+        repeats = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+        proper = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+        edges = np.concatenate([proper[:, [0, 1]], proper[:, [1, 2]], proper[:, [0, 2]]])
+        _, faces_per_edge = np.unique(edges[:, 0] * self.vertex_count + edges[:, 1], return_counts=True)
+        return {
+            "name": self.name,
+            "triangles": self.triangle_count,
+            "vertices": self.vertex_count,
+            "bounds": self.bounds.tolist(),
+            "surface_area": float(areas.sum()),
+            "degenerate_triangles": int((~normals.any(axis=1)).sum()),
+            "duplicate_triangles": int(repeats.sum()),
+            "is_closed": bool(len(edges) and (faces_per_edge == 2).all()),
+        }
+
+    def __repr__(self) -> str:
+        label = f"'{self.name}', " if self.name else ""
+        low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in self.bounds)
+        return (
+            f"TriangleMesh({label}{self.triangle_count:,} triangles, {self.vertex_count:,} vertices, "
+            f"bounds ({low}) to ({high}))"
+        )
+
+    # -- new meshes from old -------------------------------------------------------------------------------------------
+
+    def transformed(self, matrix: Any) -> TriangleMesh:
+        """Applies an affine map: p -> (matrix @ [p, 1])[:3].
+
+        A map that mirrors (negative determinant) also swaps vertices 1 and 2 of every triangle, so that normals keep
+        pointing outward. The type of the vertices is kept; the product is computed in float64.
+
+        Args:
+            matrix: (4, 4) real, last row (0, 0, 0, 1).
+
+        Raises:
+            ValueError: wrong shape, not finite, or a perspective last row.
+        """
+        matrix = np.asarray(matrix, dtype=np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise ValueError(f"matrix must be a finite 4 x 4 array, got shape {matrix.shape}: {matrix.tolist()}")
+        if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):
+            raise ValueError(f"matrix must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
+        moved = self._vertices @ matrix[:3, :3].T + matrix[:3, 3]
+        mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
+        faces = self._faces[:, [0, 2, 1]] if mirrored else self._faces
+        return TriangleMesh(moved.astype(self._vertices.dtype, copy=False), faces, name=self.name)
+
+    @staticmethod
+    def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
+        """Joins meshes into one, triangles in the order given; float64 if any of them is.
+
+        Raises:
+            ValueError: `meshes` is empty.
+        """
+        meshes = list(meshes)
+        if not meshes:
+            raise ValueError("meshes is empty: give at least one TriangleMesh")
+        starts = np.cumsum([0] + [mesh.vertex_count for mesh in meshes[:-1]])
+        vertices = np.concatenate([mesh.vertices for mesh in meshes])
+        faces = np.concatenate([mesh.faces + np.int64(start) for mesh, start in zip(meshes, starts, strict=True)])
+        return TriangleMesh(vertices, faces, name=name)
+
+    def welded(self) -> TriangleMesh:
+        """Makes one vertex of all that coincide exactly and drops unused vertices; triangles and their order stay."""
+        faces = _first_of_equal_points(self._vertices)[self._faces]
+        kept, faces = np.unique(faces, return_inverse=True)
+        return TriangleMesh(self._vertices[kept], faces.reshape(-1, 3), name=self.name)
+
+
+# -- checks and measures -----------------------------------------------------------------------------------------------
+
+
+def _as_array(values: Any, argument: str) -> np.ndarray:
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # NumPy's word for rows of different lengths
+        raise ValueError(f"{argument} must be an array of shape (N, 3), three numbers in every row: {error}") from error
+    return array
+
+
+def _checked_vertices(vertices: Any) -> np.ndarray:
+    array = _as_array(vertices, "vertices")
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"vertices must be real numbers, got dtype {array.dtype}; convert them to float32 or float64")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"vertices must have shape (V, 3), got {array.shape}; reshape to one point a row")
+    kept = array.dtype.type in (np.float32, np.float64)
+    array = np.ascontiguousarray(array, dtype=array.dtype.type if kept else np.float64)
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ValueError(
+            f"vertices must be finite: {int((~finite).sum())} of {len(array)} are NaN or infinite, the first is "
+            f"vertex {first} = {array[first].tolist()}; remove or repair them (and the faces that use them)"
+        )
+    return array
+
+
+def _checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
+    array = _as_array(faces, "faces")
+    if array.size == 0:
+        raise ValueError("faces is empty: a mesh needs at least one triangle, an index array of shape (F, 3)")
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"faces must be integer vertex indices, got dtype {array.dtype}; convert with .astype('int32')")
+    if array.ndim == 2 and array.shape[1] == 4:
+        raise ValueError(
+            f"faces has shape {array.shape}: these look like quads; triangulate them, "
+            "for example with np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
+        )
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"faces must have shape (F, 3), got {array.shape}; reshape to one triangle a row")
+    if array.min() < 0 or array.max() >= vertex_count:
+        bad = (array < 0) | (array >= vertex_count)
+        first = int(np.argmax(bad.any(axis=1)))
+        index = int(array[first][bad[first]][0])
+        raise ValueError(
+            f"faces[{first}] refers to vertex {index}, but there are {vertex_count} vertices (valid: 0 to "
+            f"{vertex_count - 1}); {int(bad.any(axis=1).sum())} faces are affected. Are the indices one-based?"
+        )
+    return np.ascontiguousarray(array, dtype=np.int32)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    view = array.view(np.ndarray)
+    view.flags.writeable = False
+    return view
+
+
+def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (F, 3), zero where degenerate, and areas (F,).
+
+    Both edges are scaled to about unit length first, so that no product under- or overflows.
+    """
+    corner = vertices[faces[:, 0]].astype(np.float64)
+    edge1 = vertices[faces[:, 1]] - corner
+    edge2 = vertices[faces[:, 2]] - corner
+    scale1 = np.abs(edge1).max(axis=1)
+    scale2 = np.abs(edge2).max(axis=1)
+    edge1 /= np.where(scale1 > 0.0, scale1, 1.0)[:, None]
+    edge2 /= np.where(scale2 > 0.0, scale2, 1.0)[:, None]
+    normals = np.cross(edge1, edge2)
+    lengths = np.linalg.norm(normals, axis=1)
+    lengths[lengths <= _SINE_OF_DEGENERATE] = 0.0  # both edges are of length 1 to sqrt(3), or zero
+    normals *= np.where(lengths > 0.0, 1.0 / np.where(lengths > 0.0, lengths, 1.0), 0.0)[:, None]
+    return normals, 0.5 * lengths * scale1 * scale2
+
+
+def _first_of_equal_points(points: np.ndarray) -> np.ndarray:
+    """(V,) for every point the smallest index of a point with exactly the same coordinates (-0.0 equals 0.0)."""
+    order = np.lexsort(points.T)  # stable: equal points stay in the order of their indices
+    ranked = points[order]
+    starts = np.concatenate([[True], (ranked[1:] != ranked[:-1]).any(axis=1)])
+    first = np.empty(len(points), dtype=np.int64)
+    first[order] = order[starts][np.cumsum(starts) - 1]
+    return first
+
+
+def _positions_only(text: bytes) -> bytes:
+    """Strips an .obj of groups, materials, texture coordinates and normals.
+
+    Readers group triangles by material and split vertices by texture coordinate; without them the file's order stays.
+    """
+    text = re.sub(rb"(?m)^[ \t]*(?:o|g|s|usemtl|mtllib|vt|vn)\b[^\r\n]*", b"", text)
+    return re.sub(rb"(?m)(?<=\d)/[-\d/]*", b"", text)

@@ -1,0 +1,75 @@
+"""Martin Newell's teapot: 32 bicubic Bezier patches, tessellated as finely as wanted.
+
+Newell measured a real Melitta teapot and published its control points in his thesis; they became the first model that
+everybody had. The bottom was added by others later on (Crow tells the story). The spout and the handle end inside the
+body, and the lid hovers a little above the rim, so the surface is not closed.
+
+Each patch is evaluated on a lattice of (level + 1) x (level + 1) parameters. The evaluation is symmetric to the last
+bit (reversing a patch's control points reverses its points), hence neighbouring patches agree exactly along their
+common curve and their points weld into one vertex without any tolerance. Where a side of a patch shrinks to a point
+(the top of the knob, the middle of the bottom) the collapsed triangles are dropped.
+
+References:
+    M. E. Newell, "The Utilization of Procedure Models in Digital Image Synthesis", PhD thesis, University of Utah, 1975.
+    F. C. Crow, "The Origins of the Teapot", IEEE Computer Graphics and Applications 7(1), 1987.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib.resources import files
+
+import numpy as np
+
+from wrt.mesh import TriangleMesh
+from wrt.scenes.shapes import check_count, plane, sheets, without_collapsed
+
+__all__ = ["bernstein", "teapot", "teapot_patches"]
+
+_GROUND_HALF_SIZE = 16.0
+_GROUND_CELLS = 16
+
+
+def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
+    """The teapot on a square of ground, 6.4 units long and 3.15 high, handle at -x, spout at +x.
+
+    Args:
+        level: quads along each side of a patch, >= 1. The teapot has 64 level^2 - 8 level triangles (level 1, too
+            coarse for the lip of the spout, has 52).
+        ground: whether it stands on a ground plane at z = 0, 32 x 32 units, 512 more triangles.
+
+    Raises:
+        ValueError: level < 1.
+    """
+    level = check_count("level", level)
+    weights = bernstein(level)
+    patches = _blend(weights, _blend(weights, teapot_patches()).swapaxes(1, 2)).swapaxes(1, 2)
+    patches = np.round(patches, 12)  # the weights sum to 1 only to rounding: make collapsed sides one point again
+    # Rows run away from the axis and columns clockwise: swapping the two turns the normals outward.
+    pot = without_collapsed(sheets(patches.swapaxes(1, 2)).welded())
+    if not ground:
+        return TriangleMesh(pot.vertices, pot.faces, name="teapot")
+    half = _GROUND_HALF_SIZE
+    return TriangleMesh.concatenate([pot, plane((-half, -half), (half, half), cells=_GROUND_CELLS)], name="teapot")
+
+
+def teapot_patches() -> np.ndarray:
+    """(32, 4, 4, 3) float64 control points of Newell's patches, z up."""
+    data = json.loads(files("wrt.scenes").joinpath("newell_teapot.json").read_text(encoding="utf-8"))
+    return np.array(data["vertices"])[np.array(data["patches"])].reshape(-1, 4, 4, 3)
+
+
+def bernstein(level: int) -> np.ndarray:
+    """(level + 1, 4) cubic Bernstein polynomials at the parameters 0, 1/level, ..., 1.
+
+    Row i is row level - i reversed, bit for bit.
+    """
+    t = np.arange(level + 1) / level
+    s = t[::-1]
+    return np.stack([s * s * s, (s * s) * t * 3.0, (t * t) * s * 3.0, t * t * t], axis=-1)
+
+
+def _blend(weights: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(P, 4, K, 3) control points -> (P, level + 1, K, 3); the order of the sum is symmetric, as the weights are."""
+    terms = weights[None, :, :, None, None] * points[:, None]
+    return (terms[:, :, 0] + terms[:, :, 3]) + (terms[:, :, 1] + terms[:, :, 2])
