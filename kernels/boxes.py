@@ -49,17 +49,13 @@ class RaySlabs:
 @wp.func
 def least(a: wp.vec3, b: wp.vec3):
     """Componentwise minimum of numbers; `wp.min` takes four instructions a component to order NaNs, this takes one."""
-    return wp.vec3(
-        wp.where(a[0] < b[0], a[0], b[0]), wp.where(a[1] < b[1], a[1], b[1]), wp.where(a[2] < b[2], a[2], b[2])
-    )
+    return wp.vec3(wp.where(a[0] < b[0], a[0], b[0]), wp.where(a[1] < b[1], a[1], b[1]), wp.where(a[2] < b[2], a[2], b[2]))
 
 
 @wp.func
 def greatest(a: wp.vec3, b: wp.vec3):
     """Componentwise maximum of numbers."""
-    return wp.vec3(
-        wp.where(a[0] > b[0], a[0], b[0]), wp.where(a[1] > b[1], a[1], b[1]), wp.where(a[2] > b[2], a[2], b[2])
-    )
+    return wp.vec3(wp.where(a[0] > b[0], a[0], b[0]), wp.where(a[1] > b[1], a[1], b[1]), wp.where(a[2] > b[2], a[2], b[2]))
 
 
 @wp.func

@@ -62,10 +62,10 @@ def locate_geometry(
 ):
     """Item: a ray. Turns the scene's triangle number into a geometry and a triangle of it; -1, -1 for a miss."""
     i = first + wp.tid()
-    found = -1
-    inside = -1
+    found = int(-1)
+    inside = int(-1)
     if primitive[i] >= 0:
-        low = 0
+        low = int(0)
         high = mesh.geometry_first.shape[0] - 1
         while high - low > 1:
             middle = (low + high) / 2

@@ -107,15 +107,11 @@ def _as_array(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.ar
         values = wp.from_dlpack(values)
     if isinstance(values, wp.array):
         if values.device != device:
-            raise ValueError(
-                f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})"
-            )
+            raise ValueError(f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})")
         if values.dtype in (wp.float32, wp.float64) and values.shape and values.shape[-1] == 3:
             values = values.contiguous().view(wp.vec3f if values.dtype is wp.float32 else wp.vec3d)
         if values.dtype not in (wp.vec3f, wp.vec3d):
-            raise TypeError(
-                f"{name} must hold vec3f, vec3d or (..., 3) float32 or float64, not {values.dtype.__name__}"
-            )
+            raise TypeError(f"{name} must hold vec3f, vec3d or (..., 3) float32 or float64, not {values.dtype.__name__}")
         return values.contiguous()
     values = _as_real(values, name)
     if values.ndim == 0 or values.shape[-1] != 3:
@@ -142,9 +138,7 @@ def _as_range(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.ar
         if values.dtype is not wp.float32:
             raise TypeError(f"{name} must hold float32, not {values.dtype.__name__}")
         if values.device != device:
-            raise ValueError(
-                f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})"
-            )
+            raise ValueError(f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})")
         return values.contiguous()
     values = _as_real(values, name)
     low = values.min(initial=np.inf)
@@ -169,9 +163,9 @@ def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array)
 def _spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
     """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
     leading = values.ndim - len(trailing)
-    if all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True)):
-        if int(np.prod(shape)) != 1:
-            return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
+    shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
+    if shared and int(np.prod(shape)) != 1:
+        return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
     return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
 
 
@@ -191,9 +185,7 @@ def _vectors(
         values = wp.array(values, dtype=dtype, device=device, copy=False)
     if values.dtype is wp.vec3d:
         out = wp.empty(len(values), dtype=wp.vec3f, device=device)
-        launch(
-            center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096
-        )
+        launch(center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096)
         values = out
     return values, stride
 

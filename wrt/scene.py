@@ -171,9 +171,7 @@ class Scene:
         from wrt.kernels.triangle import TRIANGLE_TESTS
 
         way = TRAVERSALS["single"] if traversal == AUTO else lookup(TRAVERSALS, traversal, "traversal")
-        test = (
-            TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
-        )
+        test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
         config = TraversalConfig(test.name, self.tree.width, query, counters)
         work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
         if way.tree == "none":

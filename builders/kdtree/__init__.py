@@ -34,7 +34,5 @@ class KdTreeBuilder:
 
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
-    for builder in (
-        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
-    )
+    for builder in (KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),)
 }

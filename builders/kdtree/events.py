@@ -59,7 +59,7 @@ def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dt
     """Item: a chunk of triangles. counts: (3, chunks)."""
     chunk = first + wp.tid()
     for axis in range(3):
-        planar = 0
+        planar = int(0)
         for i in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
             planar += wp.where(boxes.low[axis, i] == boxes.high[axis, i], 1, 0)
         counts[axis, chunk] = planar

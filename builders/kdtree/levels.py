@@ -168,9 +168,7 @@ def search_planes(
                 state.started += 1
             progress[axis, chunk, node] = state
     for node in range(before.shape[2]):
-        progress[axis, chunk, node] = advance(
-            cost, nodes[node].low, nodes[node].high, axis, progress[axis, chunk, node]
-        )
+        progress[axis, chunk, node] = advance(cost, nodes[node].low, nodes[node].high, axis, progress[axis, chunk, node])
 
 
 @wp.kernel
@@ -199,12 +197,10 @@ def decide(
 
 
 @wp.kernel
-def new_generation(
-    first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)
-):
+def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
     """One item. Lists the next level's nodes in order; count: (2,), its nodes and those of them that are not finished."""
-    total = 0
-    open_nodes = 0
+    total = int(0)
+    open_nodes = int(0)
     for index in range(nodes.shape[0]):
         node = nodes[index]
         node.left = total
@@ -247,7 +243,7 @@ def count_members(
 ):
     """Item: a triangle. Number of nodes that it lies in on the next level."""
     triangle = first + wp.tid()
-    count = 0
+    count = int(0)
     for m in range(membership.first[triangle], membership.first[triangle + 1]):
         node = nodes[membership.node[m]]
         count += 1
@@ -259,15 +255,13 @@ def count_members(
 
 
 @wp.kernel
-def fill_members(
-    first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, refined: Membership
-):
+def fill_members(first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, refined: Membership):
     """Item: a triangle. Writes its nodes on the next level."""
     triangle = first + wp.tid()
     to = refined.first[triangle]
     for m in range(membership.first[triangle], membership.first[triangle + 1]):
         node = nodes[membership.node[m]]
-        side = 1
+        side = int(1)
         if not node.finished:
             axis = node.split.axis
             side = sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle])

@@ -143,9 +143,7 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
 
 
 @wp.kernel
-def scan_task_events(
-    first: int, tasks: wp.array(dtype=Task), counts: wp.array3d(dtype=int), totals: wp.array(dtype=wp.vec3i)
-):
+def scan_task_events(first: int, tasks: wp.array(dtype=Task), counts: wp.array3d(dtype=int), totals: wp.array(dtype=wp.vec3i)):
     """Item: a task. Turns counts of chunks into places in the arena; the axes follow one another."""
     task = first + wp.tid()
     place = tasks[task].events_first
@@ -189,16 +187,16 @@ def search(cost: SplitCost, arena: Arena, frame: Frame):
     best = no_split()
     for axis in range(3):
         along = axis_frame(axis, frame.low, frame.high)
-        left = 0
+        left = int(0)
         right = int(frame.triangles)
         i = int(frame.first[axis])
         end = i + frame.count[axis]
         while i < end:
             position = arena.position[i]
-            started = 0
-            planar = 0
-            ended = 0
-            same = True
+            started = int(0)
+            planar = int(0)
+            ended = int(0)
+            same = bool(True)
             while same:
                 kind = arena.value[i] & 3
                 started += wp.where(kind == START, 1, 0)
@@ -297,8 +295,8 @@ def build_subtrees(
     frame.depth = root.depth
     frame.parent = -1
     result = Result()
-    waiting = 0
-    building = True
+    waiting = int(0)
+    building = bool(True)
     while building:
         events = frame.count[0] + frame.count[1] + frame.count[2]
         top = frame.first[2] + frame.count[2]

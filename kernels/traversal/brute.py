@@ -42,7 +42,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         i = first + wp.tid()
         ray = load_ray(rays, i)
         best = start(ray.t_max)
-        tested = 0
+        tested = int(0)
         if ray.valid:
             slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
             state = prepare(ray.origin, ray.direction)

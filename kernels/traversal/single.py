@@ -64,8 +64,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
             stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
             stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-            size = 0
-            index = 0
+            size = int(0)
+            index = int(0)
             searching = entry <= leave
             while searching:
                 node = kdtree.load_node(tree.nodes, index)

@@ -52,9 +52,7 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
     ray.x = wp.where(ray.z == 2, 0, ray.z + 1)
     ray.y = wp.where(ray.x == 2, 0, ray.x + 1)
     ray.origin = wp.vec3(origin[ray.x], origin[ray.y], origin[ray.z])
-    ray.shear = wp.vec3(
-        direction[ray.x] / direction[ray.z], direction[ray.y] / direction[ray.z], 1.0 / direction[ray.z]
-    )
+    ray.shear = wp.vec3(direction[ray.x] / direction[ray.z], direction[ray.y] / direction[ray.z], 1.0 / direction[ray.z])
     return ray
 
 
