@@ -41,6 +41,18 @@ class Events:
     count: wp.vec3i
 
 
+@wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
+def event_position(events: Events, axis: int, i: int) -> float:
+    """events.position[axis, i], without index checks: see `wrt.kernels.memory`."""
+    ...
+
+
+@wp.func_native("return events.value.data[(size_t)axis * events.value.shape[1] + i];")
+def event_value(events: Events, axis: int, i: int) -> int:
+    """events.value[axis, i], without index checks."""
+    ...
+
+
 @wp.kernel
 def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
     """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
