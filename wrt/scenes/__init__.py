@@ -86,7 +86,7 @@ _SCENES = (
         function=random_triangles,
         position=(2.1, -1.5, 1.5),
         look_at=(0.5, 0.5, 0.47),
-        fov=34.0,
+        fov=29.0,
         light=(1.0, -3.0, 4.0),
         options=MappingProxyType({"count": 1000, "size": 0.1, "seed": 0}),
     ),
