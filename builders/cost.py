@@ -21,6 +21,7 @@ References:
 from dataclasses import dataclass
 
 import warp as wp
+
 from wrt.kernels.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

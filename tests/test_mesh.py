@@ -125,9 +125,7 @@ def test_arrays_are_read_only():
 
 
 def test_degenerate_and_duplicate_triangles_are_legal():
-    mesh = TriangleMesh(
-        [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 3], [3, 0, 1], [1, 0, 3], [0, 1, 2], [1, 1, 3]]
-    )
+    mesh = TriangleMesh([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]], [[0, 1, 3], [3, 0, 1], [1, 0, 3], [0, 1, 2], [1, 1, 3]])
     summary = mesh.summary()
     assert summary["degenerate_triangles"] == 2
     assert summary["duplicate_triangles"] == 2
@@ -169,9 +167,7 @@ def test_closed_means_every_edge_has_two_faces():
     twice = TriangleMesh(sphere.vertices, np.concatenate([sphere.faces, sphere.faces[:5, ::-1]]))
     assert twice.summary()["duplicate_triangles"] == 5
     assert not twice.summary()["is_closed"]  # edges with three and four faces
-    soup = TriangleMesh(
-        sphere.vertices[sphere.faces].reshape(-1, 3), np.arange(3 * sphere.triangle_count).reshape(-1, 3)
-    )
+    soup = TriangleMesh(sphere.vertices[sphere.faces].reshape(-1, 3), np.arange(3 * sphere.triangle_count).reshape(-1, 3))
     assert soup.summary()["is_closed"]  # positions count, not indices
     collapsed = TriangleMesh(sphere.vertices, np.concatenate([sphere.faces, [[0, 0, 1], [2, 2, 2]]]))
     assert collapsed.summary()["is_closed"]

@@ -80,9 +80,7 @@ def test_control_points_are_the_published_ones():
     assert patches.shape == (32, 4, 4, 3)
     np.testing.assert_array_equal(patches.reshape(-1, 3).min(axis=0), [-3.0, -2.0, 0.0])
     np.testing.assert_array_equal(patches.reshape(-1, 3).max(axis=0), [3.525, 2.0, 3.15])
-    np.testing.assert_array_equal(
-        patches[0, 0], [[1.4, 0, 2.4], [1.4, -0.784, 2.4], [0.784, -1.4, 2.4], [0, -1.4, 2.4]]
-    )
+    np.testing.assert_array_equal(patches[0, 0], [[1.4, 0, 2.4], [1.4, -0.784, 2.4], [0.784, -1.4, 2.4], [0, -1.4, 2.4]])
     assert len(np.unique(patches.reshape(-1, 3), axis=0)) == 290
     signs = {tuple(np.sign(patch[..., :2].sum(axis=(0, 1))).astype(int)) for patch in patches[:4]}
     assert signs == {(1, -1), (-1, -1), (-1, 1), (1, 1)}
@@ -147,9 +145,7 @@ def test_teapot_normals_point_outward():
     assert signed_volume(mesh) > 20.0  # the surface is open: of the sum over its triangles the sign is what counts
     centroids, normals, labels = corners_of(mesh).mean(axis=1), mesh.face_normals, components(mesh)
     body = labels == labels[np.argmin(np.abs(centroids - [0.0, -2.0, 0.9]).sum(axis=1))]
-    wall = (
-        body & (np.hypot(centroids[:, 0], centroids[:, 1]) < 2.01) & (centroids[:, 2] > 0.2) & (centroids[:, 2] < 2.3)
-    )
+    wall = body & (np.hypot(centroids[:, 0], centroids[:, 1]) < 2.01) & (centroids[:, 2] > 0.2) & (centroids[:, 2] < 2.3)
     wall &= centroids[:, 0] > -1.4  # not the ends of the handle, which are inside
     assert ((normals[wall, :2] * centroids[wall, :2]).sum(axis=1) > 0.0).all()
     assert (normals[body & (centroids[:, 2] < 0.05), 2] < 0.0).all()  # bottom

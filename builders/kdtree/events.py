@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+
 from wrt.kernels.launch import launch, run_tasks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

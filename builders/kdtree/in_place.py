@@ -26,6 +26,7 @@ from time import perf_counter
 
 import numpy as np
 import warp as wp
+
 from wrt.builders.common import BuildStats, KdTree, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.builders.kdtree import levels as level_phase

@@ -14,6 +14,7 @@ of the axes and positions. So neither threads nor chunks show in the result.
 """
 
 import warp as wp
+
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events import END, START, Boxes, Events, event_position, event_value

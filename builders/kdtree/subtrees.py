@@ -16,6 +16,7 @@ References:
 """
 
 import warp as wp
+
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events import CHUNK, END, START, Events, event_position, event_value

@@ -67,9 +67,7 @@ def _column(detail: int) -> TriangleMesh:
     low, high = _SHAFT
     shaft = np.empty((2, len(angle), 3))
     for row, (radius, height) in enumerate([(0.30, low), (0.25, high)]):
-        shaft[row] = np.stack(
-            [radius * groove * np.cos(angle), radius * groove * np.sin(angle), angle * 0 + height], -1
-        )
+        shaft[row] = np.stack([radius * groove * np.cos(angle), radius * groove * np.sin(angle), angle * 0 + height], -1)
     bulge = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 2 * detail + 1)
     base = [(0.0, 0.2)]
     base += [(0.36 + 0.07 * np.cos(a), 0.29 + 0.09 * np.sin(a)) for a in bulge]
@@ -123,9 +121,7 @@ def _arcades(half: np.ndarray, bays: tuple[int, int], z: float, segments: int) -
                 centre[other] = side * half[other]
                 size = np.zeros(3)
                 size[axis], size[other] = half[axis] + reach, reach
-                parts.append(
-                    boxes(centre - size + [0, 0, z + _STOREY - low], centre + size + [0, 0, z + _STOREY - high])
-                )
+                parts.append(boxes(centre - size + [0, 0, z + _STOREY - low], centre + size + [0, 0, z + _STOREY - high]))
     return parts
 
 
