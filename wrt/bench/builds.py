@@ -63,7 +63,7 @@ def ask_builds(
     reference = reference_label(builders, threads)
     rows = []
     for name, peer in builders.items():
-        row = Row(peer.name, peer.threads, peer.device, peer.note, details=details(peer))
+        row = Row(name, peer.threads, peer.device, peer.note, details=details(peer))
         row.details["speedup_over_one_thread"] = speedup(timings, peer)
         rows.append(row.timed(timings[name], timings[reference]))
     return Question("build", None, None, reference, rows)

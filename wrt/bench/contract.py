@@ -58,7 +58,7 @@ class Peer(ABC):
         install: how to get it.
         threads: CPU threads that it uses.
         device: Warp's name of the device that it runs on.
-        note: what a reader of its figures should know.
+        note: what a reader of its figures should know; empty if nothing.
     """
 
     name: str

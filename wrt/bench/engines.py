@@ -15,7 +15,7 @@ from wrt.mesh import TriangleMesh
 from wrt.rays import Rays
 from wrt.scene import AUTO, Scene
 
-BRUTE_FORCE_PAIRS = 1 << 28
+BRUTE_FORCE_PAIRS = 1 << 26
 """Pairs of ray and triangle that a traversal without a tree is asked to test in one call."""
 
 

@@ -60,9 +60,7 @@ def ask_one(
     return Question(workload.query, workload.name, len(workload), reference, rows)
 
 
-def compare(
-    query: Query, timing: Timing, expected: Answer | np.ndarray, workload: Workload, mesh: TriangleMesh
-) -> Agreement:
+def compare(query: Query, timing: Timing, expected: Answer | np.ndarray, workload: Workload, mesh: TriangleMesh) -> Agreement:
     """A contender's answer beside wrt's."""
     chosen = workload.chosen(timing.items)
     answer = query.read(timing.result)

@@ -1,6 +1,6 @@
 """The question about start-up: what a fresh process waits for until its first hit.
 
-Each contender is a process of its own: `import warp` alone, wrt with a warm kernel cache, wrt with an empty one (so that
+Each contender is a process of its own: `import warp` alone, `import wrt` with what a scene needs, wrt with a warm kernel cache, wrt with an empty one (so that
 the kernels of the default path are compiled) and Open3D. Timed is the process from start to end; the phases inside are
 what the process itself measured. All ask for one ray against a mesh of two thousand triangles.
 """
@@ -52,17 +52,17 @@ mark("data")
 IMPORT_WARP = """
 import warp
 mark("import")
-warp.config.quiet = True
+warp.config.log_level = warp.LOG_WARNING
 warp.init()
 mark("init")
 """
 
 IMPORT_WRT = """
 import wrt
-wrt.Scene
+wrt.Scene, wrt.TriangleMesh
 mark("import")
 import warp
-warp.config.quiet = True
+warp.config.log_level = warp.LOG_WARNING
 warp.init()
 mark("init")
 """
