@@ -1,8 +1,8 @@
 """The question about start-up: what a fresh process waits for until its first hit.
 
-Each contender is a process of its own: `import warp` alone, `import wrt` with what a scene needs, wrt with a warm kernel cache, wrt with an empty one (so that
-the kernels of the default path are compiled) and Open3D. Timed is the process from start to end; the phases inside are
-what the process itself measured. All ask for one ray against a mesh of two thousand triangles.
+Each contender is a process of its own: `import warp` alone, `import wrt` with what a scene needs, wrt with a warm kernel
+cache, wrt with an empty one (so that the kernels of the default path are compiled) and Open3D. Timed is the process from
+start to end; the phases inside are what the process itself measured. All ask one ray of a mesh of two thousand triangles.
 """
 
 from __future__ import annotations
