@@ -190,6 +190,16 @@ def test_ratios_are_per_item():
     assert timings["b"].ratio_to(timings["a"]) == pytest.approx(10.0)
 
 
+def test_a_turn_of_a_quick_contender_starts_with_an_untimed_call():
+    clock = FakeClock()
+    contenders = [clock.contender("a", 0.1, 0.3, 0.1, 0.3, 0.1), clock.contender("b", 2.0, 0.2, 9.0, 1.0)]
+    timings = take_turns(contenders, 2, clock=clock, settle=0.5)
+    assert timings["a"].seconds == pytest.approx([0.1, 0.1])
+    assert timings["b"].seconds == pytest.approx([0.2, 1.0]), "its warm-up was slow, its first round quick"
+    built = take_turns([clock.contender("c", 5.0, 1.0, warm_up=lambda: None)], 2, clock=clock, settle=0.5)
+    assert built["c"].seconds == pytest.approx([5.0, 1.0]), "a warm-up of its own tells nothing"
+
+
 def test_slow_contenders_sit_out_when_their_budget_is_spent():
     clock = FakeClock()
     contenders = [clock.contender("a", *[1.0] * 5), clock.contender("b", *[4.0] * 3)]

@@ -22,6 +22,9 @@ from wrt.scene import Scene
 BUDGET = 10.0
 """Seconds for each builder."""
 
+SETTLE = 0.5
+"""Calls shorter than so many seconds are preceded by an untimed one."""
+
 SMALL = 256
 """Triangles of the mesh that warms builders up."""
 
@@ -59,7 +62,7 @@ def ask_builds(
         peer.build(small)
         peer.load(mesh)
         contenders.append(Contender(name, peer.construct, warm_up=lambda: None))
-    timings = take_turns(contenders, rounds, budget=BUDGET, on_turn=lambda name: on_turn(f"build {name}"))
+    timings = take_turns(contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=lambda name: on_turn(f"build {name}"))
     reference = reference_label(builders, threads)
     rows = []
     for name, peer in builders.items():

@@ -1,7 +1,9 @@
 """Paired timing: contenders take turns, and ratios are taken round by round.
 
 A noisy machine slows down for seconds at a time. Contenders that run in turn (A B C A B C ...) see the same weather, so
-the ratio of two times of one round means more than the ratio of two averages. Each is warmed up first.
+the ratio of two times of one round means more than the ratio of two averages. Each is warmed up first, and a turn of a quick
+contender is an untimed call and then the timed one: otherwise whoever comes after a contender that sweeps the caches pays
+for it (the same engine, twice in one round, differed by a fifth).
 """
 
 from __future__ import annotations
@@ -85,6 +87,7 @@ def take_turns(
     rounds: int,
     *,
     budget: float = float("inf"),
+    settle: float = 0.0,
     clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> dict[str, Timing]:
@@ -94,29 +97,38 @@ def take_turns(
         contenders: in the order of their turns. One whose warm-up raises one of `FAILURES` is left out, with the reason.
         rounds: how often each has its turn, at least once.
         budget: seconds for each contender; one whose next turn would exceed it sits out the rounds that are left.
+        settle: a turn of a contender whose last call took less than so many seconds starts with an untimed call.
         clock: seconds, from any start.
         on_turn: told the name of the contender before each warm-up and each turn.
     """
     timings = {contender.name: Timing(contender.items) for contender in contenders}
+    last = {}
     for contender in contenders:
         on_turn(contender.name)
+        start = clock()
         try:
             timings[contender.name].result = (contender.warm_up or contender.run)()
         except FAILURES as error:
             timings[contender.name].error = f"{type(error).__name__}: {error}"
+        last[contender.name] = clock() - start if contender.warm_up is None else float("inf")
     ready = [contender for contender in contenders if timings[contender.name].error is None]
     for _ in range(rounds):
+        gc.collect()
         for contender in ready:
             timing = timings[contender.name]
-            affordable = not timing.times or sum(timing.times) + timing.median <= budget
+            if timing.times and sum(timing.times) + timing.median > budget:
+                timing.seconds.append(None)
+                continue
             on_turn(contender.name)
-            timing.seconds.append(time_call(contender.run, clock) if affordable else None)
+            if last[contender.name] < settle:
+                contender.run()
+            last[contender.name] = time_call(contender.run, clock)
+            timing.seconds.append(last[contender.name])
     return timings
 
 
 def time_call(run: Callable[[], Any], clock: Callable[[], float] = perf_counter) -> float:
     """Seconds of one call, without garbage collection and without freeing its result."""
-    gc.collect()
     enabled = gc.isenabled()
     gc.disable()
     try:

@@ -15,6 +15,9 @@ from wrt.mesh import TriangleMesh
 BUDGET = 10.0
 """Seconds for each contender and workload: slow ones get fewer rounds."""
 
+SETTLE = 0.5
+"""Calls shorter than so many seconds are preceded by an untimed one."""
+
 TOLERANCE = 1e-5
 """Distances agree within this share of the box's diagonal."""
 
@@ -48,7 +51,9 @@ def ask_one(
         contenders.append(Contender(peer.name, query.run, len(rays)))
         rows.append(Row(peer.name, peer.threads, peer.device, peer.note, rays=len(rays)))
     reference = contenders[0].name
-    timings = take_turns(contenders, rounds, budget=BUDGET, on_turn=lambda name: on_turn(f"{workload.name} {name}"))
+    timings = take_turns(
+        contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=lambda name: on_turn(f"{workload.name} {name}")
+    )
     if (error := timings[reference].error) is not None:
         raise RuntimeError(f"{reference} failed on {workload.name!r}, so there is nothing to compare with: {error}")
     expected = queries[reference].read(timings[reference].result)
