@@ -10,7 +10,7 @@ from click.testing import CliRunner
 import wrt
 from wrt.bench import plot, startup
 from wrt.bench.command import bench, run_benchmark
-from wrt.bench.contract import Answer, Peer, Query
+from wrt.bench.contract import Answer, Peer, Query, device_rays
 from wrt.bench.engines import BRUTE_FORCE_PAIRS, all_engines
 from wrt.bench.measure import (
     Contender,
@@ -286,6 +286,18 @@ def test_engines_cover_the_tables():
     brute = next(engine for engine in engines if engine.traversal == "brute")
     assert brute.ray_limit(BRUTE_FORCE_PAIRS // 1000) == 1000
     assert engines[-1].ray_limit(10**6) is None
+
+
+@pytest.mark.parametrize("name", ["far", "random"])
+def test_rays_on_the_device_get_the_same_answers(name):
+    rays = made(name)
+    (engine,) = make_peers(["wrt"], 1, "cpu")[0]
+    engine.build(MESH)
+    query = engine.closest(rays)
+    expected = query.read(query.run())
+    hits = engine.scene.intersect(*device_rays(rays, "cpu"), 0.0, rays.t_max)
+    np.testing.assert_array_equal(hits.t.numpy(), expected.t)
+    np.testing.assert_array_equal(hits.primitive_id.numpy(), expected.primitive)
 
 
 def test_missing_peers_are_reported_with_the_way_to_get_them(monkeypatch):

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from wrt.bench.measure import time_call
 from wrt.bench.workloads import CLOSEST, Workload
@@ -103,6 +104,12 @@ class Peer(ABC):
     def ray_limit(self, triangles: int) -> int | None:
         """Most rays that it is asked at once, where more would take minutes."""
         return None
+
+
+def device_rays(rays: Workload, device: wp.Device | str) -> tuple[wp.array, wp.array]:
+    """Origins and directions as arrays on a device; one origin only if all rays share it."""
+    origins = rays.origins[:1] if rays.shares_origin else rays.origins
+    return wp.array(origins, dtype=wp.vec3, device=device), wp.array(rays.directions, dtype=wp.vec3, device=device)
 
 
 def spread_rays(rays: Workload) -> tuple[np.ndarray, np.ndarray]:

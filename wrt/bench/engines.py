@@ -7,7 +7,7 @@ from typing import Any
 import warp as wp
 
 from wrt.accelerator import ACCELERATORS, KdTree
-from wrt.bench.contract import Answer, Peer, Query
+from wrt.bench.contract import Answer, Peer, Query, device_rays
 from wrt.bench.workloads import Workload
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -93,9 +93,7 @@ class Engine(Peer):
         """NumPy arrays on the CPU, arrays on the device on CUDA."""
         if self.scene.device.is_cpu:
             return rays.rays
-        origins = rays.origins[:1] if rays.shares_origin else rays.origins
-        arrays = (wp.array(values, dtype=wp.vec3, device=self.scene.device) for values in (origins, rays.directions))
-        return Rays(*arrays, 0.0, rays.t_max)
+        return Rays(*device_rays(rays, self.scene.device), 0.0, rays.t_max)
 
 
 def default_engine(threads: int, device: str) -> Engine:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.bench.contract import Answer, Peer, Query, spread_rays
+from wrt.bench.contract import Answer, Peer, Query, device_rays, spread_rays
 from wrt.bench.engines import all_engines, default_engine
 from wrt.bench.workloads import Workload
 from wrt.mesh import TriangleMesh
@@ -116,8 +116,7 @@ class WarpMesh(Peer):
         return self.closest(self._first_ray).run()
 
     def _native(self, rays: Workload) -> tuple[wp.array, int, wp.array, float]:
-        origins = rays.origins[:1] if rays.shares_origin else rays.origins
-        origins, directions = (wp.array(x, dtype=wp.vec3, device=self.device) for x in (origins, rays.directions))
+        origins, directions = device_rays(rays, self.device)
         return origins, 0 if rays.shares_origin else 1, directions, rays.t_max
 
     def closest(self, rays: Workload) -> Query:
