@@ -31,13 +31,13 @@ from wrt.builders.common import BuildStats, KdTree, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree import subtrees as subtree_phase
-from wrt.builders.kdtree.assembly import assemble
+from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, sorted_events
+from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
-from wrt.kernels.launch import get_num_threads, launch
+from wrt.kernels.launch import get_num_threads, launch, load
 
 TASKS_PER_THREAD = 16
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
@@ -49,9 +49,14 @@ ARENA_SHARE = 2.5
 """Events that a task has room for, as a multiple of its own; doubled whenever that was too little."""
 
 
+KERNELS = (emit_events, level_phase.search_planes, subtree_phase.build_subtrees, copy_subtrees)
+"""One kernel of each module: compiling them is no phase of the build."""
+
+
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     builder = InPlaceBuilder(triangles, config)
+    load(KERNELS, builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
@@ -67,6 +72,9 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         share *= 2.0
     with builder.phase("assemble"):
         nodes, primitive = assemble(builder.levels[:-1], arena, tasks, results, config.cost.width)
+    lists = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
+    work = [arena.event, arena.triangle, arena.side, arena.nodes, arena.primitive]
+    builder.stats.reserve(*lists, *work, nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats)
 
 
