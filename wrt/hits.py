@@ -75,9 +75,11 @@ class Hits:
 
     @cached_property
     def is_hit(self) -> Any:
-        if self._rays.is_warp:
-            return self._out(wp.array(self._batch.primitive.numpy() >= 0, dtype=wp.bool, device=self._device))
-        return self._out(self._batch.primitive) >= 0
+        from wrt.kernels.hits import mark_hits
+
+        out = self._empty(wp.bool)
+        launch(mark_hits, len(out), [self._batch.primitive, out], device=self._device, chunk=4096)
+        return self._out(out)
 
     @cached_property
     def position(self) -> Any:
