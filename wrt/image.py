@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["save_image", "to_bytes"]
+__all__ = ["check_path", "save_image", "to_bytes"]
 
 _WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
 
@@ -25,20 +25,15 @@ def save_image(path: str | Path, image: Any) -> None:
         ValueError: wrong shape, NaN or infinity, an unknown extension, alpha in a format that has none.
         FileNotFoundError: the folder does not exist.
     """
-    path = Path(path)
+    path = check_path(path)
     array = _checked(image)
     suffix = path.suffix.lower()
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"no folder '{path.parent}' to write '{path.name}' to; make it first")
     if suffix == ".npy":
-        with open(path, "wb") as file:  # NumPy would add the extension to a name in capitals
+        with open(path, "wb") as file:  # by name, NumPy would add the extension to one in capitals
             np.save(file, array)
         return
     from PIL import Image
 
-    writable = {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}
-    if suffix not in writable:
-        raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another of Pillow's")
     if suffix in _WITHOUT_ALPHA and array.ndim == 3 and array.shape[2] == 4:
         raise ValueError(f"'{suffix}' has no alpha channel; save image[..., :3] or use .png")
     options = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
@@ -46,6 +41,20 @@ def save_image(path: str | Path, image: Any) -> None:
         Image.fromarray(to_bytes(array)).save(path, **options)
     except (KeyError, ValueError) as error:  # a Pillow format without this kind of picture
         raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
+
+
+def check_path(path: str | Path) -> Path:
+    """Returns the path if a picture can be written there; errors as in `save_image`."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix != ".npy":
+        from PIL import Image
+
+        if suffix not in {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}:
+            raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another of Pillow's")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"no folder '{path.parent}' to write '{path.name}' to; make it first")
+    return path
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
