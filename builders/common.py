@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from math import log2
 
 import warp as wp
+
 from wrt.builders.cost import Split, SplitCost, leaf_cost
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.kdtree import MAX_TREE_DEPTH, KdNodes

@@ -9,7 +9,7 @@ leaf tests W triangles at once: with W = 1 this is the textbook's formula. f < 1
 in the splitting plane are tried on both sides.
 
 Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
-make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the left.
+make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
@@ -21,6 +21,7 @@ References:
 from dataclasses import dataclass
 
 import warp as wp
+
 from wrt.kernels.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -146,6 +147,14 @@ def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, ri
 def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
     """`best`, or a split at `position` if that is strictly inside the box and cheaper."""
     if position > frame.low and position < frame.high:
+        price = plane_cost(cost, frame, position, left, planar + right)
+        if price < best.cost:
+            best.cost = price
+            best.axis = frame.axis
+            best.position = position
+            best.planar_left = False
+            best.left = left
+            best.right = planar + right
         price = plane_cost(cost, frame, position, left + planar, right)
         if price < best.cost:
             best.cost = price
@@ -154,13 +163,4 @@ def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, 
             best.planar_left = True
             best.left = left + planar
             best.right = right
-        if planar > 0:
-            price = plane_cost(cost, frame, position, left, planar + right)
-            if price < best.cost:
-                best.cost = price
-                best.axis = frame.axis
-                best.position = position
-                best.planar_left = False
-                best.left = left
-                best.right = planar + right
     return best

@@ -86,7 +86,15 @@ def check_num_threads(count: int, name: str) -> int:
     return count
 
 
-def launch(kernel: wp.Kernel, count: int, inputs: Sequence[Any], *, device: wp.Device, chunk: int = 256) -> None:
+def launch(
+    kernel: wp.Kernel,
+    count: int,
+    inputs: Sequence[Any],
+    *,
+    device: wp.Device,
+    chunk: int = 256,
+    one_by_one: bool = False,
+) -> None:
     """Runs `kernel` for the items 0 .. count - 1.
 
     Args:
@@ -95,6 +103,7 @@ def launch(kernel: wp.Kernel, count: int, inputs: Sequence[Any], *, device: wp.D
         inputs: the kernel's other arguments.
         device: where the arguments live; on CUDA this is one launch on the device's current stream.
         chunk: on the CPU, the least number of items that is worth a launch of its own.
+        one_by_one: whether each item is a chunk of its own: for few, long and uneven items.
     """
     if count <= 0:
         return
@@ -102,15 +111,20 @@ def launch(kernel: wp.Kernel, count: int, inputs: Sequence[Any], *, device: wp.D
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
         return
-    threads = get_num_threads()
-    chunks = min(CHUNKS_PER_THREAD * threads, -(-count // chunk)) if threads > 1 else 1
-    size = min(-(-count // chunks), max(chunk, MAX_CHUNK))
+    size = 1 if one_by_one else _chunk_size(count, chunk)
 
     def run(number: int) -> None:
         first = number * size
         wp.launch(kernel, dim=min(size, count - first), inputs=[first, *inputs], device=device)
 
     run_tasks(run, -(-count // size))
+
+
+def _chunk_size(count: int, least: int) -> int:
+    """Items a chunk: the same number of chunks for every thread, none too small to pay, none too long to wait for."""
+    threads = get_num_threads()
+    chunks = min(CHUNKS_PER_THREAD * threads, -(-count // least)) if threads > 1 else 1
+    return min(-(-count // chunks), max(least, MAX_CHUNK))
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:

@@ -1,6 +1,7 @@
 """Rays and hits as structures of arrays: what every traversal reads and writes."""
 
 import warp as wp
+
 from wrt.kernels.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

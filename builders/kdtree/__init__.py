@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import in_place
+from wrt.builders.kdtree import in_place, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.events import TriangleBoxes
 
@@ -34,5 +34,12 @@ class KdTreeBuilder:
 
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
-    for builder in (KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),)
+    for builder in (
+        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
+        KdTreeBuilder(
+            "sweep",
+            "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006), O(N log^2 N)",
+            sweep.build,
+        ),
+    )
 }

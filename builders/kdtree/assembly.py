@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+
 from wrt.builders.kdtree.subtrees import Arena, Result, Task
 from wrt.kernels import kdtree
 from wrt.kernels.launch import launch

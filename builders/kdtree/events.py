@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
+
 from wrt.kernels.launch import launch, run_tasks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -39,6 +40,18 @@ class Events:
     value: wp.array2d(dtype=int)
     """(3, capacity): triangle << 2 | type."""
     count: wp.vec3i
+
+
+@wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
+def event_position(events: Events, axis: int, i: int) -> float:
+    """events.position[axis, i], without index checks: see `wrt.kernels.memory`."""
+    ...
+
+
+@wp.func_native("return events.value.data[(size_t)axis * events.value.shape[1] + i];")
+def event_value(events: Events, axis: int, i: int) -> int:
+    """events.value[axis, i], without index checks."""
+    ...
 
 
 @wp.kernel

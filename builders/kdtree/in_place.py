@@ -10,10 +10,10 @@ in depth-first order (`assembly`). Exact SAH everywhere: every plane at which a 
 
 **Complexity.** O(N log N): the sort, then O(N) a level.
 
-**What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until there are
-`TASKS` nodes whatever the number of threads, so that tasks can be shared out evenly. Sweeps start from the counts of the
-chunks before them, as in the same paper's nested algorithm, instead of from a shared counter. The split that a node gets
-does not depend on the phase in which it is built: the tree is the same for any number of threads, chunks and tasks.
+**What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until it has several
+times as many, so that tasks can be shared out evenly. Sweeps start from the counts of the chunks before them, as in the
+same paper's nested algorithm, instead of from a shared counter. The split that a node gets does not depend on the phase in
+which it is built: the tree is the same for any number of threads, chunks and tasks.
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -26,19 +26,21 @@ from time import perf_counter
 
 import numpy as np
 import warp as wp
+
 from wrt.builders.common import BuildStats, KdTree, StopLimits
-from wrt.builders.cost import SplitCost
+from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree import subtrees as subtree_phase
 from wrt.builders.kdtree.assembly import assemble
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, sorted_events
-from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership, Progress
+from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
+from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import get_num_threads, launch
 
-TASKS = 32
-"""Live nodes at which the build goes over to subtrees."""
+TASKS_PER_THREAD = 16
+"""Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
 
 MAX_LEVELS = 12
 """Levels after which it does so in any case."""
@@ -104,8 +106,8 @@ class InPlaceBuilder:
         membership = Membership()
         membership.first = wp.array(np.arange(count + 1, dtype=np.int32), dtype=int, device=self.device)
         membership.node = wp.zeros(count, dtype=int, device=self.device)
-        open_nodes = 1
-        while 0 < open_nodes < TASKS and len(self.levels) < MAX_LEVELS:
+        open_nodes, tasks = 1, TASKS_PER_THREAD * get_num_threads()
+        while 0 < open_nodes < tasks and len(self.levels) < MAX_LEVELS:
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(2, dtype=int, device=self.device)
@@ -122,11 +124,13 @@ class InPlaceBuilder:
         chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
         nodes = len(self.live)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
-        progress = wp.empty((3, chunks, nodes), dtype=Progress, device=self.device)
+        frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
+        sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
         self.run(level_phase.count_events, 3 * chunks, events, membership, self.live, counts)
         self.run(level_phase.scan_chunks, 3 * nodes, counts, chunk=64)
-        self.run(level_phase.search_planes, 3 * chunks, self.cost, events, membership, self.live, counts, progress)
-        self.run(level_phase.decide, nodes, self.cost, self.limits, progress, self.live, chunk=16)
+        work = [membership, self.live, counts, frames, sweeps]
+        self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
+        self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
 
     def reclassify(self, membership: Membership) -> Membership:
         """The triangles' nodes on the next level."""
@@ -154,8 +158,7 @@ class InPlaceBuilder:
 
         arena = Arena()
         total = reserve("events", (share * 6 * sizes).astype(np.int64) + 64)
-        arena.position = wp.empty(total, dtype=float, device=self.device)
-        arena.value = wp.empty(total, dtype=int, device=self.device)
+        arena.event = wp.empty(total, dtype=wp.vec2i, device=self.device)
         total = reserve("triangles", sizes)
         arena.triangle = wp.empty(total, dtype=int, device=self.device)
         arena.side = wp.empty(total, dtype=wp.uint8, device=self.device)
@@ -187,16 +190,6 @@ class InPlaceBuilder:
         """Builds all subtrees; returns what each task made."""
         stack = wp.empty((len(tasks), STACK), dtype=Frame, device=self.device)
         results = wp.empty(len(tasks), dtype=Result, device=self.device)
-        self.run(
-            subtree_phase.build_subtrees,
-            len(tasks),
-            self.cost,
-            self.limits,
-            self.live,
-            tasks,
-            event_counts,
-            arena,
-            stack,
-            results,
-        )
+        inputs = [self.cost, self.limits, self.live, tasks, event_counts, arena, stack, results]
+        launch(subtree_phase.build_subtrees, len(tasks), inputs, device=self.device, one_by_one=True)
         return results

@@ -14,9 +14,12 @@ of the axes and positions. So neither threads nor chunks show in the result.
 """
 
 import warp as wp
+
 from wrt.builders.common import StopLimits, bad_splits_after
-from wrt.builders.cost import Split, SplitCost, axis_frame, better_split, no_split
-from wrt.builders.kdtree.events import END, PLANAR, START, Boxes, Events
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
+from wrt.builders.kdtree.events import END, START, Boxes, Events, event_position, event_value
+from wrt.builders.kdtree.planes import Sweep, close_planar, start_sweep, sweep_event
+from wrt.kernels.memory import load_int
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -49,45 +52,15 @@ class Membership:
     """Live node indices, ascending within a triangle."""
 
 
-@wp.struct
-class Progress:
-    """Where a sweep stands in one node."""
-
-    left: int
-    """Triangles that begin before `position`."""
-    right: int
-    """Triangles that end after `position`."""
-    planar: int
-    """Triangles that lie in the plane at `position`."""
-    started: int
-    """Triangles that start at `position`."""
-    position: float
-    best: Split
-
-
-@wp.func
-def advance(cost: SplitCost, low: wp.vec3, high: wp.vec3, axis: int, progress: Progress):
-    """Evaluates the plane at the current position, whose events have all been seen, and passes it."""
-    progress.best = better_split(
-        cost,
-        axis_frame(axis, low, high),
-        progress.position,
-        progress.left,
-        progress.planar,
-        progress.right,
-        progress.best,
-    )
-    progress.left += progress.started + progress.planar
-    progress.started = 0
-    progress.planar = 0
-    return progress
-
-
 @wp.func
 def chunk_begin(events: Events, axis: int, chunk: int):
     """First event of a chunk: its nominal one, or the next at which the position changes."""
     begin = wp.min(chunk * EVENT_CHUNK, events.count[axis])
-    while begin > 0 and begin < events.count[axis] and events.position[axis, begin] == events.position[axis, begin - 1]:
+    while (
+        begin > 0
+        and begin < events.count[axis]
+        and event_position(events, axis, begin) == event_position(events, axis, begin - 1)
+    ):
         begin += 1
     return begin
 
@@ -104,15 +77,16 @@ def count_events(
     item = first + wp.tid()
     axis = item / counts.shape[1]
     chunk = item % counts.shape[1]
+    row = counts[axis, chunk]
     for node in range(counts.shape[2]):
-        counts[axis, chunk, node] = wp.vec2i(0, 0)
+        row[node] = wp.vec2i(0, 0)
     for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
-        value = events.value[axis, i]
+        value = event_value(events, axis, i)
         kind = value & 3
         change = wp.vec2i(wp.where(kind == END, 0, 1), wp.where(kind == START, 0, 1))
         triangle = value >> 2
-        for m in range(membership.first[triangle], membership.first[triangle + 1]):
-            counts[axis, chunk, membership.node[m]] += change
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            row[load_int(membership.node, m)] += change
 
 
 @wp.kernel
@@ -136,39 +110,29 @@ def search_planes(
     membership: Membership,
     nodes: wp.array(dtype=LiveNode),
     before: wp.array3d(dtype=wp.vec2i),
-    progress: wp.array3d(dtype=Progress),
+    frames: wp.array3d(dtype=AxisFrame),
+    sweeps: wp.array3d(dtype=Sweep),
 ):
-    """Item: axis * chunks + chunk. progress: (3, chunks, nodes), left with each node's best plane in the chunk."""
+    """Item: axis * chunks + chunk. sweeps: (3, chunks, nodes), left with each node's best plane in the chunk;
+    frames: scratch of the same shape."""
     item = first + wp.tid()
     axis = item / before.shape[1]
     chunk = item % before.shape[1]
+    row = sweeps[axis, chunk]
+    along = frames[axis, chunk]
     for node in range(before.shape[2]):
-        state = Progress()
-        state.left = before[axis, chunk, node][0]
-        state.right = nodes[node].triangles - before[axis, chunk, node][1]
-        state.position = nodes[node].low[axis]
-        state.best = no_split()
-        progress[axis, chunk, node] = state
+        counts = before[axis, chunk, node]
+        row[node] = start_sweep(counts[0], nodes[node].triangles - counts[1])
+        along[node] = axis_frame(axis, nodes[node].low, nodes[node].high)
     for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
-        position = events.position[axis, i]
-        value = events.value[axis, i]
-        kind = value & 3
+        position = event_position(events, axis, i)
+        value = event_value(events, axis, i)
         triangle = value >> 2
-        for m in range(membership.first[triangle], membership.first[triangle + 1]):
-            node = membership.node[m]
-            state = progress[axis, chunk, node]
-            if position != state.position:
-                state = advance(cost, nodes[node].low, nodes[node].high, axis, state)
-                state.position = position
-            if kind != START:
-                state.right -= 1
-            if kind == PLANAR:
-                state.planar += 1
-            if kind == START:
-                state.started += 1
-            progress[axis, chunk, node] = state
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            node = load_int(membership.node, m)
+            sweep_event(cost, along[node], value & 3, position, row[node])
     for node in range(before.shape[2]):
-        progress[axis, chunk, node] = advance(cost, nodes[node].low, nodes[node].high, axis, progress[axis, chunk, node])
+        close_planar(cost, along[node], row[node])
 
 
 @wp.kernel
@@ -176,7 +140,7 @@ def decide(
     first: int,
     cost: SplitCost,
     limits: StopLimits,
-    progress: wp.array3d(dtype=Progress),
+    sweeps: wp.array3d(dtype=Sweep),
     nodes: wp.array(dtype=LiveNode),
 ):
     """Item: a live node. Takes the best plane of all axes and chunks, in this order, and stops or splits."""
@@ -185,8 +149,8 @@ def decide(
     if not node.finished:
         best = no_split()
         for axis in range(3):
-            for chunk in range(progress.shape[1]):
-                candidate = progress[axis, chunk, index].best
+            for chunk in range(sweeps.shape[1]):
+                candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
         bad = bad_splits_after(limits, cost, node.depth, node.triangles, node.bad_splits, best)
@@ -244,8 +208,8 @@ def count_members(
     """Item: a triangle. Number of nodes that it lies in on the next level."""
     triangle = first + wp.tid()
     count = int(0)
-    for m in range(membership.first[triangle], membership.first[triangle + 1]):
-        node = nodes[membership.node[m]]
+    for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+        node = nodes[load_int(membership.node, m)]
         count += 1
         if not node.finished:
             axis = node.split.axis
@@ -259,8 +223,8 @@ def fill_members(first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), memb
     """Item: a triangle. Writes its nodes on the next level."""
     triangle = first + wp.tid()
     to = refined.first[triangle]
-    for m in range(membership.first[triangle], membership.first[triangle + 1]):
-        node = nodes[membership.node[m]]
+    for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+        node = nodes[load_int(membership.node, m)]
         side = int(1)
         if not node.finished:
             axis = node.split.axis

@@ -16,11 +16,14 @@ References:
 """
 
 import warp as wp
+
 from wrt.builders.common import StopLimits, bad_splits_after
-from wrt.builders.cost import Split, SplitCost, axis_frame, better_split, no_split
-from wrt.builders.kdtree.events import CHUNK, END, PLANAR, START, Events
+from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
+from wrt.builders.kdtree.events import CHUNK, END, START, Events, event_position, event_value
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
+from wrt.builders.kdtree.planes import close_planar, start_sweep, sweep_event
 from wrt.kernels import kdtree
+from wrt.kernels.memory import load_byte, load_int, load_pair, store_byte, store_pair
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -53,10 +56,8 @@ class Result:
 class Arena:
     """Memory of all tasks, each using its own share."""
 
-    position: wp.array(dtype=float)
-    """Event positions."""
-    value: wp.array(dtype=int)
-    """Events: index of the triangle within the task << 2 | type."""
+    event: wp.array(dtype=wp.vec2i)
+    """Events: bits of the position, and index of the triangle within the task << 2 | type."""
     triangle: wp.array(dtype=int)
     """Ids of a task's triangles, ascending."""
     side: wp.array(dtype=wp.uint8)
@@ -88,12 +89,13 @@ class Frame:
 def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
     """Item: a chunk of triangles. counts: (chunks, tasks)."""
     chunk = first + wp.tid()
+    row = counts[chunk]
     for task in range(counts.shape[1]):
-        counts[chunk, task] = 0
+        row[task] = 0
     begin = chunk * CHUNK
     end = wp.min(triangles, begin + CHUNK)
     for m in range(membership.first[begin], membership.first[end]):
-        counts[chunk, membership.node[m]] += 1
+        row[load_int(membership.node, m)] += 1
 
 
 @wp.kernel
@@ -119,11 +121,12 @@ def fill_task_triangles(
 ):
     """Item: a chunk of triangles. local: per membership, the triangle's index within the task."""
     chunk = first + wp.tid()
+    row = places[chunk]
     for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
-        for m in range(membership.first[triangle], membership.first[triangle + 1]):
-            task = membership.node[m]
-            place = places[chunk, task]
-            places[chunk, task] = place + 1
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            task = load_int(membership.node, m)
+            place = row[task]
+            row[task] = place + 1
             arena.triangle[place] = triangle
             local[m] = place - tasks[task].triangles_first
 
@@ -134,12 +137,13 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
     item = first + wp.tid()
     axis = item / counts.shape[1]
     chunk = item % counts.shape[1]
+    row = counts[axis, chunk]
     for task in range(counts.shape[2]):
-        counts[axis, chunk, task] = 0
+        row[task] = 0
     for i in range(chunk * EVENT_CHUNK, wp.min(events.count[axis], (chunk + 1) * EVENT_CHUNK)):
-        triangle = events.value[axis, i] >> 2
-        for m in range(membership.first[triangle], membership.first[triangle + 1]):
-            counts[axis, chunk, membership.node[m]] += 1
+        triangle = event_value(events, axis, i) >> 2
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            row[load_int(membership.node, m)] += 1
 
 
 @wp.kernel
@@ -169,16 +173,16 @@ def fill_task_events(
     item = first + wp.tid()
     axis = item / places.shape[1]
     chunk = item % places.shape[1]
+    row = places[axis, chunk]
     for i in range(chunk * EVENT_CHUNK, wp.min(events.count[axis], (chunk + 1) * EVENT_CHUNK)):
-        position = events.position[axis, i]
-        value = events.value[axis, i]
+        position = event_position(events, axis, i)
+        value = event_value(events, axis, i)
         triangle = value >> 2
-        for m in range(membership.first[triangle], membership.first[triangle + 1]):
-            task = membership.node[m]
-            place = places[axis, chunk, task]
-            places[axis, chunk, task] = place + 1
-            arena.position[place] = position
-            arena.value[place] = (local[m] << 2) | (value & 3)
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            task = load_int(membership.node, m)
+            place = row[task]
+            row[task] = place + 1
+            store_pair(arena.event, place, wp.vec2i(wp.cast(position, wp.int32), (load_int(local, m) << 2) | (value & 3)))
 
 
 @wp.func
@@ -187,26 +191,13 @@ def search(cost: SplitCost, arena: Arena, frame: Frame):
     best = no_split()
     for axis in range(3):
         along = axis_frame(axis, frame.low, frame.high)
-        left = int(0)
-        right = int(frame.triangles)
-        i = int(frame.first[axis])
-        end = i + frame.count[axis]
-        while i < end:
-            position = arena.position[i]
-            started = int(0)
-            planar = int(0)
-            ended = int(0)
-            same = bool(True)
-            while same:
-                kind = arena.value[i] & 3
-                started += wp.where(kind == START, 1, 0)
-                planar += wp.where(kind == PLANAR, 1, 0)
-                ended += wp.where(kind == END, 1, 0)
-                i += 1
-                same = i < end and arena.position[i] == position
-            right -= ended + planar
-            best = better_split(cost, along, position, left, planar, right, best)
-            left += started + planar
+        sweep = start_sweep(0, frame.triangles)
+        sweep.best = best
+        for i in range(frame.first[axis], frame.first[axis] + frame.count[axis]):
+            event = load_pair(arena.event, i)
+            sweep_event(cost, along, event[1] & 3, wp.cast(event[0], wp.float32), sweep)
+        close_planar(cost, along, sweep)
+        best = sweep.best
     return best
 
 
@@ -216,18 +207,18 @@ def classify(arena: Arena, sides_first: int, frame: Frame, split: Split):
     position = split.position
     begin = frame.first[split.axis]
     for i in range(begin, begin + frame.count[split.axis]):
-        at = arena.position[i]
-        value = arena.value[i]
-        kind = value & 3
-        side = sides_first + (value >> 2)
+        event = load_pair(arena.event, i)
+        at = wp.cast(event[0], wp.float32)
+        kind = event[1] & 3
+        side = sides_first + (event[1] >> 2)
         if kind == START:
-            arena.side[side] = wp.where(at >= position, wp.uint8(2), wp.uint8(3))
+            store_byte(arena.side, side, wp.where(at >= position, wp.uint8(2), wp.uint8(3)))
         elif kind == END:
             if at <= position:
-                arena.side[side] = wp.uint8(1)
+                store_byte(arena.side, side, wp.uint8(1))
         else:
             in_left = at < position or (at == position and split.planar_left)
-            arena.side[side] = wp.where(in_left, wp.uint8(1), wp.uint8(2))
+            store_byte(arena.side, side, wp.where(in_left, wp.uint8(1), wp.uint8(2)))
 
 
 @wp.func
@@ -237,15 +228,12 @@ def partition(arena: Arena, sides_first: int, axis: int, frame: Frame, to: int):
     left = int(to)
     right = int(begin)
     for i in range(begin, begin + frame.count[axis]):
-        at = arena.position[i]
-        value = arena.value[i]
-        side = int(arena.side[sides_first + (value >> 2)])
+        event = load_pair(arena.event, i)
+        side = int(load_byte(arena.side, sides_first + (event[1] >> 2)))
         # written whether wanted or not, kept by moving the end: no branch to mispredict
-        arena.position[left] = at
-        arena.value[left] = value
+        store_pair(arena.event, left, event)
         left += side & 1
-        arena.position[right] = at
-        arena.value[right] = value
+        store_pair(arena.event, right, event)
         right += side >> 1
     return wp.vec2i(left - to, right - begin)
 
@@ -256,7 +244,7 @@ def emit_leaf(arena: Arena, task: Task, frame: Frame, width: int, blocks: int):
     begin = (task.blocks_first + blocks) * width
     to = int(begin)
     for i in range(frame.first[0], frame.first[0] + frame.count[0]):
-        value = arena.value[i]
+        value = load_pair(arena.event, i)[1]
         if (value & 3) != END:
             arena.primitive[to] = arena.triangle[task.triangles_first + (value >> 2)]
             to += 1

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
+
 from wrt.kernels.traversal import brute, single
 from wrt.kernels.traversal.config import TraversalConfig
 

@@ -3,6 +3,7 @@
 from functools import cache
 
 import warp as wp
+
 from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig

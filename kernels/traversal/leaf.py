@@ -6,6 +6,7 @@ Ties go to the smaller t, then to the smaller primitive id, so the order in whic
 from functools import cache
 
 import warp as wp
+
 from wrt.kernels.boxes import RaySlabs, clamp_to_box
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.config import ANY, TraversalConfig

@@ -24,6 +24,7 @@ References:
 from functools import cache
 
 import warp as wp
+
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import ray_slabs, reach, slab_interval
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes

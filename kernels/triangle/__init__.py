@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
+
 from wrt.kernels.triangle import moeller_trumbore, woop
 from wrt.kernels.triangle.records import CORNERS, Record
 

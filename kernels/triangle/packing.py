@@ -3,6 +3,7 @@
 from functools import cache
 
 import warp as wp
+
 from wrt.kernels.launch import launch
 from wrt.kernels.triangle.records import Corners, Record, TriangleBlocks
 

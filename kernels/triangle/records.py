@@ -7,6 +7,7 @@ block hold NaN, which every test turns into a miss, and primitive -1.
 from dataclasses import dataclass
 
 import warp as wp
+
 from wrt.kernels.boxes import greatest, least
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

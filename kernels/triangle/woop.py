@@ -23,6 +23,7 @@ References:
 from functools import cache
 
 import warp as wp
+
 from wrt.kernels.lanes import FOR_LANES, lanes
 from wrt.kernels.triangle.records import Corners
 

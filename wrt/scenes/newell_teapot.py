@@ -10,7 +10,8 @@ common curve and their points weld into one vertex without any tolerance. Where 
 (the top of the knob, the middle of the bottom) the collapsed triangles are dropped.
 
 References:
-    M. E. Newell, "The Utilization of Procedure Models in Digital Image Synthesis", PhD thesis, University of Utah, 1975.
+    M. E. Newell, "The Utilization of Procedure Models in Digital Image Synthesis", PhD thesis, University of Utah,
+        1975.
     F. C. Crow, "The Origins of the Teapot", IEEE Computer Graphics and Applications 7(1), 1987.
 """
 
