@@ -51,7 +51,7 @@ def check_path(path: str | Path) -> Path:
         from PIL import Image
 
         if suffix not in {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}:
-            raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another of Pillow's")
+            raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"no folder '{path.parent}' to write '{path.name}' to; make it first")
     return path

@@ -9,6 +9,7 @@ References:
 """
 
 import warp as wp
+
 from wrt.kernels.shading.sampling import cosine_direction, mix, spread_point
 from wrt.kernels.shading.surface import Surface
 

@@ -5,6 +5,7 @@ References:
 """
 
 import warp as wp
+
 from wrt.kernels.shading.surface import Surface
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -51,7 +52,7 @@ def expose(
     color = lighting.background_low + height * (lighting.background_high - lighting.background_low)
     if wp.length_sq(surface.face_normal[i]) > 0.0:
         direct = surface.cosine[i]
-        if received.shadows:
+        if received.shadows:  # noqa: SIM102 - in a kernel, `and` reads both sides, and the array may not be there
             if received.in_shadow[i]:
                 direct = 0.0
         openness = float(1.0)

@@ -20,6 +20,7 @@ References:
 """
 
 import warp as wp
+
 from wrt.kernels.boxes import reach
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.shading.normals import face_normal
