@@ -29,6 +29,7 @@ from wrt import __version__
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from wrt.camera import PinholeCamera
     from wrt.mesh import TriangleMesh
     from wrt.scene import Scene
     from wrt.scenes import BuiltinScene
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 DEFAULT_SCENE = "teapot"
 Y_UP_FORMATS = {".glb", ".gltf", ".obj", ".off", ".ply"}
 UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-GROUND_SIZE = 12.0
+GROUND_SIZE = 32.0
 """Side of the ground under a model, in diagonals of the model."""
 
 
@@ -130,7 +131,11 @@ def main() -> None:
 @click.option("--height", default=600, show_default=True, type=click.IntRange(1), help="Pixels.")
 @click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays a pixel.")
 @click.option("--ambient-samples", default=16, show_default=True, type=click.IntRange(0), help="For each camera ray; 0: none.")
-@click.option("--ambient-distance", type=click.FloatRange(0, min_open=True), help="Reach of these rays. [no limit]")
+@click.option(
+    "--ambient-distance",
+    type=click.FloatRange(0, min_open=True),
+    help="Reach of these rays.  [inside a scene a tenth of its size, else no limit]",
+)
 @click.option("--camera", type=Vector(), help="Position.  [the scene's, or one that frames the MODEL]")
 @click.option("--look-at", type=Vector(), help="Middle of the picture.")
 @click.option("--up", type=UpDirection(), help="x, y, z, -x ... or x,y,z.  [MODEL: y for glTF, OBJ, PLY, OFF, else z]")
@@ -166,7 +171,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
             camera,
             samples=given["samples"],
             ambient_samples=given["ambient_samples"],
-            ambient_distance=given["ambient_distance"],
+            ambient_distance=given["ambient_distance"] or _ambient_distance(scene, camera),
             light=given["light"] or (builtin.light if builtin else None),
             shadows=given["shadows"],
             smooth=given["smooth"],
@@ -263,7 +268,7 @@ def _make_scene(geometry: Any, given: Mapping[str, Any]) -> Scene:
     return Scene(geometry, accelerator, device=given["device"], num_threads=given["threads"])
 
 
-def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> Any:
+def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:
     """The scene's camera, or one that frames the model, with what was given in place of its own."""
     from wrt.camera import PinholeCamera
 
@@ -280,6 +285,13 @@ def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, .
         return PinholeCamera(width, height, **view)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+
+
+def _ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:
+    """No limit outdoors. Where the camera stands inside the scene's box all would be dark: a tenth of its diagonal."""
+    low, high = scene.bounds
+    inside = ((low < camera.position) & (camera.position < high)).all()
+    return 0.1 * float(((high - low) ** 2).sum() ** 0.5) if inside else None
 
 
 def _up_of_file(path: Path) -> tuple[float, ...]:

@@ -31,7 +31,7 @@ Camera = PinholeCamera | OrthographicCamera
 TILE_PIXELS = 1 << 16
 """Camera rays traced at once: bounds the memory, and the time between two calls of `progress`."""
 
-BACKGROUND = ((0.97, 0.97, 0.96), (0.80, 0.85, 0.91))
+BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
 
@@ -52,7 +52,7 @@ def render(
     albedo: Any = 0.8,
     background: Any = BACKGROUND,
     smooth: bool = True,
-    crease_angle: float = 40.0,
+    crease_angle: float = 60.0,
     seed: int = 0,
     traversal: str = AUTO,
     triangle_test: str = AUTO,
@@ -99,12 +99,11 @@ def render(
     samples = check_whole("samples", samples, 1)
     seed = check_whole("seed", seed, 0)
     settings = _Settings(
-        light=default_light(scene, camera) if light is None else check_point("light", light),
+        light=default_light(camera) if light is None else check_point("light", light),
         lighting=_lighting(light_color, ambient_color, background),
         shadows=bool(shadows),
         ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
         ambient_distance=distance,
-        samples=samples,
         seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
         query={"traversal": traversal, "triangle_test": triangle_test},
     )
@@ -125,12 +124,10 @@ def render(
     return image.numpy()
 
 
-def default_light(scene: Scene, camera: Camera) -> np.ndarray:
-    """(3,) a position behind the camera's left shoulder, at a height that grows with its distance from the scene."""
-    low, high = scene.bounds
-    distance = float(np.linalg.norm(camera.position - (low + high) / 2))
-    distance = max(distance, float(np.linalg.norm(high - low)) / 4)
-    return camera.position + distance * (0.65 * camera.up - 0.55 * camera.right)
+def default_light(camera: Camera) -> np.ndarray:
+    """(3,) a position over the camera's left shoulder, as far away from it as what it looks at, or nearly so."""
+    distance = float(np.linalg.norm(camera.look_at - camera.position))
+    return camera.position + 0.75 * distance * (camera.up - camera.right)
 
 
 def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
@@ -158,7 +155,6 @@ class _Settings:
     shadows: bool
     ambient_samples: int
     ambient_distance: float
-    samples: int
     seed: int
     query: dict[str, str]
 
