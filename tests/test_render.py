@@ -117,6 +117,17 @@ def test_a_convex_body_does_not_darken_itself(scale):
     np.testing.assert_allclose(lit[True], lit[False], atol=0.05)  # only faces edge-on to the light may differ
 
 
+@pytest.mark.parametrize("seed", [5, 10, 12])
+def test_slivers_do_not_darken_themselves(seed):
+    """The narrow sides of a beam are triangles a thousand times longer than high; rounding moves hits along them."""
+    turn = rotation(seed)
+    beam = moved(boxes((-1, -0.01, -3), (1, 0.02, 40)), turn, 1.0, np.array([3.0, -2.0, 1.0]))
+    camera = wrt.PinholeCamera.framing(beam, 200, 200, towards=turn[:3, :3] @ (1.0, 0.4, 0.2), up=turn[:3, 1])
+    scene = wrt.Scene(beam)
+    image = wrt.render(scene, camera, ambient_samples=8, **ONLY_SKY)[..., 0]
+    np.testing.assert_array_equal(image, scene.intersect(camera.rays()).is_hit.astype(np.float32))
+
+
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e5])
 @pytest.mark.parametrize("shape", ["box", "wedge"])
 @pytest.mark.parametrize("seed", [0, 1])

@@ -118,7 +118,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-@click.group(cls=CommandLine, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group("wrt", cls=CommandLine, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(__version__, prog_name="wrt", message="%(prog)s %(version)s")
 def main() -> None:
     """Ray tracing of triangle meshes, on all CPU cores and on CUDA."""

@@ -7,6 +7,10 @@ which moves surfaces by a few units in the last place of the distance to a trian
 from the size of the coordinates, as is the widening of boxes in `wrt.kernels.boxes`: `OFFSET` times the reach of the point
 in the scene. The origin is moved by that much along the geometric normal, to the side where the ray came from.
 
+Slivers need more. Rounding shifts an edge of length L by some units in the last place of L; in a triangle of height h that
+moves the weights by L / h of such units, and the hit along the triangle's length by L of that again: `SLIVER L^2 / h`. More
+than a quarter of h is not taken: beyond, at L / h of a thousand, no offset is right.
+
 That is not enough in a corner of two walls: a point in one wall, a hair from the other, may be moved or rounded to
 beyond the other. So a point keeps `INSET` offsets away from the edges of its triangle, as far as the triangle has room.
 
@@ -23,12 +27,16 @@ import warp as wp
 
 from wrt.kernels.boxes import reach
 from wrt.kernels.hits import SceneMesh
+from wrt.kernels.rays import TINY
 from wrt.kernels.shading.normals import face_normal
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 OFFSET = wp.constant(2.0**-18)
 """Distance of secondary origins from the surface, as a share of the point's reach: four times the slack of boxes."""
+
+SLIVER = wp.constant(2.0**-22)
+"""Units in the last place, times a few."""
 
 INSET = wp.constant(4.0)
 """Distance of secondary origins from the edges of their triangle, in offsets."""
@@ -66,6 +74,14 @@ class Surface:
     shadow_origin: wp.array(dtype=wp.vec3d)
     shadow_direction: wp.array(dtype=wp.vec3)
     """To the light: t = 1 is there. 0 where no ray is needed."""
+
+
+@wp.func
+def origin_offset(at: wp.vec3, low: wp.vec3, high: wp.vec3, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+    """Distance from a triangle at which rays from the point `at` on it start."""
+    longest = float(wp.max(wp.length(c - b), wp.max(wp.length(a - c), wp.length(b - a))))
+    height = float(wp.length(wp.cross(b - a, c - a))) / wp.max(longest, TINY)
+    return wp.max(OFFSET * reach(at, low, high), wp.min(SLIVER * longest * (longest / wp.max(height, TINY)), 0.25 * height))
 
 
 @wp.func
@@ -121,7 +137,7 @@ def find_surface(
             side_normal = -wp.normalize(toward)
         weights = wp.vec3(1.0 - uv[i][0] - uv[i][1], uv[i][0], uv[i][1])
         near = wp.vec3(wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c)
-        offset = OFFSET * reach(near, scene.low, scene.high)
+        offset = origin_offset(near, scene.low, scene.high, a, b, c)
         at = keep_from_edges(weights, a, b, c, INSET * offset)
         point = at[0] * a + at[1] * b + at[2] * c
         step = wp.float64(offset) * side_normal
