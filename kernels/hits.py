@@ -77,3 +77,10 @@ def locate_geometry(
         inside = primitive[i] - mesh.geometry_first[low]
     geometry[i] = found
     local[i] = inside
+
+
+@wp.kernel
+def mark_hits(first: int, primitive: wp.array(dtype=int), is_hit: wp.array(dtype=wp.bool)):
+    """Item: a ray. Whether it hit anything."""
+    i = first + wp.tid()
+    is_hit[i] = primitive[i] >= 0

@@ -27,6 +27,7 @@ _HOME = {
     "get_num_threads": "wrt.kernels.launch",
     "render": "wrt.rendering",
     "save_image": "wrt.image",
+    "scenes": "wrt",
     "set_num_threads": "wrt.kernels.launch",
 }
 
@@ -36,7 +37,8 @@ __all__ = ["__version__", *_HOME]
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'wrt' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME[name]), name)
+    home = _HOME[name]
+    value = importlib.import_module(f"wrt.{name}") if home == "wrt" else getattr(importlib.import_module(home), name)
     globals()[name] = value
     return value
 

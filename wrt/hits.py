@@ -16,6 +16,14 @@ if TYPE_CHECKING:
     from wrt.rays import RayBuffers
 
 
+def shaped(values: wp.array, rays: RayBuffers) -> Any:
+    """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
+    if rays.is_warp:
+        return values.reshape(rays.shape or (1,))
+    array = values.numpy()
+    return array.reshape(rays.shape + array.shape[1:])
+
+
 class Hits:
     """Closest hits of a batch of rays, in its leading shape (...).
 
@@ -39,15 +47,15 @@ class Hits:
         self._mesh = mesh
         self._counters = counters
         self._geometries = mesh.geometry_first.shape[0] - 1
-        self._shape, self._is_warp, self._dtype = rays.shape, rays.is_warp, rays.dtype
+        self._rays = rays
 
     def __repr__(self) -> str:
-        return f"Hits(shape={self._shape})"
+        return f"Hits(shape={self.shape})"
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The leading shape."""
-        return self._shape
+        return self._rays.shape
 
     @cached_property
     def t(self) -> Any:
@@ -67,9 +75,11 @@ class Hits:
 
     @cached_property
     def is_hit(self) -> Any:
-        if self._is_warp:
-            return wp.array(self._batch.primitive.numpy() >= 0, dtype=wp.bool, device=self._device).reshape(self._shape)
-        return self._out(self._batch.primitive) >= 0
+        from wrt.kernels.hits import mark_hits
+
+        out = self._empty(wp.bool)
+        launch(mark_hits, len(out), [self._batch.primitive, out], device=self._device, chunk=4096)
+        return self._out(out)
 
     @cached_property
     def position(self) -> Any:
@@ -92,7 +102,7 @@ class Hits:
         if self._counters is None:
             raise ValueError("no work was counted; call scene.intersect(..., counters=True)")
         work = self._counters.numpy()
-        return {name: np.ascontiguousarray(work[name]).reshape(self._shape) for name in work.dtype.names}
+        return {name: np.ascontiguousarray(work[name]).reshape(self.shape) for name in work.dtype.names}
 
     @cached_property
     def _located(self) -> tuple[wp.array, wp.array]:
@@ -114,13 +124,10 @@ class Hits:
         launch(kernel, len(self._batch.t), [self._mesh, *inputs], device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
-        if self._is_warp:
-            return values.reshape(self._shape)
-        array = values.numpy()
-        return array.reshape(self._shape + array.shape[1:])
+        return shaped(values, self._rays)
 
     def _as_dtype(self, values: wp.array) -> Any:
-        wanted = wp.vec3d if self._dtype is np.float64 else wp.vec3f
+        wanted = wp.vec3d if self._rays.dtype is np.float64 else wp.vec3f
         if values.dtype is not wanted:
             converted = self._empty(wanted)
             wp.utils.array_cast(values, converted)

@@ -164,7 +164,7 @@ def _spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...
     """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
     leading = values.ndim - len(trailing)
     shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
-    if shared and int(np.prod(shape)) != 1:
+    if shared and int(np.prod(shape)) > 1:
         return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
     return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
 

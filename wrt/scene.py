@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import KdTree, resolve_accelerator
-from wrt.hits import Hits
+from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, launch, use_threads
 from wrt.kernels.rays import HitBatch
@@ -151,8 +151,7 @@ class Scene:
             batch = HitBatch()
             batch.occluded = wp.empty(buffers.count, dtype=wp.bool, device=self.device)
             self._trace(buffers, batch, "any", traversal, triangle_test, False)
-        result = batch.occluded.reshape(buffers.shape)
-        return result if buffers.is_warp else result.numpy()
+        return shaped(batch.occluded, buffers)
 
     def statistics(self) -> SceneStatistics:
         """Counts, histograms, costs and times of the mesh, the tree and its build."""

@@ -31,13 +31,13 @@ from wrt.builders.common import BuildStats, KdTree, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree import subtrees as subtree_phase
-from wrt.builders.kdtree.assembly import assemble
+from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, sorted_events
+from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
-from wrt.kernels.launch import get_num_threads, launch
+from wrt.kernels.launch import get_num_threads, launch, load
 
 TASKS_PER_THREAD = 16
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
@@ -45,28 +45,36 @@ TASKS_PER_THREAD = 16
 MAX_LEVELS = 12
 """Levels after which it does so in any case."""
 
-ARENA_SHARE = 2.5
-"""Events that a task has room for, as a multiple of its own; doubled whenever that was too little."""
+SPARE_ROOM = 1.5
+"""Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
+
+
+KERNELS = (emit_events, level_phase.search_planes, subtree_phase.build_subtrees, copy_subtrees)
+"""One kernel of each module: compiling them is no phase of the build."""
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     builder = InPlaceBuilder(triangles, config)
+    load(KERNELS, builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
         membership = builder.build_levels(events)
-    share = ARENA_SHARE
+    spare = SPARE_ROOM
     while True:
         with builder.phase("fill"):
-            arena, tasks, event_counts = builder.fill(events, membership, share)
+            arena, tasks, event_counts = builder.fill(events, membership, spare)
         with builder.phase("subtrees"):
             results = builder.build_subtrees(arena, tasks, event_counts)
         if not results.numpy()["overflow"].any():
             break
-        share *= 2.0
+        spare *= 2.0
     with builder.phase("assemble"):
         nodes, primitive = assemble(builder.levels[:-1], arena, tasks, results, config.cost.width)
+    lists = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
+    work = [arena.event, arena.triangle, arena.side, arena.nodes, arena.primitive]
+    builder.stats.reserve(*lists, *work, nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats)
 
 
@@ -145,7 +153,7 @@ class InPlaceBuilder:
         self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=CHUNK)
         return new
 
-    def fill(self, events: Events, membership: Membership, share: float) -> tuple[Arena, wp.array, wp.array]:
+    def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Arena, wp.array, wp.array]:
         """Makes one task of each live node: its triangles, its events, and room to work in."""
         sizes = self.levels[-1]["triangles"].astype(np.int64)
         rooms = np.zeros(len(sizes), dtype=Task.numpy_dtype())
@@ -157,14 +165,14 @@ class InPlaceBuilder:
             return int(capacity.sum())
 
         arena = Arena()
-        total = reserve("events", (share * 6 * sizes).astype(np.int64) + 64)
+        total = reserve("events", ((1 + spare) * 6 * sizes).astype(np.int64) + 64)
         arena.event = wp.empty(total, dtype=wp.vec2i, device=self.device)
         total = reserve("triangles", sizes)
         arena.triangle = wp.empty(total, dtype=int, device=self.device)
         arena.side = wp.empty(total, dtype=wp.uint8, device=self.device)
-        total = reserve("nodes", (share * 0.5 * sizes).astype(np.int64) + 64)
+        total = reserve("nodes", (spare * sizes).astype(np.int64) + 64)
         arena.nodes = wp.empty(total, dtype=wp.vec2i, device=self.device)
-        total = reserve("blocks", (share * 2 * sizes / self.width).astype(np.int64) + 64)
+        total = reserve("blocks", ((1 + spare) * 2 * sizes / self.width).astype(np.int64) + 64)
         arena.primitive = wp.empty(total * self.width, dtype=int, device=self.device)
         tasks = wp.array(rooms, dtype=Task, device=self.device)
         return arena, tasks, self.copy_to_tasks(events, membership, tasks, arena)

@@ -271,5 +271,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         width=width,
         stats=BuildStats(),
     )
+    boxes = triangles.boxes
+    tree.stats.reserve(boxes.low, boxes.high, work.triangle, work.position, work.value, work.nodes, work.primitive)
     tree.stats.seconds["sweep"] = perf_counter() - start
     return tree

@@ -12,9 +12,9 @@ and both are computed with the plane widened by the slack of `wrt.kernels.boxes`
   none. Origin exactly in the widened plane: NaN, which bounds nothing, so both get the whole interval.
 * A triangle in the splitting plane lies in one child only; its t equals the plane's parameter, which both intervals hold.
 
-Cells are met in the order of their entry, and the entry of a cell is never later than the t of a hit on a triangle in it
-(the consistency rule). So the search ends when the nearest cell on the stack starts beyond the best hit; a tie still
-visits it, because a smaller primitive id may win there.
+The entry of a cell is never later than the t of a hit on a triangle in it (the consistency rule), so a waiting cell whose
+entry lies beyond the best hit is dropped; at a tie it is visited, because a smaller primitive id may win there. The search
+goes on to the next waiting cell, not to its end: where children overlap, an outer cell may start before an inner one.
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
@@ -104,11 +104,11 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         best = step(triangles, block, state, slabs, ray.t_min, best)
                         block += 1
                         count -= wp.static(width)
-                    size -= 1
-                    searching = size >= 0
+                    searching = bool(False)
                     if wp.static(any_hit):
-                        searching = searching and best.primitive < 0
-                    if searching:
+                        size = wp.where(best.primitive < 0, size, 0)
+                    while size > 0 and not searching:
+                        size -= 1
                         index = stack_node[size]
                         entry = stack_entry[size]
                         leave = stack_leave[size]

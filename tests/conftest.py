@@ -1,0 +1,112 @@
+"""Fixtures: the devices found here, meshes to test on, and rays of every kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+wp.config.log_level = wp.LOG_WARNING
+wp.init()
+
+import wrt  # noqa: E402
+from wrt import scenes  # noqa: E402
+
+MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
+DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> str:
+    """Every device found: the CPU always, CUDA where there is one."""
+    return request.param
+
+
+def load_model(name: str) -> wrt.TriangleMesh:
+    """A measured model; the test is skipped where the models are not at hand."""
+    path = MODELS / name
+    if not path.exists():
+        pytest.skip(f"the model {name} is not at hand beside the checkout")
+    return wrt.TriangleMesh.load(path)
+
+
+@pytest.fixture(scope="session")
+def bunny() -> wrt.TriangleMesh:
+    """The Stanford bunny, 69,630 triangles."""
+    return load_model("bunny.ply")
+
+
+SCENES = {
+    "teapot": lambda: scenes.build("teapot", level=4),
+    "random_triangles": lambda: scenes.build("random_triangles", count=700, size=0.4, seed=3),
+    "stadium": lambda: scenes.build("teapot_in_stadium", level=3),
+    "atrium": lambda: scenes.build("atrium"),
+    "wood": lambda: scenes.build("wood", trees=3),
+    "grid": lambda: snapped_soup(600, seed=5),
+    "degenerate": lambda: degenerate_soup(),
+}
+
+
+@pytest.fixture(scope="session", params=SCENES)
+def scene_mesh(request: pytest.FixtureRequest) -> wrt.TriangleMesh:
+    """Built-in scenes, a soup on a coarse grid (equal events, planar triangles, ties), and one full of degenerate ones."""
+    return SCENES[request.param]()
+
+
+def snapped_soup(count: int, seed: int) -> wrt.TriangleMesh:
+    """Random triangles whose corners lie on a grid of 9 x 9 x 9 points."""
+    corners = np.random.default_rng(seed).integers(0, 9, (count, 3, 3)) / 8
+    return wrt.TriangleMesh(corners.reshape(-1, 3).astype(np.float32), np.arange(3 * count).reshape(-1, 3))
+
+
+def degenerate_soup() -> wrt.TriangleMesh:
+    """Duplicates of each triangle, needles, points, and triangles in axis-aligned planes."""
+    rng = np.random.default_rng(11)
+    corners = rng.random((100, 3, 3))
+    needles = corners.copy()
+    needles[:, 2] = needles[:, 1]
+    points = np.repeat(rng.random((50, 1, 3)), 3, axis=1)
+    flat = rng.random((90, 3, 3))
+    for axis in range(3):
+        flat[axis * 30 : (axis + 1) * 30, :, axis] = rng.integers(0, 4, (30, 1)) / 3
+    corners = np.concatenate([corners, corners, corners[::-1], needles, points, flat]).astype(np.float32)
+    return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def mixed_rays(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Rays of every kind, float32: inside and outside, at vertices and edges, axis-parallel, in planes of faces, bad ones."""
+    rng = np.random.default_rng(seed)
+    low, high = mesh.bounds
+    size = high - low + 1e-6
+    origins = rng.uniform(low - 0.3 * size, high + 0.3 * size, (count, 3))
+    targets = rng.uniform(low, high, (count, 3))
+    corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, count)]]
+    kind = rng.integers(0, 8, count)
+    targets[kind == 1] = corners[kind == 1, 0]
+    targets[kind == 2] = (corners[kind == 2, 0] + corners[kind == 2, 1]) / 2
+    targets[kind == 3] = corners[kind == 3].mean(axis=1)
+    directions = targets - origins
+    axes = np.eye(3)[rng.integers(0, 3, count)] * rng.choice([-1.0, 1.0], (count, 1))
+    directions[kind == 4] = axes[kind == 4] * size.max()
+    origins[kind == 5] = corners[kind == 5, 0] - 0.7 * (axes * size)[kind == 5]
+    directions[kind == 5] = (axes * size)[kind == 5]
+    origins[kind == 6] = corners[kind == 6, 1]
+    directions[kind == 7] = (corners[:, 1] - corners[:, 0])[kind == 7]
+    origins[kind == 7] = (corners[:, 0] - 0.4 * (corners[:, 1] - corners[:, 0]))[kind == 7]
+    origins, directions = origins.astype(np.float32), directions.astype(np.float32)
+    bad = rng.integers(0, 40, count)
+    for code, value in enumerate((np.nan, np.inf, -np.inf)):
+        origins[bad == code, code] = value
+        directions[bad == code + 3, code] = value
+    directions[bad == 6] = 0.0
+    return origins, directions
+
+
+def assert_same_hits(hits: wrt.Hits, expected: wrt.Hits) -> None:
+    """Equal to the bit."""
+    np.testing.assert_array_equal(hits.primitive_id, expected.primitive_id)
+    np.testing.assert_array_equal(hits.geometry_id, expected.geometry_id)
+    np.testing.assert_array_equal(hits.t.view(np.int32), expected.t.view(np.int32))
+    np.testing.assert_array_equal(hits.uv.view(np.int32), expected.uv.view(np.int32))

@@ -1,0 +1,253 @@
+"""Trees: the packing of nodes, invariants, equality with the judge, independence of threads, stop rules."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import snapped_soup
+
+import wrt
+from wrt.builders.common import StopRules
+from wrt.builders.cost import SurfaceAreaCost
+from wrt.builders.kdtree import KDTREE_BUILDERS, in_place
+from wrt.builders.kdtree.events import sorted_events, triangle_boxes
+from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
+from wrt.kernels import kdtree
+from wrt.kernels.launch import use_threads
+
+
+def boxes_of(mesh: wrt.TriangleMesh):
+    device = wp.get_device("cpu")
+    vertices = wp.array(mesh.vertices.astype(np.float32), dtype=wp.vec3, device=device)
+    return triangle_boxes(vertices, wp.array(mesh.faces, dtype=wp.vec3i, device=device))
+
+
+def build(mesh: wrt.TriangleMesh, builder: str = "in_place", **options):
+    description = wrt.KdTree(builder=builder, **options)
+    config = description.config(width=8)
+    return KDTREE_BUILDERS[builder].build(boxes_of(mesh), config), config
+
+
+def leaf_lists(tree) -> dict[int, list[int]]:
+    """Sorted triangle ids of every leaf, by node."""
+    flat, primitive = unpack(tree), tree.primitive.numpy()
+    lists = {}
+    for node in np.flatnonzero(flat.is_leaf):
+        first = flat.first_block[node] * tree.width
+        blocks = -(-flat.triangles[node] // tree.width)
+        lanes = primitive[first : first + blocks * tree.width]
+        assert (lanes[flat.triangles[node] :] == -1).all()
+        lists[int(node)] = sorted(lanes[: flat.triangles[node]].tolist())
+    return lists
+
+
+@wp.kernel(enable_backward=False)
+def pack_and_unpack(
+    axis: wp.array(dtype=int),
+    position: wp.array(dtype=float),
+    index: wp.array(dtype=int),
+    packed: wp.array2d(dtype=wp.vec2i),
+    unpacked: wp.array2d(dtype=int),
+    positions: wp.array(dtype=float),
+):
+    i = wp.tid()
+    inner = kdtree.inner_node(axis[i], position[i], index[i])
+    leaf = kdtree.leaf_node(axis[i], index[i])
+    packed[i, 0] = inner
+    packed[i, 1] = leaf
+    positions[i] = kdtree.split_position(inner)
+    unpacked[i, 0] = kdtree.split_axis(inner)
+    unpacked[i, 1] = kdtree.right_child(inner)
+    unpacked[i, 2] = kdtree.split_axis(leaf)
+    unpacked[i, 3] = kdtree.first_block(leaf)
+    unpacked[i, 4] = kdtree.leaf_triangles(leaf)
+
+
+def test_node_packing():
+    """8 bytes a node; every field comes back, up to the largest index; the bits are where the layout says."""
+    axis = np.tile([0, 1, 2], 4).astype(np.int32)
+    position = np.array([0.0, -0.0, 1.5, -1e38, 1e-40, 3.0] * 2, dtype=np.float32)
+    index = np.array([0, 1, 2, 12345, kdtree.MAX_INDEX, 7] * 2, dtype=np.int32)
+    inputs = [wp.array(a, device="cpu") for a in (axis, position, index)]
+    packed = wp.zeros((12, 2), dtype=wp.vec2i, device="cpu")
+    unpacked = wp.zeros((12, 5), dtype=int, device="cpu")
+    positions = wp.zeros(12, dtype=float, device="cpu")
+    wp.launch(pack_and_unpack, 12, inputs=[*inputs, packed, unpacked, positions], device="cpu")
+    np.testing.assert_array_equal(unpacked.numpy(), np.stack([axis, index, np.full(12, 3), axis, index], axis=1))
+    np.testing.assert_array_equal(positions.numpy().view(np.int32), position.view(np.int32))
+    words = packed.numpy()
+    assert words.itemsize * words.shape[-1] == 8
+    np.testing.assert_array_equal(words[:, 0], np.stack([position.view(np.int32), index << 2 | axis], axis=1))
+    np.testing.assert_array_equal(words[:, 1], np.stack([axis, index << 2 | 3], axis=1))
+
+
+def test_events_are_sorted():
+    """By position, then end, planar, start, then triangle; one event for a flat box, two for any other."""
+    mesh = snapped_soup(5000, seed=1)
+    boxes = boxes_of(mesh)
+    events = sorted_events(boxes)
+    corners = mesh.vertices[mesh.faces]
+    for axis in range(3):
+        low, high = corners[:, :, axis].min(1), corners[:, :, axis].max(1)
+        flat = low == high
+        count = events.count[axis]
+        assert count == 2 * len(low) - flat.sum()
+        position, value = events.position.numpy()[axis, :count], events.value.numpy()[axis, :count]
+        order = np.lexsort((value >> 2, value & 3, position))
+        np.testing.assert_array_equal(order, np.arange(count))
+        for kind, expected, where in ((0, high, ~flat), (1, low, flat), (2, low, ~flat)):
+            of_kind = (value & 3) == kind
+            assert sorted(value[of_kind] >> 2) == np.flatnonzero(where).tolist()
+            np.testing.assert_array_equal(position[of_kind], expected[value[of_kind] >> 2])
+
+
+@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+@pytest.mark.parametrize("width", [1, 8])
+def test_invariants(scene_mesh, builder, width):
+    """Leaves tile the root's box; every triangle is in every leaf whose inside its box meets, and in at least one leaf."""
+    tree, config = build(scene_mesh, builder, width=width, block_cost=1.5 if width == 1 else 0.5)
+    flat = unpack(tree)
+    leaf = flat.is_leaf
+    volume = np.prod(flat.high - flat.low, axis=1)
+    assert volume[leaf].sum() == pytest.approx(volume[0])
+    inner = np.flatnonzero(~leaf)
+    position = flat.position[inner]
+    assert (flat.low[inner, flat.axis[inner]] < position).all()
+    assert (position < flat.high[inner, flat.axis[inner]]).all()
+    assert flat.depth.max() <= config.stop.limits(scene_mesh.triangle_count).depth <= kdtree.MAX_TREE_DEPTH
+    corners = scene_mesh.vertices.astype(np.float32)[scene_mesh.faces].astype(np.float64)
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    seen = np.zeros(scene_mesh.triangle_count, dtype=bool)
+    lists = leaf_lists(tree)
+    for node, ids in list(lists.items())[:: max(1, len(lists) // 400)]:
+        inside = ((low < flat.high[node]) & (high > flat.low[node])).all(axis=1)
+        touches = ((low <= flat.high[node]) & (high >= flat.low[node])).all(axis=1)
+        listed = np.zeros_like(inside)
+        listed[ids] = True
+        assert len(set(ids)) == len(ids)
+        assert listed[inside].all()
+        assert touches[listed].all()
+    for ids in lists.values():
+        seen[ids] = True
+    assert seen.all()
+    left = np.flatnonzero(~leaf)
+    np.testing.assert_array_equal(flat.left[left], left + 1)  # depth-first order
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"width": 1, "block_cost": 1.5}, {"bad_splits": 5}, {"empty_factor": 1.0}, {"max_depth": 6}]
+)
+def test_in_place_equals_the_judge(scene_mesh, options):
+    """The in-place build makes the serial sweep's tree: the same nodes to the bit, the same leaf lists, the same cost."""
+    tree, config = build(scene_mesh, "in_place", **options)
+    judge, _ = build(scene_mesh, "sweep", **options)
+    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+    assert leaf_lists(tree) == leaf_lists(judge)
+    costs = [kdtree_statistics(t, scene_mesh.triangle_count, config.cost).sah_cost for t in (tree, judge)]
+    assert costs[0] == costs[1]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 8])
+def test_threads_and_tasks_do_not_show(threads, monkeypatch):
+    """Bit for bit the same tree, whatever the threads, the chunks, and the level at which subtrees take over."""
+    mesh = wrt.scenes.build("wood", trees=3)
+    reference, _ = build(mesh)
+    for tasks, levels in ((16, 12), (1, 12), (64, 12), (1000, 3)):
+        monkeypatch.setattr(in_place, "TASKS_PER_THREAD", tasks)
+        monkeypatch.setattr(in_place, "MAX_LEVELS", levels)
+        with use_threads(threads):
+            tree, _ = build(mesh)
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+def test_small_arenas_are_enlarged(monkeypatch):
+    """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
+    mesh = wrt.scenes.build("teapot_in_stadium", level=4)
+    reference, _ = build(mesh)
+    monkeypatch.setattr(in_place, "SPARE_ROOM", 0.01)
+    tree, _ = build(mesh)
+    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+    np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 8, 9])
+def test_tiny_and_flat_meshes(builder, count):
+    """One triangle, a few, all in one plane, all in one point."""
+    rng = np.random.default_rng(count)
+    corners = rng.random((count, 3, 3))
+    for flatten in (None, 0, 1, 2, "point"):
+        shaped = corners.copy()
+        if flatten == "point":
+            shaped[:] = 0.5
+        elif flatten is not None:
+            shaped[:, :, flatten] = 0.25
+        mesh = wrt.TriangleMesh(shaped.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+        tree, _ = build(mesh, builder, width=1, block_cost=3.0)
+        assert set().union(*leaf_lists(tree).values()) == set(range(count))
+
+
+@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+def test_surface_area_cost_of_a_known_split(builder):
+    """Two far-apart clusters: the empty middle is cut off, and the cost is the textbook's, worked out by hand."""
+    corners = np.array([[[0, 0, 0], [1, 1, 0], [1, 0, 1]], [[9, 0, 0], [10, 1, 0], [10, 0, 1]]], dtype=np.float32)
+    mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(6).reshape(-1, 3))
+    tree, config = build(mesh, builder, width=1, traversal_cost=1.0, block_cost=10.0, bad_splits=0, empty_factor=0.8)
+    statistics = kdtree_statistics(tree, 2, config.cost)
+    assert (statistics.leaves, statistics.empty_leaves, statistics.references) == (3, 1, 2)
+    root, cluster = 1 * 1 + 2 * 10, 1 * 1 + 2 * 1  # half areas
+    rest = 1 * 1 + 2 * 9
+    assert statistics.sah_cost == pytest.approx(1 + rest / root + 2 * 10 * cluster / root)
+    assert statistics.depth_histogram.tolist() == [0, 1, 2]
+    assert statistics.leaf_size_histogram.tolist() == [1, 2]
+
+
+def test_empty_space_bonus_cuts_more_empty_space():
+    mesh = wrt.scenes.build("teapot", level=6)
+    with_bonus = kdtree_statistics(*build_for_statistics(mesh, empty_factor=0.6))
+    without = kdtree_statistics(*build_for_statistics(mesh, empty_factor=1.0))
+    assert with_bonus.empty_leaves > without.empty_leaves
+
+
+def build_for_statistics(mesh, **options):
+    tree, config = build(mesh, **options)
+    return tree, mesh.triangle_count, config.cost
+
+
+def test_stop_rules():
+    mesh = wrt.scenes.build("teapot", level=6)
+    leaf, _ = build(mesh, max_depth=0)
+    assert len(leaf.nodes) == 1
+    shallow, _ = build(mesh, max_depth=3)
+    assert unpack(shallow).depth.max() == 3
+    none, some = (build_for_statistics(mesh, bad_splits=n) for n in (0, 3))
+    assert kdtree_statistics(*some).nodes > kdtree_statistics(*none).nodes
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: SurfaceAreaCost(width=3),
+        lambda: SurfaceAreaCost(block=0.0),
+        lambda: SurfaceAreaCost(traversal=-1.0),
+        lambda: SurfaceAreaCost(traversal=float("nan")),
+        lambda: SurfaceAreaCost(empty_factor=0.0),
+        lambda: SurfaceAreaCost(empty_factor=1.5),
+        lambda: StopRules(max_depth=65),
+        lambda: StopRules(max_depth=-1),
+        lambda: StopRules(bad_splits=-1),
+        lambda: wrt.KdTree(builder="none such"),
+        lambda: wrt.KdTree(width=5),
+    ],
+)
+def test_bad_configurations(make):
+    with pytest.raises(ValueError, match=r"must|choose from"):
+        make()
+
+
+def test_memory_of_the_tree(bunny):
+    """The tree with its records stays within 120 bytes a triangle on the bunny."""
+    statistics = wrt.Scene(bunny, device="cpu").statistics()
+    assert 20 < statistics.tree_bytes_per_triangle <= 120

@@ -1,0 +1,168 @@
+"""Running kernels on all cores: every item once, from any thread, stoppable, with the number of threads asked for."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+import warp as wp
+
+import wrt
+from wrt.kernels import launch as launching
+from wrt.kernels.launch import launch, run_tasks, use_threads
+
+
+@wp.kernel(enable_backward=False)
+def count_visits(first: int, visits: wp.array(dtype=int)):
+    i = first + wp.tid()
+    visits[i] = visits[i] + 1
+
+
+@pytest.mark.parametrize("count", [0, 1, 255, 256, 257, 4095, 100_003, 3_000_001])
+@pytest.mark.parametrize("threads", [1, 2, 7])
+def test_every_item_once(count, threads, device):
+    visits = wp.zeros(max(count, 1), dtype=int, device=device)
+    with use_threads(threads):
+        launch(count_visits, count, [visits], device=wp.get_device(device))
+    assert (visits.numpy()[:count] == 1).all()
+
+
+@pytest.mark.parametrize("count", [1, 5, 40])
+def test_one_by_one(count, monkeypatch):
+    launched = []
+    original = wp.launch
+    monkeypatch.setattr(wp, "launch", lambda kernel, dim, **options: (launched.append(dim), original(kernel, dim, **options)))
+    visits = wp.zeros(count, dtype=int, device="cpu")
+    launch(count_visits, count, [visits], device=wp.get_device("cpu"), one_by_one=True)
+    assert launched == [1] * count
+    assert (visits.numpy() == 1).all()
+
+
+def test_small_batches_stay_in_the_calling_thread():
+    """A launch of fewer items than a chunk starts no thread."""
+    code = (
+        "import threading, warp as wp; wp.config.log_level = wp.LOG_WARNING\n"
+        "from wrt.kernels.launch import run_tasks\n"
+        "run_tasks(lambda i: None, 1)\n"
+        "assert threading.active_count() == 1\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_tasks_run_side_by_side():
+    """Two tasks that wait for each other can only finish on two threads."""
+    barrier = threading.Barrier(2, timeout=10)
+    with use_threads(2):
+        run_tasks(lambda i: barrier.wait(), 2)
+
+
+def test_nested_calls_do_not_deadlock():
+    done = []
+    with use_threads(2):
+        run_tasks(lambda i: run_tasks(lambda j: done.append((i, j)), 4), 4)
+    assert sorted(done) == [(i, j) for i in range(4) for j in range(4)]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_an_error_stops_the_rest(error):
+    """The first exception comes back to the caller; tasks not yet begun are dropped; the pool works on."""
+    begun = []
+
+    def task(number: int) -> None:
+        begun.append(number)
+        if number == 3:
+            raise error("stop")
+
+    with use_threads(2), pytest.raises(error, match="stop"):
+        run_tasks(task, 10_000)
+    assert len(begun) < 10_000
+    again = []
+    with use_threads(2):
+        run_tasks(again.append, 100)
+    assert sorted(again) == list(range(100))
+
+
+def test_ctrl_c_stops_a_long_query():
+    """A real SIGINT during a long trace ends it with KeyboardInterrupt, long before it would be done."""
+    code = """
+import os, signal, threading, time
+import numpy as np, warp as wp
+wp.config.log_level = wp.LOG_WARNING
+import wrt
+scene = wrt.Scene(wrt.scenes.build("wood", trees=4), device="cpu")
+rays = np.random.default_rng(0).normal(size=(400_000, 3)).astype(np.float32)
+scene.intersect(rays[:1000] * 5, -rays[:1000], traversal="brute")
+threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+start = time.perf_counter()
+try:
+    scene.intersect(rays * 5, -rays, traversal="brute")
+except KeyboardInterrupt:
+    print("interrupted")
+assert scene.intersect([0, 0, 9.0], [0, 0, -1.0]).t >= 0
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    assert "interrupted" in result.stdout
+
+
+def test_number_of_threads(monkeypatch):
+    monkeypatch.setattr(launching, "_num_threads", None)
+    monkeypatch.delenv("WRT_NUM_THREADS", raising=False)
+    assert wrt.get_num_threads() == launching.available_threads() >= 1
+    wrt.set_num_threads(3)
+    assert wrt.get_num_threads() == 3
+    with use_threads(5):
+        assert wrt.get_num_threads() == 5
+        with use_threads(None):
+            assert wrt.get_num_threads() == 5
+    assert wrt.get_num_threads() == 3
+    wrt.set_num_threads(None)
+    assert wrt.get_num_threads() == launching.available_threads()
+
+
+@pytest.mark.parametrize("bad", [0, -1, 10_000])
+def test_bad_numbers_of_threads(bad):
+    with pytest.raises(ValueError, match="from 1 to 1024"):
+        wrt.set_num_threads(bad)
+    with pytest.raises(TypeError, match="must be an int"):
+        wrt.set_num_threads(2.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "printed"), [("3", "3"), (" 2 ", "2"), ("", None), ("x", "error"), ("0", "error"), ("1.5", "error")]
+)
+def test_environment_variable(value, printed):
+    code = """
+import wrt
+try:
+    print(wrt.get_num_threads())
+except ValueError as problem:
+    assert "WRT_NUM_THREADS" in str(problem)
+    print("error")
+"""
+    environment = {**os.environ, "WRT_NUM_THREADS": value}
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    assert result.stdout.split()[-1] == (printed or str(launching.available_threads()))
+
+
+def test_results_after_fork():
+    """A forked child, which has none of the pool's threads, can trace."""
+    if not hasattr(os, "fork"):
+        pytest.skip("this system does not fork")
+    code = """
+import os, numpy as np, warp as wp
+wp.config.log_level = wp.LOG_WARNING
+import wrt
+wrt.set_num_threads(2)
+scene = wrt.Scene(wrt.scenes.build("teapot", level=3), device="cpu")
+rays = np.random.default_rng(0).normal(size=(20000, 3)).astype(np.float32)
+expected = scene.intersect(rays * 9, -rays).t
+child = os.fork()
+if child == 0:
+    os._exit(0 if np.array_equal(scene.intersect(rays * 9, -rays).t, expected) else 1)
+assert os.waitpid(child, 0)[1] == 0
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)

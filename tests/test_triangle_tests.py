@@ -1,0 +1,179 @@
+"""Every triangle test against closed forms, float64 linear algebra, and its own lane form."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import degenerate_soup, mixed_rays
+
+import wrt
+from wrt.kernels.lanes import lanes
+from wrt.kernels.launch import launch
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.packing import pack_blocks
+
+
+@cache
+def scalar_kernel(name: str):
+    """The test's scalar form, on its own: item r * triangles + k is ray r against triangle k."""
+    test = TRIANGLE_TESTS[name]
+    prepare, intersect, load = test.prepare, test.intersect, test.record.load
+
+    def run(
+        first: int,
+        records: wp.array(dtype=float),
+        width: int,
+        triangles: int,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        out: wp.array(dtype=wp.vec3),
+    ):
+        i = first + wp.tid()
+        ray = i / triangles
+        out[i] = intersect(prepare(origins[ray], directions[ray]), load(records, i % triangles, width))
+
+    return wp.kernel(run, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@cache
+def lane_kernel(name: str, width: int):
+    """The test's lane form, on its own, with the same output."""
+    test = TRIANGLE_TESTS[name]
+    prepare, block_test = test.prepare, test.block_test(width)
+    Lanes = lanes(width)
+
+    def run(
+        first: int,
+        records: wp.array(dtype=float),
+        blocks: int,
+        triangles: int,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        out: wp.array(dtype=wp.vec3),
+    ):
+        ray = first + wp.tid()
+        state = prepare(origins[ray], directions[ray])
+        for block in range(blocks):
+            t = Lanes()
+            u = Lanes()
+            v = Lanes()
+            mask = block_test(records, block, state, t, u, v)
+            for lane in range(wp.static(width)):
+                k = block * wp.static(width) + lane
+                if k < triangles:
+                    hit = wp.vec3(wp.nan, 0.0, 0.0)
+                    if ((mask >> wp.uint32(lane)) & wp.uint32(1)) != wp.uint32(0):
+                        hit = wp.vec3(t[lane], u[lane], v[lane])
+                    out[ray * triangles + k] = hit
+
+    return wp.kernel(run, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+def all_pairs(name: str, corners: np.ndarray, origins: np.ndarray, directions: np.ndarray, width: int, form: str, device: str):
+    """(t, u, v) of all rays against all triangles: (rays, triangles, 3) float32, t NaN for a miss."""
+    place = wp.get_device(device)
+    count, rays = len(corners), len(origins)
+    vertices = wp.array(corners.reshape(-1, 3).astype(np.float32), dtype=wp.vec3, device=place)
+    faces = wp.array(np.arange(3 * count, dtype=np.int32).reshape(-1, 3), dtype=wp.vec3i, device=place)
+    ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
+    ids[:count] = np.arange(count)
+    blocks = pack_blocks(TRIANGLE_TESTS[name].record, vertices, faces, wp.array(ids, dtype=int, device=place), width)
+    o = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=place)
+    d = wp.array(directions.astype(np.float32), dtype=wp.vec3, device=place)
+    out = wp.zeros(rays * count, dtype=wp.vec3, device=place)
+    if form == "scalar":
+        launch(scalar_kernel(name), rays * count, [blocks.records, width, count, o, d, out], device=place)
+    else:
+        launch(lane_kernel(name, width), rays, [blocks.records, len(ids) // width, count, o, d, out], device=place)
+    return out.numpy().reshape(rays, count, 3)
+
+
+def solve(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The same by a float64 3 x 3 solve of origin + t d = a + u (b - a) + v (c - a), for the line through the plane."""
+    a, b, c = (corners.astype(np.float32).astype(np.float64)[None, :, i] for i in range(3))
+    o, d = (x.astype(np.float32).astype(np.float64)[:, None] for x in (origins, directions))
+    matrix = np.stack(np.broadcast_arrays(b - a, c - a, -d), axis=-1)
+    with np.errstate(all="ignore"):
+        uvt = np.linalg.solve(matrix, (o - a)[..., None])[..., 0]
+    return uvt[..., [2, 0, 1]]
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_closed_form(name, device):
+    """A right triangle in z = 2, seen from the origin: t and the weights are known."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    rays = [[1, 1, 2], [2, 0.5, 2], [0.5, 3, 2], [-1, 1, 2], [1, -1, 2], [3, 3, 2], [-1, -1, -2], [1, 1, 0]]
+    rays = np.array(rays, dtype=float)
+    got = all_pairs(name, corners, np.zeros_like(rays), rays / 2, 8, "scalar", device)[:, 0]
+    np.testing.assert_allclose(got[:3], [[2, 0.25, 0.25], [2, 0.5, 0.125], [2, 0.125, 0.75]], rtol=1e-6)
+    assert np.isnan(got[3:6, 0]).all()  # beside each of the three edges
+    np.testing.assert_allclose(got[6], [-2, 0.25, 0.25], rtol=1e-6)  # behind: a test sees the line, the traversal the range
+    assert np.isnan(got[7, 0])  # parallel to the plane
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_against_float64(name, device):
+    """Inside, outside and the values agree with a float64 solve wherever that is clear."""
+    rng = np.random.default_rng(1)
+    corners = rng.normal(size=(150, 3, 3))
+    origins = 4 * rng.normal(size=(200, 3))
+    directions = rng.normal(size=(200, 3)) - origins
+    got = all_pairs(name, corners, origins, directions, 8, "scalar", device).astype(np.float64)
+    t, u, v = np.moveaxis(solve(corners, origins, directions), -1, 0)
+    clearance = np.minimum(np.minimum(u, v), 1 - u - v)
+    hit = ~np.isnan(got[..., 0])
+    assert hit[clearance > 1e-3].all()
+    assert not hit[clearance < -1e-3].any()
+    sure = clearance > 1e-3
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sine = np.abs(np.einsum("rj,kj->rk", directions, normal))
+    sine /= np.linalg.norm(directions, axis=1)[:, None] * np.linalg.norm(normal, axis=1)
+    tolerance = 4e-6 * (1 + np.abs(t)) / np.maximum(sine, 1e-3)  # a grazing ray amplifies every rounding
+    for value, exact in zip(np.moveaxis(got, -1, 0), (t, u, v), strict=True):
+        assert (np.abs(value - exact)[sure] <= tolerance[sure] * 30).all()
+    assert sure.sum() > 1000
+
+
+@pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_lanes_equal_scalar(name, width, device):
+    """One ray x W triangles gives the bits of one ray x one triangle: generic, degenerate, on edges, and bad rays."""
+    mesh = degenerate_soup()
+    corners = mesh.vertices[mesh.faces][: 16 * 12 + 5]
+    origins, directions = mixed_rays(mesh, 400)
+    finite = np.isfinite(origins).all(1) & np.isfinite(directions).all(1) & directions.any(1)
+    origins, directions = origins[finite], directions[finite]
+    scalar = all_pairs(name, corners, origins, directions, width, "scalar", device)
+    block = all_pairs(name, corners, origins, directions, width, "lanes", device)
+    np.testing.assert_array_equal(np.isnan(scalar[..., 0]), np.isnan(block[..., 0]))
+    hit = ~np.isnan(scalar[..., 0])
+    np.testing.assert_array_equal(scalar[hit].view(np.int32), block[hit].view(np.int32))
+    assert hit.any()
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_degenerate_triangles_miss(name, device):
+    """Points and needles have no inside; nothing is hit and nothing hangs."""
+    rng = np.random.default_rng(2)
+    a, b = rng.random((2, 50, 3))
+    corners = np.concatenate([np.stack([a, a, a], axis=1), np.stack([a, b, b], axis=1), np.stack([a, a, b], axis=1)])
+    origins = rng.normal(size=(60, 3)) * 5
+    directions = corners[rng.integers(0, 150, 60)].mean(axis=1) - origins
+    got = all_pairs(name, corners, origins, directions, 8, "scalar", device)
+    assert np.isnan(got[:, :50, 0]).all()
+    scene = wrt.Scene(wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(450).reshape(-1, 3)), device=device)
+    hits = scene.intersect(origins.astype(np.float32), directions.astype(np.float32), triangle_test=name)
+    assert not np.isnan(hits.t).any()
+    if TRIANGLE_TESTS[name].watertight:  # others may take the rounded area of a needle for a real one
+        assert not hits.is_hit.any()
+
+
+def test_table_is_complete():
+    for name, test in TRIANGLE_TESTS.items():
+        assert test.name == name
+        assert re.search(r"\((19|20)\d\d\)", test.paper)
+        assert test.record.components > 0

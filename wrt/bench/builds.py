@@ -1,0 +1,120 @@
+"""The question about builds: wrt's builders, with one thread and with all, beside the peers' own builds.
+
+Timed from arrays in memory until the first ray is answered, so that builds that wait for the first ray count. Every
+builder has built a small mesh before, so that nothing is compiled; slow ones get fewer rounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from wrt.accelerator import KdTree
+from wrt.bench.contract import Peer
+from wrt.bench.engines import Engine
+from wrt.bench.measure import Contender, Timing, take_turns
+from wrt.bench.peers import Open3D
+from wrt.bench.results import Question, Row
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.mesh import TriangleMesh
+from wrt.scene import Scene
+
+BUDGET = 10.0
+"""Seconds for each builder."""
+
+SETTLE = 0.5
+"""Calls shorter than so many seconds are preceded by an untimed one."""
+
+SMALL = 256
+"""Triangles of the mesh that warms builders up."""
+
+
+def builder_peers(peers: Sequence[Peer], threads: int, device: str) -> list[Peer]:
+    """Every builder of the table with all threads and with one, then the peers; Open3D with one thread too."""
+    counts = dict.fromkeys((threads, 1))
+    found: list[Peer] = [
+        Engine(count, device, name=f"wrt {name}", accelerator=KdTree(builder=name))
+        for name in KDTREE_BUILDERS
+        for count in counts
+    ]
+    for peer in peers:
+        if isinstance(peer, Open3D):
+            found += [Open3D(count) for count in counts]
+        elif not isinstance(peer, Engine):
+            found.append(peer)
+    return found
+
+
+def ask_builds(
+    peers: Sequence[Peer],
+    mesh: TriangleMesh,
+    rounds: int,
+    threads: int,
+    device: str,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> Question:
+    """Times the builds; ratios refer to wrt's default builder with all threads."""
+    builders = {label(peer): peer for peer in builder_peers(peers, threads, device)}
+    small = TriangleMesh(mesh.vertices, mesh.faces[:SMALL])
+    contenders = []
+    for name, peer in builders.items():
+        on_turn(f"warm up {name}")
+        peer.build(small)
+        peer.load(mesh)
+        contenders.append(Contender(name, peer.construct, warm_up=lambda: None))
+    timings = take_turns(contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=lambda name: on_turn(f"build {name}"))
+    reference = reference_label(builders, threads)
+    rows = []
+    for name, peer in builders.items():
+        row = Row(name, peer.threads, peer.device, peer.note, details=details(peer))
+        row.details["speedup_over_one_thread"] = speedup(timings, peer)
+        rows.append(row.timed(timings[name], timings[reference]))
+    return Question("build", None, None, reference, rows)
+
+
+def label(peer: Peer) -> str:
+    """A name that tells thread counts apart."""
+    return f"{peer.name}, {peer.threads} thread{'s' if peer.threads > 1 else ''}"
+
+
+def reference_label(builders: dict[str, Peer], threads: int) -> str:
+    """wrt's default builder with all threads."""
+    default = f"wrt {KdTree().builder}"
+    return next(name for name, peer in builders.items() if peer.name == default and peer.threads == threads)
+
+
+def speedup(timings: dict[str, Timing], peer: Peer) -> float | None:
+    """How many times faster it is than with one thread, if both were timed."""
+    one = timings.get(f"{peer.name}, 1 thread")
+    if one is None or peer.threads == 1:
+        return None
+    return one.ratio_to(timings[label(peer)])
+
+
+def details(peer: Peer) -> dict[str, Any]:
+    """Phases and memory of wrt's builders; nothing for others."""
+    if not isinstance(peer, Engine) or peer.scene is None:
+        return {}
+    scene = peer.scene
+    triangles = scene.triangle_count
+    peak = scene.tree.stats.peak_bytes
+    return {
+        "phases": dict(scene.tree.stats.seconds),
+        "tree_bytes_per_triangle": scene.tree.bytes / triangles,
+        "record_bytes_per_triangle": record_bytes(scene) / triangles,
+        "peak_bytes_per_triangle": peak / triangles if peak else None,
+        "statistics": statistics(scene),
+    }
+
+
+def record_bytes(scene: Scene) -> int:
+    """Memory of the triangles as the default triangle test stores them, beside the tree."""
+    return sum(blocks.records.capacity for blocks in scene._blocks.values())
+
+
+def statistics(scene: Scene) -> dict[str, Any] | None:
+    """The scene's own statistics; None where this version has none."""
+    try:
+        return scene.statistics().to_dict()
+    except ImportError:
+        return None

@@ -1,0 +1,118 @@
+"""wrt as a contender: as users call it by default, and once for each traversal, triangle test and builder."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from wrt.accelerator import ACCELERATORS, KdTree
+from wrt.bench.contract import Answer, Peer, Query, device_rays
+from wrt.bench.workloads import Workload
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.mesh import TriangleMesh
+from wrt.rays import Rays
+from wrt.scene import AUTO, Scene
+
+BRUTE_FORCE_PAIRS = 1 << 26
+"""Pairs of ray and triangle that a traversal without a tree is asked to test in one call."""
+
+
+class Engine(Peer):
+    """wrt with a given accelerator, traversal and triangle test.
+
+    Timed: from rays in memory to t, primitive ids and uv in memory.
+    """
+
+    name = "wrt"
+    package = "wrt"
+    install = "pip install wrt"
+
+    def __init__(
+        self,
+        threads: int = 1,
+        device: str = "cpu",
+        *,
+        name: str = "wrt",
+        accelerator: str | KdTree = AUTO,
+        traversal: str = AUTO,
+        triangle_test: str = AUTO,
+    ) -> None:
+        super().__init__(threads, device)
+        self.name = name
+        self.accelerator, self.traversal, self.triangle_test = accelerator, traversal, triangle_test
+        self.mesh: TriangleMesh | None = None
+        self.scene: Scene | None = None
+
+    def load(self, mesh: TriangleMesh) -> None:
+        self.mesh, self.scene = mesh, None
+
+    def construct(self) -> Scene:
+        self.scene = Scene(self.mesh, self.accelerator, device=self.device, num_threads=self.threads)
+        self.scene.intersect([self.mesh.center], [[1.0, 0.0, 0.0]], **self._options)
+        wp.synchronize_device(self.device)
+        return self.scene
+
+    def closest(self, rays: Workload) -> Query:
+        scene, native = self.scene, self._native(rays)
+
+        def run() -> Any:
+            hits = scene.intersect(native, **self._options)
+            complete = hits.t, hits.primitive_id, hits.uv
+            wp.synchronize_device(scene.device)
+            return complete
+
+        return Query(run, lambda result: Answer(*(as_numpy(values) for values in result)))
+
+    def occluded(self, rays: Workload) -> Query:
+        scene, native = self.scene, self._native(rays)
+
+        def run() -> Any:
+            occluded = scene.occluded(native, **self._options)
+            wp.synchronize_device(scene.device)
+            return occluded
+
+        return Query(run, as_numpy)
+
+    def query(self, rays: Workload) -> Query | None:
+        test = TRIANGLE_TESTS.get(self.triangle_test)
+        if test is not None and test.needs_shared_origin and not rays.shares_origin:
+            return None
+        return super().query(rays)
+
+    def ray_limit(self, triangles: int) -> int | None:
+        way = TRAVERSALS.get(self.traversal)
+        return max(64, BRUTE_FORCE_PAIRS // triangles) if way is not None and way.tree == "none" else None
+
+    @property
+    def _options(self) -> dict[str, str]:
+        return {"traversal": self.traversal, "triangle_test": self.triangle_test}
+
+    def _native(self, rays: Workload) -> Rays:
+        """NumPy arrays on the CPU, arrays on the device on CUDA."""
+        if self.scene.device.is_cpu:
+            return rays.rays
+        return Rays(*device_rays(rays, self.scene.device), 0.0, rays.t_max)
+
+
+def default_engine(threads: int, device: str) -> Engine:
+    """What users get who choose nothing: the reference of all ratios."""
+    return Engine(threads, device)
+
+
+def all_engines(threads: int, device: str) -> list[Engine]:
+    """One engine for each traversal, and one for each triangle test, that the tables list; the rest left on "auto"."""
+    engines = []
+    for way in TRAVERSALS.values():
+        accelerator = way.tree if way.tree in ACCELERATORS else AUTO
+        name = f"wrt, {way.name}"
+        engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))
+    for test in TRIANGLE_TESTS.values():
+        engines.append(Engine(threads, device, name=f"wrt, {test.name}", triangle_test=test.name))
+    return engines
+
+
+def as_numpy(values: Any) -> Any:
+    """A Warp array as a NumPy array; anything else as it is."""
+    return values.numpy() if isinstance(values, wp.array) else values

@@ -1,0 +1,43 @@
+"""Kernels that ask Warp's own `wp.Mesh`: one thread a ray, as its documentation shows."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def mesh_closest(
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    origin_stride: int,
+    directions: wp.array(dtype=wp.vec3),
+    t_max: float,
+    t: wp.array(dtype=float),
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+):
+    """Item: a ray. uv: weights of the second and third vertex, which Warp gives for the first and second."""
+    i = wp.tid()
+    hit = wp.mesh_query_ray(mesh, origins[i * origin_stride], directions[i], t_max)
+    if hit.result:
+        t[i] = hit.t
+        primitive[i] = hit.face
+        uv[i] = wp.vec2(hit.v, 1.0 - hit.u - hit.v)
+    else:
+        t[i] = wp.inf
+        primitive[i] = -1
+        uv[i] = wp.vec2()
+
+
+@wp.kernel
+def mesh_occluded(
+    mesh: wp.uint64,
+    origins: wp.array(dtype=wp.vec3),
+    origin_stride: int,
+    directions: wp.array(dtype=wp.vec3),
+    t_max: float,
+    occluded: wp.array(dtype=wp.bool),
+):
+    """Item: a ray."""
+    i = wp.tid()
+    occluded[i] = wp.mesh_query_ray_anyhit(mesh, origins[i * origin_stride], directions[i], t_max)
