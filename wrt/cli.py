@@ -37,20 +37,31 @@ if TYPE_CHECKING:
 DEFAULT_SCENE = "teapot"
 Y_UP_FORMATS = {".glb", ".gltf", ".obj", ".off", ".ply"}
 UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+HISTOGRAM_ROWS, HISTOGRAM_WIDTH = 24, 40
 GROUND_SIZE = 32.0
 """Side of the ground under a model, in diagonals of the model."""
 
 
+class LazyCommand(click.Command):
+    """A command that is imported only when it is called.
+
+    Args:
+        name: its name, and that of the attribute of `module`.
+        module: where it is defined.
+        help: its line in the list of commands.
+    """
+
+    def __init__(self, name: str, module: str, help: str) -> None:
+        super().__init__(name, help=help)
+        self.module = module
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The context of the real command, which click goes on with."""
+        return getattr(import_module(self.module), self.name).make_context(*args, **kwargs)
+
+
 class CommandLine(click.Group):
-    """A group of commands whose errors are one line each; `bench` is imported only when it is called."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted({*super().list_commands(ctx), *(["bench"] if _is_there("wrt.bench.command") else [])})
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        if cmd_name == "bench" and _is_there("wrt.bench.command"):
-            return import_module("wrt.bench.command").bench
-        return super().get_command(ctx, cmd_name)
+    """A group of commands whose errors are one line each."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Runs a command and ends the process with its exit status."""
@@ -196,10 +207,7 @@ def info(as_json: bool, **given: Any) -> None:
     if as_json:
         click.echo(json.dumps(result, indent=1))
         return
-    rest = {key: value for key, value in result.items() if not isinstance(value, Mapping)}
-    _print_tables(_figures(title, values) for title, values in result.items() if isinstance(values, Mapping))
-    if rest:
-        _print_tables([_figures("more", rest)])
+    _print_tables(_histogram(title, v) if isinstance(v, list) else _figures(title, v) for title, v in result.items())
 
 
 @main.command("list")
@@ -219,6 +227,17 @@ def list_command(as_json: bool) -> None:
             table.add_row(*(_text(value) for value in row.values()))
         printed.append(table)
     _print_tables(printed)
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # not even its package
+        return False
+
+
+if _is_there("wrt.bench.command"):
+    main.add_command(LazyCommand("bench", "wrt.bench.command", "Compares wrt with other ray tracers, on the same rays."))
 
 
 # -- what is rendered --------------------------------------------------------------------------------------------------
@@ -341,18 +360,33 @@ def _rows(table: Mapping[str, Any], columns: tuple[str, ...]) -> list[dict[str, 
     return [{k: dict(v) if isinstance(v, Mapping) else v for k, v in row.items()} for row in values]
 
 
-def _figures(title: str, values: Mapping[str, Any]) -> Table:
-    """Names and values; dicts within dicts become names with a dot."""
+def _figures(title: str, values: Any) -> Table:
+    """Names and values; dicts within dicts become names with a dot. A single value is a table of its own."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
-    pending = list(values.items())
+    pending = list(values.items()) if isinstance(values, Mapping) else [(title, values)]
     while pending:
         name, value = pending.pop(0)
         if isinstance(value, Mapping):
             pending[:0] = [(f"{name}.{key}", inner) for key, inner in value.items()]
         else:
             table.add_row(str(name).replace("_", " "), _text(value))
+    return table
+
+
+def _histogram(title: str, counts: list[float]) -> Table:
+    """Counts of 0, 1, 2 ... with a bar each; neighbours are added up where there are too many."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
+    step = -(-len(counts) // HISTOGRAM_ROWS) or 1
+    sums = {first: sum(counts[first : first + step]) for first in range(0, len(counts), step)}
+    largest = max(sums.values(), default=0) or 1
+    for first, total in sums.items():
+        last = min(first + step, len(counts)) - 1
+        label = str(first) if first == last else f"{first} - {last}"
+        table.add_row(label, _text(total), "\u2588" * round(HISTOGRAM_WIDTH * total / largest))
     return table
 
 
@@ -428,13 +462,6 @@ def _progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-def _is_there(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ModuleNotFoundError:  # not even its package
-        return False
 
 
 def _fail(message: str, status: int) -> None:
