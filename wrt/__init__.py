@@ -25,7 +25,7 @@ _HOME = {
     "Scene": "wrt.scene",
     "TriangleMesh": "wrt.mesh",
     "get_num_threads": "wrt.kernels.launch",
-    "render": "wrt.render",
+    "render": "wrt.rendering",
     "save_image": "wrt.image",
     "scenes": "wrt",
     "set_num_threads": "wrt.kernels.launch",

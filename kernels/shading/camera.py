@@ -1,0 +1,52 @@
+"""Rays of the pixels of a picture.
+
+Pixels are numbered row by row from the top left. All is computed in float64 and rounded once: a camera far from the
+origin, or with a narrow field of view, loses nothing on the way.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class View:
+    """A camera as its kernels see it."""
+
+    width: int
+    height: int
+    offset: wp.vec2d
+    """Where in a pixel its ray passes, in [0, 1)^2 from its top left corner."""
+    position: wp.vec3d
+    forward: wp.vec3d
+    """Unit."""
+    right: wp.vec3d
+    """To the right edge of the picture: at distance 1 for a pinhole, in scene units for an orthographic camera."""
+    up: wp.vec3d
+    """To the upper edge, likewise."""
+
+
+@wp.func
+def on_picture(view: View, pixel: int):
+    """Vector from the picture's centre to where the ray of a pixel passes."""
+    column = wp.float64(pixel % view.width) + view.offset[0]
+    row = wp.float64(pixel / view.width) + view.offset[1]
+    two = wp.float64(2.0)
+    one = wp.float64(1.0)
+    x = two * column / wp.float64(view.width) - one
+    y = one - two * row / wp.float64(view.height)
+    return x * view.right + y * view.up
+
+
+@wp.kernel
+def pinhole_directions(first: int, view: View, first_pixel: int, directions: wp.array(dtype=wp.vec3)):
+    """Item: a pixel of a tile. Unit direction of its ray."""
+    i = first + wp.tid()
+    directions[i] = wp.vec3(wp.normalize(view.forward + on_picture(view, first_pixel + i)))
+
+
+@wp.kernel
+def orthographic_origins(first: int, view: View, first_pixel: int, origins: wp.array(dtype=wp.vec3d)):
+    """Item: a pixel of a tile. Origin of its ray, in the plane through the camera's position."""
+    i = first + wp.tid()
+    origins[i] = view.position + on_picture(view, first_pixel + i)

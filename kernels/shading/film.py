@@ -1,0 +1,80 @@
+"""From light to colour: linear while samples are summed, sRGB in the end.
+
+References:
+    IEC 61966-2-1:1999, Default RGB colour space, sRGB.
+"""
+
+import warp as wp
+
+from wrt.kernels.shading.surface import Surface
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class Lighting:
+    """Colours, linear."""
+
+    light: wp.vec3
+    ambient: wp.vec3
+    background_low: wp.vec3
+    """At the lower edge of the picture; the share of the upper one grows in proportion to the height."""
+    background_high: wp.vec3
+
+
+@wp.struct
+class Received:
+    """What reaches N points."""
+
+    shadows: bool
+    in_shadow: wp.array(dtype=wp.bool)
+    """(N,) if `shadows`."""
+    ambient_samples: int
+    """0: all of the sky reaches every point."""
+    open_rays: wp.array(dtype=int)
+    """(N,) ambient rays that met nothing."""
+
+
+@wp.kernel
+def expose(
+    first: int,
+    surface: Surface,
+    received: Received,
+    lighting: Lighting,
+    first_pixel: int,
+    film: wp.array2d(dtype=wp.vec3),
+):
+    """Item: a camera ray. Adds its linear colour to its pixel."""
+    i = first + wp.tid()
+    row = (first_pixel + i) / film.shape[1]
+    column = (first_pixel + i) % film.shape[1]
+    height = 1.0 - (float(row) + 0.5) / float(film.shape[0])
+    color = lighting.background_low + height * (lighting.background_high - lighting.background_low)
+    if wp.length_sq(surface.face_normal[i]) > 0.0:
+        direct = surface.cosine[i]
+        if received.shadows:  # noqa: SIM102 - in a kernel, `and` reads both sides, and the array may not be there
+            if received.in_shadow[i]:
+                direct = 0.0
+        openness = float(1.0)
+        if received.ambient_samples > 0:
+            openness = float(received.open_rays[i]) / float(received.ambient_samples)
+        color = wp.cw_mul(surface.albedo[i], direct * lighting.light + openness * lighting.ambient)
+    film[row, column] += color
+
+
+@wp.func
+def display(linear: float):
+    """Linear to sRGB, clipped to [0, 1]."""
+    x = wp.clamp(linear, 0.0, 1.0)
+    bright = wp.where(x < 1.0, 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055, 1.0)  # rounding must not dim white
+    return wp.where(x <= 0.0031308, 12.92 * x, bright)
+
+
+@wp.kernel
+def develop(first: int, film: wp.array2d(dtype=wp.vec3), samples: int, image: wp.array2d(dtype=wp.vec3)):
+    """Item: a pixel. Display colour of the mean of its samples."""
+    i = first + wp.tid()
+    row = i / film.shape[1]
+    column = i % film.shape[1]
+    mean = film[row, column] / float(samples)
+    image[row, column] = wp.vec3(display(mean[0]), display(mean[1]), display(mean[2]))

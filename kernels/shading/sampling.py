@@ -1,0 +1,114 @@
+"""Well spread random numbers without a table: Owen-scrambled Sobol points, a sequence of its own for every pixel.
+
+**Problem.** A pixel's ambient rays should cover the hemisphere evenly, however many there are; those of neighbouring
+pixels should have nothing in common, or the error shows as bands and ghosts of edges instead of as fine grain.
+
+**Method.** The first two dimensions of the Sobol sequence are a (0, 2)-sequence: every run of 2^k points, counted from a
+multiple of 2^k, has one point in each elementary box of area 2^-k. Owen's scrambling flips each bit at random,
+depending on all the bits above it; it keeps that property, removes the regular pattern and makes the estimate unbiased.
+Laine and Karras found a hash that does so from the lowest bit up, in a few multiplications; Burley applies it between two
+reversals of the bits, to the index (so that each pixel has an order of its own) and to each coordinate. Constants theirs.
+
+References:
+    I. M. Sobol: On the distribution of points in a cube and the approximate evaluation of integrals.
+        USSR Computational Mathematics and Mathematical Physics 7(4), 1967.
+    A. B. Owen: Randomly permuted (t,m,s)-nets and (t,s)-sequences. MCQMC 1995.
+    T. Kollig, A. Keller: Efficient multidimensional sampling. Eurographics 2002.
+    S. Laine, T. Karras: Stratified sampling for stochastic transparency. Eurographics Symposium on Rendering 2011.
+    B. Burley: Practical hash-based Owen scrambling. Journal of Computer Graphics Techniques 9(4), 2020.
+    T. Duff et al.: Building an orthonormal basis, revisited. Journal of Computer Graphics Techniques 6(1), 2017.
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+TWO_PI = wp.constant(6.283185307179586)
+UNIT = wp.constant(2.0**-24)
+
+# Constants of 32 bits: as literals in a kernel they would be signed.
+MIX_1 = wp.constant(wp.uint32(0x9E3779B1))
+MIX_2 = wp.constant(wp.uint32(0x85EBCA6B))
+MIX_3 = wp.constant(wp.uint32(0xC2B2AE35))
+ODD_BYTES = wp.constant(wp.uint32(0xFF00FF00))
+ODD_NIBBLES = wp.constant(wp.uint32(0xF0F0F0F0))
+ODD_PAIRS = wp.constant(wp.uint32(0xCCCCCCCC))
+ODD_BITS = wp.constant(wp.uint32(0xAAAAAAAA))
+OWEN_1 = wp.constant(wp.uint32(0x6C50B47C))
+OWEN_2 = wp.constant(wp.uint32(0xB82F1E52))
+OWEN_3 = wp.constant(wp.uint32(0xC7AFE638))
+OWEN_4 = wp.constant(wp.uint32(0x8D22F6E6))
+HIGHEST_BIT = wp.constant(wp.uint32(0x80000000))
+
+
+@wp.func
+def mix(value: wp.uint32, salt: wp.uint32):
+    """A hash of two numbers; every bit of the result depends on every bit of both."""
+    h = value * MIX_1 + salt
+    h = (h ^ (h >> wp.uint32(16))) * MIX_2
+    h = (h ^ (h >> wp.uint32(13))) * MIX_3
+    return h ^ (h >> wp.uint32(16))
+
+
+@wp.func
+def reverse_bits(x: wp.uint32):
+    """Bit 0 becomes bit 31, and so on."""
+    r = (x >> wp.uint32(16)) | (x << wp.uint32(16))
+    r = ((r & ODD_BYTES) >> wp.uint32(8)) | ((r & wp.uint32(0x00FF00FF)) << wp.uint32(8))
+    r = ((r & ODD_NIBBLES) >> wp.uint32(4)) | ((r & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
+    r = ((r & ODD_PAIRS) >> wp.uint32(2)) | ((r & wp.uint32(0x33333333)) << wp.uint32(2))
+    return ((r & ODD_BITS) >> wp.uint32(1)) | ((r & wp.uint32(0x55555555)) << wp.uint32(1))
+
+
+@wp.func
+def owen_scramble_reversed(x: wp.uint32, seed: wp.uint32):
+    """Scrambles a number whose bits are reversed: each bit is flipped depending on those below it (Laine, Karras 2011)."""
+    r = x + seed
+    r = r ^ (r * OWEN_1)
+    r = r ^ (r * OWEN_2)
+    r = r ^ (r * OWEN_3)
+    return r ^ (r * OWEN_4)
+
+
+@wp.func
+def sobol_second(index: wp.uint32):
+    """Second coordinate of the Sobol sequence, as a 32-bit fraction (the first is `reverse_bits(index)`)."""
+    column = HIGHEST_BIT
+    rest = wp.uint32(index)
+    total = wp.uint32(0)
+    while rest != wp.uint32(0):
+        if (rest & wp.uint32(1)) != wp.uint32(0):
+            total = total ^ column
+        rest = rest >> wp.uint32(1)
+        column = column ^ (column >> wp.uint32(1))
+    return total
+
+
+@wp.func
+def to_unit(x: wp.uint32):
+    """A 32-bit fraction as a float in [0, 1)."""
+    return float(x >> wp.uint32(8)) * UNIT
+
+
+@wp.func
+def spread_point(index: int, seed: wp.uint32):
+    """Point number `index` of the sequence that belongs to `seed`, in [0, 1)^2."""
+    order = reverse_bits(owen_scramble_reversed(reverse_bits(wp.uint32(index)), seed))
+    x = owen_scramble_reversed(order, mix(seed, wp.uint32(1)))  # the first coordinate is the index, reversed
+    y = owen_scramble_reversed(reverse_bits(sobol_second(order)), mix(seed, wp.uint32(2)))
+    return wp.vec2(to_unit(reverse_bits(x)), to_unit(reverse_bits(y)))
+
+
+@wp.func
+def cosine_direction(normal: wp.vec3, point: wp.vec2):
+    """Maps [0, 1)^2 to unit directions about a unit normal, with a density proportional to the cosine to it."""
+    # basis of Duff et al. 2017
+    sign = wp.where(normal[2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + normal[2])
+    b = normal[0] * normal[1] * a
+    tangent = wp.vec3(1.0 + sign * normal[0] * normal[0] * a, sign * b, -sign * normal[0])
+    bitangent = wp.vec3(b, sign + normal[1] * normal[1] * a, -normal[1])
+    radius = wp.sqrt(point[0])
+    angle = TWO_PI * point[1]
+    height = wp.sqrt(wp.max(1.0 - point[0], 0.0))
+    return radius * wp.cos(angle) * tangent + radius * wp.sin(angle) * bitangent + height * normal

@@ -1,0 +1,78 @@
+"""Pictures to files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+__all__ = ["check_path", "save_image", "to_bytes"]
+
+_WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
+
+
+def save_image(path: str | Path, image: Any) -> None:
+    """Writes a picture in the format that its file's extension names.
+
+    Args:
+        path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is.
+        image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as `wrt.render` gives
+            them) in [0, 1], which are clipped and rounded to 8 bits.
+
+    Raises:
+        TypeError: neither uint8 nor floats.
+        ValueError: wrong shape, NaN or infinity, an unknown extension, alpha in a format that has none.
+        FileNotFoundError: the folder does not exist.
+    """
+    path = check_path(path)
+    array = _checked(image)
+    suffix = path.suffix.lower()
+    if suffix == ".npy":
+        with open(path, "wb") as file:  # by name, NumPy would add the extension to one in capitals
+            np.save(file, array)
+        return
+    from PIL import Image
+
+    if suffix in _WITHOUT_ALPHA and array.ndim == 3 and array.shape[2] == 4:
+        raise ValueError(f"'{suffix}' has no alpha channel; save image[..., :3] or use .png")
+    options = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
+    try:
+        Image.fromarray(to_bytes(array)).save(path, **options)
+    except (KeyError, ValueError) as error:  # a Pillow format without this kind of picture
+        raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
+
+
+def check_path(path: str | Path) -> Path:
+    """Returns the path if a picture can be written there; errors as in `save_image`."""
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix != ".npy":
+        from PIL import Image
+
+        if suffix not in {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}:
+            raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"no folder '{path.parent}' to write '{path.name}' to; make it first")
+    return path
+
+
+def to_bytes(image: np.ndarray) -> np.ndarray:
+    """(...) uint8 of display floats in [0, 1], rounded to the nearest; uint8 as it is."""
+    if image.dtype == np.uint8:
+        return image
+    return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+def _checked(image: Any) -> np.ndarray:
+    if hasattr(image, "numpy") and not isinstance(image, np.ndarray):
+        image = image.numpy()
+    array = np.asarray(image)
+    if array.dtype != np.uint8 and array.dtype.kind != "f":
+        raise TypeError(f"image must be uint8, or floats in [0, 1], not {array.dtype}; convert it first")
+    if not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))) or array.size == 0:
+        raise ValueError(f"image must have shape (H, W), (H, W, 3) or (H, W, 4), not {array.shape}")
+    if array.dtype.kind == "f" and not np.isfinite(array).all():
+        count = int((~np.isfinite(array)).sum())
+        raise ValueError(f"image has {count} values that are NaN or infinite; replace them, for example with np.nan_to_num")
+    return array
