@@ -22,7 +22,7 @@ import warp as wp
 
 CHUNKS_PER_THREAD = 8
 MAX_CHUNK = 1 << 16
-"""Upper bound of a chunk's items: one chunk is the longest that a Ctrl-C has to wait."""
+"""Items that a launch has at most, if they are rays or triangles: about a hundredth of a second's work."""
 
 MAX_THREADS = 1024
 
@@ -93,6 +93,7 @@ def launch(
     *,
     device: wp.Device,
     chunk: int = 256,
+    longest: int = MAX_CHUNK,
     one_by_one: bool = False,
 ) -> None:
     """Runs `kernel` for the items 0 .. count - 1.
@@ -103,6 +104,8 @@ def launch(
         inputs: the kernel's other arguments.
         device: where the arguments live; on CUDA this is one launch on the device's current stream.
         chunk: on the CPU, the least number of items that is worth a launch of its own.
+        longest: on the CPU, the greatest number of items in a launch; lower it for items that take long, because a Ctrl-C
+            waits for the launches under way.
         one_by_one: whether each item is a chunk of its own: for few, long and uneven items.
     """
     if count <= 0:
@@ -111,7 +114,7 @@ def launch(
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
         return
-    size = 1 if one_by_one else _chunk_size(count, chunk)
+    size = 1 if one_by_one else min(_chunk_size(count, chunk), longest)
 
     def run(number: int) -> None:
         first = number * size
@@ -121,10 +124,10 @@ def launch(
 
 
 def _chunk_size(count: int, least: int) -> int:
-    """Items a chunk: the same number of chunks for every thread, none too small to pay, none too long to wait for."""
+    """Items a chunk: as many chunks as balance the load, none too small to pay."""
     threads = get_num_threads()
     chunks = min(CHUNKS_PER_THREAD * threads, -(-count // least)) if threads > 1 else 1
-    return min(-(-count // chunks), max(least, MAX_CHUNK))
+    return -(-count // chunks)
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:

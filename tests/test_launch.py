@@ -92,6 +92,7 @@ import os, signal, threading, time
 import numpy as np, warp as wp
 wp.config.log_level = wp.LOG_WARNING
 import wrt
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background inherits that it is ignored
 scene = wrt.Scene(wrt.scenes.build("wood", trees=4), device="cpu")
 rays = np.random.default_rng(0).normal(size=(400_000, 3)).astype(np.float32)
 scene.intersect(rays[:1000] * 5, -rays[:1000], traversal="brute")

@@ -11,7 +11,7 @@ import warp as wp
 from wrt.accelerator import KdTree, resolve_accelerator
 from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
-from wrt.kernels.launch import check_num_threads, launch, use_threads
+from wrt.kernels.launch import MAX_CHUNK, check_num_threads, launch, use_threads
 from wrt.kernels.rays import HitBatch
 from wrt.mesh import TriangleMesh
 from wrt.rays import RayBuffers, Rays, to_device
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from wrt.statistics import SceneStatistics
 
 AUTO = "auto"
+
+BRUTE_FORCE_TESTS = 10_000_000
+"""Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
 
 class Scene:
@@ -179,7 +182,8 @@ class Scene:
         else:
             tree = self.tree.struct()
         inputs = [tree, self._triangles(test.name, way.tree), rays.batch, hits, work]
-        launch(way.make_kernel(config), rays.count, inputs, device=self.device)
+        longest = MAX_CHUNK if way.tree != "none" else max(1, BRUTE_FORCE_TESTS // self.triangle_count)
+        launch(way.make_kernel(config), rays.count, inputs, device=self.device, longest=longest)
         return work if counters else None
 
     def _triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:

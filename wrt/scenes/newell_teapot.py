@@ -27,17 +27,18 @@ from wrt.scenes.shapes import check_count, plane, sheets, without_collapsed
 
 __all__ = ["bernstein", "teapot", "teapot_patches"]
 
-_GROUND_HALF_SIZE = 16.0
+_GROUND_HALF_SIZE = 100.0
 _GROUND_CELLS = 16
 
 
 def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
-    """The teapot on a square of ground, 6.4 units long and 3.15 high, handle at -x, spout at +x.
+    """The teapot on a wide ground, 6.4 units long and 3.15 high, handle at -x, spout at +x.
 
     Args:
         level: quads along each side of a patch, >= 1. The teapot has 64 level^2 - 8 level triangles (level 1, too
             coarse for the lip of the spout, has 52).
-        ground: whether it stands on a ground plane at z = 0, 32 x 32 units, 512 more triangles.
+        ground: whether it stands on a ground plane at z = 0, 200 x 200 units: wide enough for its edge to be
+            the horizon, 512 more triangles.
 
     Raises:
         ValueError: level < 1.

@@ -1,0 +1,84 @@
+"""The command `wrt`: pictures, figures and lists without a line of Python.
+
+    wrt render -o teapot.png        the built-in teapot
+    wrt render bunny.ply -o b.png   any mesh file
+    wrt info bunny.ply              the mesh and its tree
+    wrt list                        every builder, traversal, triangle test and built-in scene
+    wrt bench bunny.ply             against other ray tracers
+
+Errors are one line on stderr. Exit status: 0, or 2 for a wrong call, 1 for what went wrong on the way, 130 for Ctrl-C.
+Commands are imported when they are called: `wrt --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import Any
+
+import click
+
+from wrt import __version__
+
+
+class LazyCommand(click.Command):
+    """A command that is imported only when it is called.
+
+    Args:
+        name: its name.
+        module: where it is defined.
+        attribute: its name there.
+        help: its line in the list of commands.
+    """
+
+    def __init__(self, name: str, module: str, attribute: str, help: str) -> None:
+        super().__init__(name, help=help)
+        self.module, self.attribute = module, attribute
+
+    def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
+        """The context of the real command, which click goes on with."""
+        return getattr(import_module(self.module), self.attribute).make_context(*args, **kwargs)
+
+
+class CommandLine(click.Group):
+    """A group of commands whose errors are one line each."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Runs a command and ends the process with its exit status."""
+        kwargs["standalone_mode"] = False
+        try:
+            status = super().main(*args, **kwargs)
+        except click.UsageError as error:
+            path = error.ctx.command_path if error.ctx else "wrt"
+            _fail(f"{error.format_message()} (see '{path} --help')", 2)
+        except click.ClickException as error:
+            _fail(error.format_message(), 1)
+        except (click.Abort, KeyboardInterrupt):
+            print("interrupted", file=sys.stderr)
+            sys.exit(130)
+        except MemoryError:
+            _fail("out of memory; take a smaller mesh or picture", 1)
+        except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
+            _fail(str(error) or type(error).__name__, 1)
+        sys.exit(status if isinstance(status, int) else 0)
+
+
+def _fail(message: str, status: int) -> None:
+    line = " ".join(str(message).split())
+    print(f"error: {line}", file=sys.stderr)
+    sys.exit(status)
+
+
+@click.group("wrt", cls=CommandLine, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(__version__, prog_name="wrt", message="%(prog)s %(version)s")
+def main() -> None:
+    """Ray tracing of triangle meshes, on all CPU cores and on CUDA."""
+
+
+for command in (
+    LazyCommand("render", "wrt.cli.render", "render", "Renders a mesh file or a built-in scene to a picture."),
+    LazyCommand("info", "wrt.cli.figures", "info", "Shows figures of a mesh and of its tree."),
+    LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
+    LazyCommand("bench", "wrt.bench.command", "bench", "Compares wrt with other ray tracers, on the same rays."),
+):
+    main.add_command(command)

@@ -1,0 +1,158 @@
+"""What the commands have in common: their arguments, the mesh and the scene, Warp's start, the progress bar."""
+
+from __future__ import annotations
+
+import ast
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from wrt.mesh import TriangleMesh
+    from wrt.scene import Scene
+    from wrt.scenes import BuiltinScene
+
+DEFAULT_SCENE = "teapot"
+UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Vector(click.ParamType):
+    """x,y,z"""
+
+    name = "x,y,z"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            numbers = tuple(float(part) for part in value.split(","))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != 3 or not all(abs(x) < float("inf") for x in numbers):
+            self.fail(f"{value!r} is not three numbers x,y,z", param, ctx)
+        return numbers
+
+
+class UpDirection(Vector):
+    """x, y, z, -x, -y, -z, or a vector"""
+
+    name = "axis"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        if isinstance(value, str) and value.lstrip("+-") in UP_NAMES:
+            sign = -1.0 if value.startswith("-") else 1.0
+            return tuple(sign * x + 0.0 for x in UP_NAMES[value.lstrip("+-")])
+        return super().convert(value, param, ctx)
+
+
+def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What is loaded, and the scene that is made of it."""
+    for option in reversed(
+        (
+            click.argument("model", required=False, type=click.Path(path_type=Path)),
+            click.option("--scene", help=f"Built-in scene, if there is no MODEL; see `wrt list`. [{DEFAULT_SCENE}]"),
+            click.option("--level", type=click.IntRange(1), help="Fineness of the teapot, the same as --option level=N."),
+            click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the scene; repeat."),
+            click.option("--accelerator", default="auto", show_default=True, help="auto, or a name from `wrt list`."),
+            click.option("--device", help="cpu, cuda:0, ...  [Warp's default]"),
+            click.option("--threads", type=click.IntRange(1, 1024), help="Threads on the CPU. [all cores]"),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | None]:
+    """The mesh of the MODEL, or of the built-in scene, and in that case its entry in the table."""
+    from wrt.mesh import TriangleMesh
+    from wrt.scenes import BUILTIN_SCENES, build
+
+    options = _scene_options(given["options"], given["level"])
+    if given["model"] is not None:
+        if given["scene"] is not None or options:
+            raise click.UsageError("--scene, --level and --option choose a built-in scene: leave them out, or leave MODEL out")
+        return TriangleMesh.load(given["model"]), None
+    name = given["scene"] or DEFAULT_SCENE
+    if name not in BUILTIN_SCENES:
+        raise click.BadParameter(f"{name!r} is unknown; choose from {', '.join(BUILTIN_SCENES)}", param_hint="--scene")
+    try:
+        return build(name, **options), BUILTIN_SCENES[name]
+    except (TypeError, ValueError) as error:
+        raise click.UsageError(str(error)) from None
+
+
+def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
+    """Options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), true, false, or else strings."""
+    options: dict[str, Any] = {} if level is None else {"level": level}
+    for pair in pairs:
+        key, equals, text = pair.partition("=")
+        if not equals or not key.isidentifier():
+            raise click.BadParameter(f"{pair!r} is not KEY=VALUE", param_hint="--option")
+        try:
+            options[key] = {"true": True, "false": False}[text] if text in ("true", "false") else ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            options[key] = text
+    return options
+
+
+def make_scene(geometry: Any, given: Mapping[str, Any]) -> Scene:
+    """The scene, with the accelerator, the device and the threads that were asked for."""
+    from wrt.accelerator import resolve_accelerator
+    from wrt.scene import Scene
+
+    try:
+        accelerator = resolve_accelerator(given["accelerator"])
+    except ValueError as error:
+        raise click.BadParameter(str(error), param_hint="--accelerator") from None
+    return Scene(geometry, accelerator, device=given["device"], num_threads=given["threads"])
+
+
+def check_name(argument: str, name: str) -> str:
+    """An entry of the table of that argument, or "auto"."""
+    from wrt.kernels.traversal import TRAVERSALS
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    table = {"triangle_test": TRIANGLE_TESTS, "traversal": TRAVERSALS}[argument]
+    if name != "auto" and name not in table:
+        option = "--" + argument.replace("_", "-")
+        raise click.BadParameter(f"{name!r} is unknown; choose from auto, {', '.join(table)}", param_hint=option)
+    return name
+
+
+def start_warp(device: str | None) -> None:
+    """Starts Warp without its log lines, its native library's remark that there is no CUDA included; checks the device."""
+    import warp
+
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
+    sys.stderr.flush()
+    saved = os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        warp.init()
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+    names = [known.alias for known in warp.get_devices()]
+    if device is not None and device not in (*names, "cuda" if len(names) > 1 else "cpu"):
+        raise click.BadParameter(f"{device!r} is not there; choose from {', '.join(names)}", param_hint="--device")
+
+
+@contextmanager
+def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
+    """A bar on stderr, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)

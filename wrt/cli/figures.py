@@ -1,0 +1,126 @@
+"""`wrt info` and `wrt list`: figures and lists as tables, or as JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from wrt.cli.arguments import load_mesh, make_scene, model_options, start_warp
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+HISTOGRAM_ROWS, HISTOGRAM_WIDTH = 24, 40
+
+
+@click.command()
+@model_options
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+def info(as_json: bool, **given: Any) -> None:
+    """Shows what is in MODEL (or in a built-in scene), and figures of its tree."""
+    start_warp(given["device"])
+    mesh, _ = load_mesh(given)
+    scene = make_scene(mesh, given)
+    result = {"model": mesh.summary(), **scene.statistics().to_dict()}
+    if as_json:
+        click.echo(json.dumps(result, indent=1))
+        return
+    _print_tables(_histogram(title, v) if isinstance(v, list) else _figures(title, v) for title, v in result.items())
+
+
+@click.command("list")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+def list_tables(as_json: bool) -> None:
+    """Lists every builder, traversal and triangle test with its paper, and the built-in scenes."""
+    tables = _all_tables()
+    if as_json:
+        click.echo(json.dumps(tables, indent=1))
+        return
+    from rich.table import Table
+
+    printed = []
+    for title, rows in tables.items():
+        table = Table(*rows[0], title=title, title_justify="left", title_style="bold")
+        for row in rows:
+            table.add_row(*(_text(value) for value in row.values()))
+        printed.append(table)
+    _print_tables(printed)
+
+
+def _all_tables() -> dict[str, list[dict[str, Any]]]:
+    from wrt.builders.kdtree import KDTREE_BUILDERS
+    from wrt.kernels.traversal import TRAVERSALS
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+    from wrt.scenes import BUILTIN_SCENES
+
+    tests = ("name", "paper", "watertight", "two_sided", "needs_shared_origin")
+    return {
+        "kd-tree builders": _rows(KDTREE_BUILDERS, ("name", "paper")),
+        "traversals": _rows(TRAVERSALS, ("name", "tree", "paper")),
+        "triangle tests": _rows(TRIANGLE_TESTS, tests),
+        "built-in scenes": _rows(BUILTIN_SCENES, ("name", "description", "options")),
+    }
+
+
+def _rows(table: Mapping[str, Any], columns: tuple[str, ...]) -> list[dict[str, Any]]:
+    values = ({column: getattr(entry, column) for column in columns} for entry in table.values())
+    return [{k: dict(v) if isinstance(v, Mapping) else v for k, v in row.items()} for row in values]
+
+
+def _figures(title: str, values: Any) -> Table:
+    """Names and values; dicts within dicts become names with a dot. A single value is a table of its own."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
+    pending = list(values.items()) if isinstance(values, Mapping) else [(title, values)]
+    while pending:
+        name, value = pending.pop(0)
+        if isinstance(value, Mapping):
+            pending[:0] = [(f"{name}.{key}", inner) for key, inner in value.items()]
+        else:
+            table.add_row(str(name).replace("_", " "), _text(value))
+    return table
+
+
+def _histogram(title: str, counts: list[float]) -> Table:
+    """Counts of 0, 1, 2 ... with a bar each; neighbours are added up where there are too many."""
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
+    step = -(-len(counts) // HISTOGRAM_ROWS) or 1
+    sums = {first: sum(counts[first : first + step]) for first in range(0, len(counts), step)}
+    largest = max(sums.values(), default=0) or 1
+    for first, total in sums.items():
+        last = min(first + step, len(counts)) - 1
+        label = str(first) if first == last else f"{first} - {last}"
+        table.add_row(label, _text(total), "\u2588" * round(HISTOGRAM_WIDTH * total / largest))
+    return table
+
+
+def _text(value: Any) -> str:
+    """A value as people read it."""
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key}={inner}" for key, inner in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(f"({_text(item)})" if isinstance(item, (list, tuple)) else _text(item) for item in value)
+    return str(value)
+
+
+def _print_tables(tables: Iterable[Table]) -> None:
+    from rich.console import Console
+
+    console = Console() if sys.stdout.isatty() else Console(width=140)
+    for table in tables:
+        console.print(table)
