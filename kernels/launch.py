@@ -94,7 +94,7 @@ def launch(
     device: wp.Device,
     chunk: int = 256,
     longest: int = MAX_CHUNK,
-    one_by_one: bool = False,
+    chunks_per_thread: int = CHUNKS_PER_THREAD,
 ) -> None:
     """Runs `kernel` for the items 0 .. count - 1.
 
@@ -106,7 +106,8 @@ def launch(
         chunk: on the CPU, the least number of items that is worth a launch of its own.
         longest: on the CPU, the greatest number of items in a launch; lower it for items that take long, because a Ctrl-C
             waits for the launches under way.
-        one_by_one: whether each item is a chunk of its own: for few, long and uneven items.
+        chunks_per_thread: on the CPU; lower it for items that all cost the same, because a launch costs some 20 us when
+            threads compete for the interpreter, and raise it for few, long and uneven items.
     """
     if count <= 0:
         return
@@ -114,7 +115,7 @@ def launch(
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
         return
-    size = 1 if one_by_one else min(_chunk_size(count, chunk), longest)
+    size = min(_chunk_size(count, chunk, chunks_per_thread), longest)
 
     def run(number: int) -> None:
         first = number * size
@@ -123,10 +124,10 @@ def launch(
     run_tasks(run, -(-count // size))
 
 
-def _chunk_size(count: int, least: int) -> int:
+def _chunk_size(count: int, least: int, chunks_per_thread: int) -> int:
     """Items a chunk: as many chunks as balance the load, none too small to pay."""
     threads = get_num_threads()
-    chunks = min(CHUNKS_PER_THREAD * threads, -(-count // least)) if threads > 1 else 1
+    chunks = min(chunks_per_thread * threads, -(-count // least)) if threads > 1 else 1
     return -(-count // chunks)
 
 

@@ -32,11 +32,13 @@ def test_every_item_once(count, threads, device):
 
 @pytest.mark.parametrize("count", [1, 5, 40])
 def test_one_by_one(count, monkeypatch):
+    """With as many chunks as items, every item is a launch of its own."""
     launched = []
     original = wp.launch
     monkeypatch.setattr(wp, "launch", lambda kernel, dim, **options: (launched.append(dim), original(kernel, dim, **options)))
     visits = wp.zeros(count, dtype=int, device="cpu")
-    launch(count_visits, count, [visits], device=wp.get_device("cpu"), one_by_one=True)
+    with use_threads(2):
+        launch(count_visits, count, [visits], device=wp.get_device("cpu"), chunk=1, chunks_per_thread=count)
     assert launched == [1] * count
     assert (visits.numpy() == 1).all()
 

@@ -39,8 +39,14 @@ from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
 from wrt.kernels.launch import get_num_threads, launch, load
 
-TASKS_PER_THREAD = 16
+TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
+
+EVEN = 2
+"""Chunks per thread of kernels whose items all cost the same."""
+
+TRIANGLES = 1 << 16
+"""Triangles whose classification is worth a second thread."""
 
 MAX_LEVELS = 12
 """Levels after which it does so in any case."""
@@ -106,7 +112,7 @@ class InPlaceBuilder:
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
-        launch(kernel, count, inputs, device=self.device, chunk=chunk)
+        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=EVEN)
 
     def build_levels(self, events: Events) -> Membership:
         """Builds level after level until there are enough live nodes; returns which of them each triangle lies in."""
@@ -145,12 +151,12 @@ class InPlaceBuilder:
         count = self.triangles.count
         counts = wp.zeros(count + 1, dtype=int, device=self.device)
         boxes = self.triangles.boxes
-        self.run(level_phase.count_members, count, boxes, self.live, membership, counts, chunk=CHUNK)
+        self.run(level_phase.count_members, count, boxes, self.live, membership, counts, chunk=TRIANGLES)
         new = Membership()
         new.first = wp.empty(count + 1, dtype=int, device=self.device)
         wp.utils.array_scan(counts, new.first, inclusive=False)
         new.node = wp.empty(int(new.first[-1:].numpy()[0]), dtype=int, device=self.device)
-        self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=CHUNK)
+        self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=TRIANGLES)
         return new
 
     def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Arena, wp.array, wp.array]:
@@ -199,5 +205,5 @@ class InPlaceBuilder:
         stack = wp.empty((len(tasks), STACK), dtype=Frame, device=self.device)
         results = wp.empty(len(tasks), dtype=Result, device=self.device)
         inputs = [self.cost, self.limits, self.live, tasks, event_counts, arena, stack, results]
-        launch(subtree_phase.build_subtrees, len(tasks), inputs, device=self.device, one_by_one=True)
+        launch(subtree_phase.build_subtrees, len(tasks), inputs, device=self.device, chunk=1, chunks_per_thread=len(tasks))
         return results

@@ -3,8 +3,8 @@
 Once a level has enough live nodes to keep every core busy, each becomes a task. Fill copies a node's triangles and events
 to the task's arena (count, scan, fill, so still in sorted order). From there the lists of a node are split between its
 children in one pass each, as in Wald and Havran's O(N log N) build; boxes are not clipped to nodes, so nothing has to be
-merged or sorted again. The left child's lists are appended to the arena, the right child's are compacted in place and wait
-on a stack. Nodes come out in depth-first order.
+merged or sorted again. The larger child's lists are compacted in place, the smaller one's are appended to the arena, so a task
+needs little more than twice the room of its own lists. The right child waits on a stack: nodes come out in depth-first order.
 
 Phases of a node: search, stop, classify, partition, emit. A task that runs out of its share of an arena says so and stops;
 the build is then repeated with larger shares (`InPlaceBuilder`).
@@ -78,6 +78,8 @@ class Frame:
     """Where its events begin in the arena, per axis."""
     count: wp.vec3i
     """Number of its events, per axis."""
+    top: int
+    """Where the arena is free while the node is built."""
     triangles: int
     bad_splits: int
     depth: int
@@ -222,12 +224,13 @@ def classify(arena: Arena, sides_first: int, frame: Frame, split: Split):
 
 
 @wp.func
-def partition(arena: Arena, sides_first: int, axis: int, frame: Frame, to: int):
-    """Splits one axis' events: the left child's go to `to`, the right child's are compacted in place. Returns the counts."""
-    begin = frame.first[axis]
-    left = int(to)
-    right = int(begin)
-    for i in range(begin, begin + frame.count[axis]):
+def partition(arena: Arena, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
+    """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
+
+    One of `to_left` and `to_right` is `begin`: that child's events are compacted in place."""
+    left = int(to_left)
+    right = int(to_right)
+    for i in range(begin, begin + count):
         event = load_pair(arena.event, i)
         side = int(load_byte(arena.side, sides_first + (event[1] >> 2)))
         # written whether wanted or not, kept by moving the end: no branch to mispredict
@@ -235,7 +238,7 @@ def partition(arena: Arena, sides_first: int, axis: int, frame: Frame, to: int):
         left += side & 1
         store_pair(arena.event, right, event)
         right += side >> 1
-    return wp.vec2i(left - to, right - begin)
+    return wp.vec2i(left - to_left, right - to_right)
 
 
 @wp.func
@@ -278,6 +281,7 @@ def build_subtrees(
     frame.first = wp.vec3i(
         task.events_first, task.events_first + frame.count[0], task.events_first + frame.count[0] + frame.count[1]
     )
+    frame.top = frame.first[2] + frame.count[2]
     frame.triangles = root.triangles
     frame.bad_splits = root.bad_splits
     frame.depth = root.depth
@@ -287,10 +291,9 @@ def build_subtrees(
     building = bool(True)
     while building:
         events = frame.count[0] + frame.count[1] + frame.count[2]
-        top = frame.first[2] + frame.count[2]
         leaf_blocks = (frame.triangles + width - 1) / width
         if (
-            top + events > task.events_first + task.events_capacity
+            frame.top + events > task.events_first + task.events_capacity
             or result.nodes >= task.nodes_capacity
             or result.blocks + leaf_blocks > task.blocks_capacity
         ):
@@ -319,13 +322,19 @@ def build_subtrees(
             classify(arena, task.triangles_first, frame, split)
             left = frame
             right = frame
-            to = int(top)
+            to = int(frame.top)
             for axis in range(3):
-                counts = partition(arena, task.triangles_first, axis, frame, to)
-                left.first[axis] = to
-                left.count[axis] = counts[0]
-                right.count[axis] = counts[1]
-                to += counts[0]
+                begin = frame.first[axis]
+                if split.left < split.right:
+                    left.first[axis] = to
+                else:
+                    right.first[axis] = to
+                count = partition(arena, task.triangles_first, begin, frame.count[axis], left.first[axis], right.first[axis])
+                left.count[axis] = count[0]
+                right.count[axis] = count[1]
+                to += wp.where(split.left < split.right, count[0], count[1])
+            left.top = to
+            right.top = wp.where(split.left < split.right, frame.top, to)
             left.high[split.axis] = split.position
             right.low[split.axis] = split.position
             left.triangles = split.left
