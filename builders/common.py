@@ -29,8 +29,8 @@ class StopRules:
     (Wald and Havran 2006 call the alternative a local minimum), but not again and again.
 
     Attributes:
-        max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), as Havran
-            suggests.
+        max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a
+            bound of the form that Havran and Bittner (2002) found, with the constants of Pharr and Humphreys (2004).
         bad_splits: bad splits allowed between the root and a leaf.
 
     Raises:
@@ -38,7 +38,7 @@ class StopRules:
     """
 
     max_depth: int | None = None
-    bad_splits: int = 2
+    bad_splits: int = 1
 
     def __post_init__(self) -> None:
         if self.max_depth is not None and not 0 <= self.max_depth <= MAX_TREE_DEPTH:

@@ -43,7 +43,8 @@ class Hits:
     """
 
     def __init__(self, batch: HitBatch, rays: RayBuffers, mesh: SceneMesh, counters: wp.array | None) -> None:
-        self._batch = batch
+        self.batch = batch
+        """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
         self._mesh = mesh
         self._counters = counters
         self._geometries = mesh.geometry_first.shape[0] - 1
@@ -59,11 +60,11 @@ class Hits:
 
     @cached_property
     def t(self) -> Any:
-        return self._out(self._batch.t)
+        return self._out(self.batch.t)
 
     @cached_property
     def uv(self) -> Any:
-        return self._out(self._batch.uv)
+        return self._out(self.batch.uv)
 
     @cached_property
     def primitive_id(self) -> Any:
@@ -78,7 +79,7 @@ class Hits:
         from wrt.kernels.hits import mark_hits
 
         out = self._empty(wp.bool)
-        launch(mark_hits, len(out), [self._batch.primitive, out], device=self._device, chunk=4096)
+        launch(mark_hits, len(out), [self.batch.primitive, out], device=self._device, chunk=4096)
         return self._out(out)
 
     @cached_property
@@ -86,7 +87,7 @@ class Hits:
         from wrt.kernels.hits import hit_positions
 
         out = self._empty(wp.vec3d)
-        self._launch(hit_positions, self._batch.primitive, self._batch.uv, out)
+        self._launch(hit_positions, self.batch.primitive, self.batch.uv, out)
         return self._as_dtype(out)
 
     @cached_property
@@ -94,7 +95,7 @@ class Hits:
         from wrt.kernels.hits import hit_normals
 
         out = self._empty(wp.vec3)
-        self._launch(hit_normals, self._batch.primitive, out)
+        self._launch(hit_normals, self.batch.primitive, out)
         return self._as_dtype(out)
 
     @cached_property
@@ -110,18 +111,18 @@ class Hits:
         from wrt.kernels.hits import locate_geometry
 
         geometry, local = self._empty(int), self._empty(int)
-        self._launch(locate_geometry, self._batch.primitive, geometry, local)
+        self._launch(locate_geometry, self.batch.primitive, geometry, local)
         return geometry, local
 
     @property
     def _device(self) -> wp.Device:
-        return self._batch.t.device
+        return self.batch.t.device
 
     def _empty(self, dtype: type) -> wp.array:
-        return wp.empty(len(self._batch.t), dtype=dtype, device=self._device)
+        return wp.empty(len(self.batch.t), dtype=dtype, device=self._device)
 
     def _launch(self, kernel: wp.Kernel, *inputs: wp.array) -> None:
-        launch(kernel, len(self._batch.t), [self._mesh, *inputs], device=self._device, chunk=4096)
+        launch(kernel, len(self.batch.t), [self._mesh, *inputs], device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
         return shaped(values, self._rays)

@@ -134,7 +134,7 @@ def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
     """(3 F,) vec3 on the scene's device: smooth unit normals of all corners; made once for each angle, in degrees."""
     made = _corner_normals.setdefault(scene, {})
     if crease_angle not in made:
-        mesh, device = scene._mesh, scene.device
+        mesh, device = scene.device_mesh, scene.device
         count = mesh.faces.shape[0]
         flat = wp.empty(count, dtype=wp.vec3, device=device)
         angles = wp.empty(3 * count, dtype=float, device=device)
@@ -177,7 +177,7 @@ class _Tile:
         hits = self.scene.intersect(rays, **self.settings.query)
         stride = 0 if rays.directions.size == 1 else 1
         light = wp.vec3d(*self.settings.light)
-        self._run(surface.find_surface, self.look, light, rays.directions, stride, hits._batch.primitive, hits.uv, self.surface)
+        self._run(surface.find_surface, self.look, light, rays.directions, stride, hits.batch.primitive, hits.uv, self.surface)
         received = film.Received()
         received.shadows = self.settings.shadows
         received.ambient_samples = self.settings.ambient_samples
@@ -210,7 +210,7 @@ class _Tile:
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
     look = surface.Appearance()
-    look.mesh = scene._mesh
+    look.mesh = scene.device_mesh
     low, high = scene.bounds - scene.center
     look.low, look.high = wp.vec3(*low), wp.vec3(*high)
     look.smooth = crease_angle is not None

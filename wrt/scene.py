@@ -18,7 +18,7 @@ from wrt.rays import RayBuffers, Rays, to_device
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.kernels.triangle.records import TriangleBlocks
+    from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
 
 AUTO = "auto"
@@ -76,12 +76,13 @@ class Scene:
         config = self.accelerator.config(native_width(self.device))
         build = KDTREE_BUILDERS[self.accelerator.builder].build
         self.tree = build(triangle_boxes(host_vertices, host_faces), config).to(self.device)
-        self._mesh = SceneMesh()
-        self._mesh.vertices = host_vertices.to(self.device)
-        self._mesh.faces = host_faces.to(self.device)
-        self._mesh.center = wp.vec3d(*map(float, self.center))
-        self._mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
-        self._blocks: dict[tuple[str, int], TriangleBlocks] = {}
+        self.device_mesh = SceneMesh()
+        """All triangles on the device, for kernels."""
+        self.device_mesh.vertices = host_vertices.to(self.device)
+        self.device_mesh.faces = host_faces.to(self.device)
+        self.device_mesh.center = wp.vec3d(*map(float, self.center))
+        self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
+        self._blocks: dict[tuple[str, Record], TriangleBlocks] = {}
 
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
@@ -89,7 +90,7 @@ class Scene:
     @property
     def triangle_count(self) -> int:
         """Triangles of all meshes."""
-        return self._mesh.faces.shape[0]
+        return self.device_mesh.faces.shape[0]
 
     @property
     def bounds(self) -> np.ndarray:
@@ -132,7 +133,7 @@ class Scene:
             batch.primitive = wp.empty(buffers.count, dtype=int, device=self.device)
             batch.uv = wp.empty(buffers.count, dtype=wp.vec2, device=self.device)
             work = self._trace(buffers, batch, "closest", traversal, triangle_test, counters)
-        return Hits(batch, buffers, self._mesh, work)
+        return Hits(batch, buffers, self.device_mesh, work)
 
     def occluded(
         self,
@@ -155,6 +156,11 @@ class Scene:
             batch.occluded = wp.empty(buffers.count, dtype=wp.bool, device=self.device)
             self._trace(buffers, batch, "any", traversal, triangle_test, False)
         return shaped(batch.occluded, buffers)
+
+    @property
+    def record_bytes(self) -> int:
+        """Memory of the triangle records made so far: queries make those that their triangle test needs."""
+        return sum(blocks.records.capacity for blocks in self._blocks.values())
 
     def statistics(self) -> SceneStatistics:
         """Counts, histograms, costs and times of the mesh, the tree and its build."""
@@ -200,7 +206,9 @@ class Scene:
                 ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
-            self._blocks[key] = pack_blocks(record, self._mesh.vertices, self._mesh.faces, primitive, self.tree.width)
+            self._blocks[key] = pack_blocks(
+                record, self.device_mesh.vertices, self.device_mesh.faces, primitive, self.tree.width
+            )
         return self._blocks[key]
 
 

@@ -70,7 +70,7 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
     """Measures a scene."""
     cost = scene.accelerator.config(scene.tree.width).cost
     record = TRIANGLE_TESTS["woop"].record
-    mesh_bytes = sum(array.capacity for array in (scene._mesh.vertices, scene._mesh.faces))
+    mesh_bytes = sum(array.capacity for array in (scene.device_mesh.vertices, scene.device_mesh.faces))
     return SceneStatistics(
         triangles=scene.triangle_count,
         geometries=len(scene.meshes),

@@ -42,7 +42,7 @@ from wrt.kernels.launch import get_num_threads, launch, load
 TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
 
-EVEN = 2
+EVEN = 4
 """Chunks per thread of kernels whose items all cost the same."""
 
 TRIANGLES = 1 << 16

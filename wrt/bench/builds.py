@@ -109,7 +109,7 @@ def details(peer: Peer) -> dict[str, Any]:
 
 def record_bytes(scene: Scene) -> int:
     """Memory of the triangles as the default triangle test stores them, beside the tree."""
-    return sum(blocks.records.capacity for blocks in scene._blocks.values())
+    return scene.record_bytes
 
 
 def statistics(scene: Scene) -> dict[str, Any] | None:

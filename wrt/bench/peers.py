@@ -149,7 +149,6 @@ class Trimesh(Peer):
 
     name = "trimesh"
     package = "rtree"
-    install = "pip install rtree"
     note = "NumPy and an R-tree; asked 1024 rays only, figures are per ray"
 
     def __init__(self, threads: int = 1, device: str = "cpu") -> None:
