@@ -242,6 +242,34 @@ def partition(arena: Arena, sides_first: int, begin: int, count: int, to_left: i
 
 
 @wp.func
+def divide(arena: Arena, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Classify and partition: turns two copies of a node into its children, boxes and lists."""
+    classify(arena, task.triangles_first, frame, split)
+    append_left = split.left < split.right
+    to = int(frame.top)
+    for axis in range(3):
+        if append_left:
+            left.first[axis] = to
+        else:
+            right.first[axis] = to
+        count = partition(
+            arena, task.triangles_first, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
+        )
+        left.count[axis] = count[0]
+        right.count[axis] = count[1]
+        to += wp.where(append_left, count[0], count[1])
+    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    left.top = to
+    right.top = wp.where(append_left, frame.top, to)
+    left.high[split.axis] = split.position
+    right.low[split.axis] = split.position
+    left.triangles = split.left
+    right.triangles = split.right
+    left.depth += 1
+    right.depth += 1
+
+
+@wp.func
 def emit_leaf(arena: Arena, task: Task, frame: Frame, width: int, blocks: int):
     """Lists the node's triangles, by the position at which they begin in x; returns the number of blocks used."""
     begin = (task.blocks_first + blocks) * width
@@ -319,30 +347,11 @@ def build_subtrees(
                 frame = stack[number, waiting]
         else:
             arena.nodes[task.nodes_first + index] = kdtree.inner_node(split.axis, split.position, 0)
-            classify(arena, task.triangles_first, frame, split)
             left = frame
             right = frame
-            to = int(frame.top)
-            for axis in range(3):
-                begin = frame.first[axis]
-                if split.left < split.right:
-                    left.first[axis] = to
-                else:
-                    right.first[axis] = to
-                count = partition(arena, task.triangles_first, begin, frame.count[axis], left.first[axis], right.first[axis])
-                left.count[axis] = count[0]
-                right.count[axis] = count[1]
-                to += wp.where(split.left < split.right, count[0], count[1])
-            left.top = to
-            right.top = wp.where(split.left < split.right, frame.top, to)
-            left.high[split.axis] = split.position
-            right.low[split.axis] = split.position
-            left.triangles = split.left
-            right.triangles = split.right
+            divide(arena, task, frame, split, left, right)
             left.bad_splits = bad
             right.bad_splits = bad
-            left.depth += 1
-            right.depth += 1
             left.parent = -1
             right.parent = index
             stack[number, waiting] = right

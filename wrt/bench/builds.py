@@ -17,7 +17,6 @@ from wrt.bench.peers import Open3D
 from wrt.bench.results import Question, Row
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
 
 BUDGET = 10.0
 """Seconds for each builder."""
@@ -97,24 +96,10 @@ def details(peer: Peer) -> dict[str, Any]:
         return {}
     scene = peer.scene
     triangles = scene.triangle_count
-    peak = scene.tree.stats.peak_bytes
     return {
         "phases": dict(scene.tree.stats.seconds),
         "tree_bytes_per_triangle": scene.tree.bytes / triangles,
-        "record_bytes_per_triangle": record_bytes(scene) / triangles,
-        "peak_bytes_per_triangle": peak / triangles if peak else None,
-        "statistics": statistics(scene),
+        "record_bytes_per_triangle": scene.record_bytes / triangles,
+        "peak_bytes_per_triangle": scene.tree.stats.peak_bytes / triangles,
+        "statistics": scene.statistics().to_dict(),
     }
-
-
-def record_bytes(scene: Scene) -> int:
-    """Memory of the triangles as the default triangle test stores them, beside the tree."""
-    return scene.record_bytes
-
-
-def statistics(scene: Scene) -> dict[str, Any] | None:
-    """The scene's own statistics; None where this version has none."""
-    try:
-        return scene.statistics().to_dict()
-    except ImportError:
-        return None
