@@ -44,12 +44,77 @@ from wrt.kernels.triangle.records import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+@wp.struct
+class Cell:
+    """A node and the interval of t in which the ray may be inside its box."""
+
+    node: int
+    entry: float
+    leave: float
+
+
+@wp.func
+def step_guessing(
+    crossing: wp.vec3,
+    left: int,
+    right: int,
+    cell: wp.ref[Cell],
+    stack_node: wp.array(dtype=int),
+    stack_entry: wp.array(dtype=float),
+    stack_leave: wp.array(dtype=float),
+    size: wp.ref[int],
+):
+    """One step through an inner node, with branches. crossing: see `cross_plane`, bounded by the cell's interval."""
+    near = int(left)
+    far = int(right)
+    if crossing[0] < 0.0:
+        near = right
+        far = left
+    if cell.entry > crossing[1]:
+        cell.node = far
+        cell.entry = crossing[2]
+    else:
+        if crossing[2] <= cell.leave:
+            store_int(stack_node, size, far)
+            store_float(stack_entry, size, crossing[2])
+            store_float(stack_leave, size, cell.leave)
+            size += 1
+        cell.node = near
+        cell.leave = crossing[1]
+
+
+@wp.func
+def step_selecting(
+    crossing: wp.vec3,
+    left: int,
+    right: int,
+    cell: wp.ref[Cell],
+    stack_node: wp.array(dtype=int),
+    stack_entry: wp.array(dtype=float),
+    stack_leave: wp.array(dtype=float),
+    size: wp.ref[int],
+):
+    """The same step without a branch: the sign bit of the direction swaps the children, the far one is always written."""
+    swap = (left ^ right) & (wp.cast(crossing[0], wp.int32) >> 31)
+    near = left ^ swap
+    far = right ^ swap
+    visit_near = cell.entry <= crossing[1]
+    store_int(stack_node, size, far)
+    store_float(stack_entry, size, crossing[2])
+    store_float(stack_leave, size, cell.leave)
+    size += wp.where(visit_near and crossing[2] <= cell.leave, 1, 0)
+    cell.node = wp.where(visit_near, near, far)
+    cell.entry = wp.where(visit_near, cell.entry, crossing[2])
+    cell.leave = wp.where(visit_near, crossing[1], cell.leave)
+
+
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    step = block_step(config)
-    width, counting, any_hit, coherent = config.width, config.counters, config.query == ANY, config.coherent
+    test_block = block_step(config)
+    step = step_guessing if config.coherent else step_selecting
+    width, counting, any_hit = config.width, config.counters, config.query == ANY
 
     def single_ray_kdtree(
         first: int,
@@ -65,55 +130,27 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         work = Counters()
         if ray.valid:
             slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-            interval = slab_interval(slabs, tree.low, tree.high)
             state = prepare(ray.origin, ray.direction)
-            entry = wp.max(interval[0], ray.t_min)
-            leave = wp.min(interval[1], ray.t_max)
+            interval = slab_interval(slabs, tree.low, tree.high)
+            cell = Cell()
+            cell.entry = wp.max(interval[0], ray.t_min)
+            cell.leave = wp.min(interval[1], ray.t_max)
             stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
             stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
             stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
             size = int(0)
-            index = int(0)
-            searching = entry <= leave
+            searching = cell.entry <= cell.leave
             while searching:
-                node = kdtree.load_node(tree.nodes, index)
+                node = kdtree.load_node(tree.nodes, cell.node)
                 axis = kdtree.split_axis(node)
                 if axis != LEAF:
-                    position = kdtree.split_position(node)
-                    crossing = cross_plane(slabs, axis, position)
-                    near_leave = wp.where(crossing[1] < leave, crossing[1], leave)
-                    far_entry = wp.where(crossing[2] > entry, crossing[2], entry)
-                    near = index + 1
-                    far = kdtree.right_child(node)
+                    crossing = cross_plane(slabs, axis, kdtree.split_position(node))
+                    crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
+                    crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+                    right = kdtree.right_child(node)
+                    step(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
                     if wp.static(counting):
                         work.nodes += 1
-                    if wp.static(coherent):
-                        if crossing[0] < 0.0:
-                            near = far
-                            far = index + 1
-                        if entry > near_leave:
-                            index = far
-                            entry = far_entry
-                        else:
-                            if far_entry <= leave:
-                                store_int(stack_node, size, far)
-                                store_float(stack_entry, size, far_entry)
-                                store_float(stack_leave, size, leave)
-                                size += 1
-                            index = near
-                            leave = near_leave
-                    else:
-                        swap = (near ^ far) & (wp.cast(crossing[0], wp.int32) >> 31)
-                        near = near ^ swap
-                        far = far ^ swap
-                        visit_near = entry <= near_leave
-                        store_int(stack_node, size, far)
-                        store_float(stack_entry, size, far_entry)
-                        store_float(stack_leave, size, leave)
-                        size += wp.where(visit_near and far_entry <= leave, 1, 0)
-                        index = wp.where(visit_near, near, far)
-                        entry = wp.where(visit_near, entry, far_entry)
-                        leave = wp.where(visit_near, near_leave, leave)
                 else:
                     count = kdtree.leaf_triangles(node)
                     block = kdtree.first_block(node)
@@ -121,7 +158,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         work.leaves += 1
                         work.triangles += count
                     while count > 0:
-                        best = step(triangles, block, state, slabs, ray.t_min, best)
+                        best = test_block(triangles, block, state, slabs, ray.t_min, best)
                         block += 1
                         count -= wp.static(width)
                     searching = bool(False)
@@ -129,10 +166,10 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         size = wp.where(best.primitive < 0, size, 0)
                     while size > 0 and not searching:
                         size -= 1
-                        index = load_int(stack_node, size)
-                        entry = load_float(stack_entry, size)
-                        leave = load_float(stack_leave, size)
-                        searching = entry <= best.t
+                        cell.node = load_int(stack_node, size)
+                        cell.entry = load_float(stack_entry, size)
+                        cell.leave = load_float(stack_leave, size)
+                        searching = cell.entry <= best.t
         if wp.static(any_hit):
             hits.occluded[i] = best.primitive >= 0
         else:
