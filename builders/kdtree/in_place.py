@@ -42,18 +42,17 @@ from wrt.kernels.launch import get_num_threads, launch, load
 TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
 
+MAX_LEVELS = 12
+"""Levels after which the build goes over to subtrees in any case."""
+
+SPARE_ROOM = 1.5
+"""Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
+
 EVEN = 4
 """Chunks per thread of kernels whose items all cost the same."""
 
 TRIANGLES = 1 << 16
 """Triangles whose classification is worth a second thread."""
-
-MAX_LEVELS = 12
-"""Levels after which it does so in any case."""
-
-SPARE_ROOM = 1.5
-"""Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
-
 
 KERNELS = (emit_events, level_phase.search_planes, subtree_phase.build_subtrees, copy_subtrees)
 """One kernel of each module: compiling them is no phase of the build."""

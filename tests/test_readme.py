@@ -1,0 +1,45 @@
+"""The README: its Python runs as written, its tables are complete, its marked commands are there for continuous integration."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+import wrt
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+ROOT = Path(__file__).resolve().parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_python_example(tmp_path, monkeypatch):
+    """Ten lines that work on any model."""
+    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert len(code.splitlines()) <= 12
+    wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")
+    monkeypatch.chdir(tmp_path)
+    names: dict = {}
+    exec(compile(code, "README.md", "exec"), names)
+    assert names["hits"].is_hit.mean() > 0.3
+    assert names["dark"].shape == (1_000_000,)
+    assert Image.open("model.png").size == (640, 480)
+
+
+@pytest.mark.parametrize("name", [*KDTREE_BUILDERS, *TRAVERSALS, *TRIANGLE_TESTS])
+def test_every_algorithm_is_listed(name):
+    assert f"`{name}`" in README
+
+
+@pytest.mark.parametrize("mark", ["install", "main", "tests"])
+def test_marked_commands(mark):
+    assert re.search(rf"<!-- {mark} -->\n```sh\n.+?\n```", README, flags=re.DOTALL)
+
+
+def test_links_lead_somewhere():
+    for target in re.findall(r"\]\((?!https?:)([^)#]+)\)", README):
+        assert (ROOT / target).exists(), target
