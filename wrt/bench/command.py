@@ -19,6 +19,9 @@ from wrt.mesh import TriangleMesh
 DEFAULT_MODELS = ("teapot", "atrium", "wood")
 """Built-in scenes that are measured when no model is named."""
 
+SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
+"""Where a scene's defaults do not suit: the teapot's ground would fill every view."""
+
 
 @click.command()
 @click.argument("model", required=False)
@@ -129,7 +132,7 @@ def load_model(name: str) -> TriangleMesh:
 
     try:
         if name in scenes.BUILTIN_SCENES and not Path(name).is_file():
-            mesh = scenes.build(name)
+            mesh = scenes.build(name, **SCENE_OPTIONS.get(name, {}))
             return TriangleMesh(mesh.vertices, mesh.faces, name=name)
         return TriangleMesh.load(name)
     except (FileNotFoundError, ValueError) as error:

@@ -76,7 +76,8 @@ def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | No
     if given["model"] is not None:
         if given["scene"] is not None or options:
             raise click.UsageError("--scene, --level and --option choose a built-in scene: leave them out, or leave MODEL out")
-        return TriangleMesh.load(given["model"]), None
+        with busy(f"reading {given['model']}"):
+            return TriangleMesh.load(given["model"]), None
     name = given["scene"] or DEFAULT_SCENE
     if name not in BUILTIN_SCENES:
         raise click.BadParameter(f"{name!r} is unknown; choose from {', '.join(BUILTIN_SCENES)}", param_hint="--scene")
@@ -109,7 +110,8 @@ def make_scene(geometry: Any, given: Mapping[str, Any]) -> Scene:
         accelerator = resolve_accelerator(given["accelerator"])
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--accelerator") from None
-    return Scene(geometry, accelerator, device=given["device"], num_threads=given["threads"])
+    with busy("building the tree"):
+        return Scene(geometry, accelerator, device=given["device"], num_threads=given["threads"])
 
 
 def check_name(argument: str, name: str) -> str:
@@ -156,3 +158,15 @@ def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def busy(title: str) -> Iterator[None]:
+    """A spinner on stderr, if that is a terminal, while something of unknown length is under way."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+
+    with Console(stderr=True).status(title):
+        yield
