@@ -1,0 +1,146 @@
+"""The benchmark's report and its command: everything that was measured is in them, and nothing looks better than it is."""
+
+import json
+import os
+
+import pytest
+from click.testing import CliRunner
+
+from wrt.bench import plot, startup
+from wrt.bench.command import bench, run_benchmark
+from wrt.bench.report import percent, print_report, times
+from wrt.bench.workloads import WORKLOADS
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.mesh import TriangleMesh
+from wrt.scenes import teapot
+
+SIZE = 16
+MESH = teapot(level=2, ground=False)
+
+
+@pytest.fixture(scope="module")
+def report():
+    options = {"size": SIZE, "rounds": 2, "threads": 2, "startup": False}
+    return run_benchmark([TriangleMesh(MESH.vertices, MESH.faces, name="teapot")], **options)
+
+
+ROW = {"name", "threads", "device", "note", "rays", "seconds", "median", "least", "greatest", "rays_per_second", "ratio"}
+ROW |= {"agreement", "details", "error"}
+
+
+def test_the_report_is_complete_plain_data(report):
+    data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    assert set(data) == {"format", "machine", "options", "models", "startup", "missing"}
+    assert {"cpu", "threads", "simd_bits", "gpu", "system", "python", "versions"} == set(data["machine"])
+    assert {"wrt", "warp-lang", "numpy"} <= set(data["machine"]["versions"])
+    (model,) = data["models"]
+    assert (model["name"], model["triangles"]) == ("teapot", MESH.triangle_count)
+    assert [question["workload"] for question in model["questions"]] == [*WORKLOADS, None]
+    for question in model["questions"]:
+        assert question["reference"] in [row["name"] for row in question["rows"]]
+        for row in question["rows"]:
+            assert set(row) == ROW
+            assert row["error"] is None
+            assert row["least"] <= row["median"] <= row["greatest"]
+            assert row["ratio"] > 0
+            assert (row["agreement"] is None) == (question["kind"] == "build")
+            if row["name"] == question["reference"]:
+                assert row["ratio"] == 1.0
+
+
+def test_every_builder_is_there_with_one_thread_and_with_all(report):
+    rows = {row.name: row for row in report.models[0].questions[-1].rows}
+    for name in KDTREE_BUILDERS:
+        one, all_threads = rows[f"wrt {name}, 1 thread"], rows[f"wrt {name}, 2 threads"]
+        assert one.details["phases"]
+        assert one.details["tree_bytes_per_triangle"] == all_threads.details["tree_bytes_per_triangle"] > 0
+        assert one.details["record_bytes_per_triangle"] >= 36
+        assert one.details["speedup_over_one_thread"] is None
+        assert all_threads.details["speedup_over_one_thread"] > 0
+
+
+def test_tables_show_every_contender(report, capsys):
+    from rich.console import Console
+
+    print_report(report, Console(width=180))
+    text = capsys.readouterr().out
+    for question in report.models[0].questions:
+        assert question.workload is None or f"{question.workload} {question.rays:,}" in text
+        assert all(row.name in text for row in question.rows)
+    assert os.getcwd() not in text
+
+
+def test_numbers_are_not_rounded_to_something_better():
+    assert (percent(1.0), percent(0.999999), percent(None)) == ("100 %", "99.999 %", "-")
+    assert (times(1.234), times(4321.0), times(None)) == ("1.23x", "4,321x", "-")
+
+
+def test_startup_runs_fresh_processes(monkeypatch):
+    calls = []
+
+    def fake(script, device, threads, *, empty_cache=False):
+        calls.append(empty_cache)
+        return {"import": 0.5}
+
+    monkeypatch.setattr(startup, "run_process", fake)
+    question = startup.ask_startup([], 1, "cpu", 2)
+    assert [row.name for row in question.rows] == ["import warp", "import wrt", "wrt, first hit", startup.EMPTY_CACHE]
+    assert calls == [False] * 9 + [True], "three warm-ups, two rounds of three, one empty cache"
+    assert all(row.details["phases"] == {"import": 0.5} for row in question.rows)
+
+
+def test_a_fresh_process_answers_and_failures_say_why():
+    phases = startup.run_process(startup.IMPORT_WRT + startup.GRID + startup.USE_WRT, "cpu", 1)
+    assert list(phases) == ["import", "init", "data", "scene", "first query"]
+    with pytest.raises(RuntimeError, match=r"a fresh process failed:.*no way"):
+        startup.run_process("raise ValueError('no way')", "cpu", 1)
+
+
+def test_the_command_writes_tables_figures_and_a_picture(tmp_path):
+    pytest.importorskip("matplotlib")
+    MESH.save(tmp_path / "pot.ply")
+    command = [str(tmp_path / "pot.ply"), "--size", "8", "--rounds", "1", "--no-startup", "--no-builders", "--peer", "wrt"]
+    command += [
+        "--workload",
+        "far",
+        "--workload",
+        "shadow",
+        "--json",
+        str(tmp_path / "a.json"),
+        "--plot",
+        str(tmp_path / "a.png"),
+    ]
+    done = CliRunner().invoke(bench, command)
+    assert done.exit_code == 0, done.output
+    assert "Closest hit: pot" in done.output
+    assert "Build" not in done.output
+    data = json.loads((tmp_path / "a.json").read_text())
+    assert [question["workload"] for question in data["models"][0]["questions"]] == ["far", "shadow"]
+    assert str(tmp_path) not in json.dumps(data), "no paths in what is published"
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["no_such_file.ply"], "built-in scenes are teapot"),
+        (["teapot", "--workload", "fog"], "'fog' is not one of 'far'"),
+        (["teapot", "--peer", "nobody"], "'nobody' is not one of 'wrt'"),
+        (["teapot", "--device", "cuda:99"], "'cuda:99' is not there; choose from cpu"),
+        (["teapot", "--size", "6"], "multiple of 4"),
+        (["teapot", "--rounds", "0"], "--rounds"),
+        (["teapot", "--threads", "0"], "--threads"),
+    ],
+)
+def test_the_command_refuses_what_it_cannot_do(arguments, message):
+    done = CliRunner().invoke(bench, arguments)
+    assert done.exit_code != 0
+    assert message in done.output
+    assert "Traceback" not in done.output
+
+
+def test_a_plot_without_matplotlib_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(plot, "matplotlib_missing", lambda: "a plot needs matplotlib: pip install it")
+    done = CliRunner().invoke(bench, ["teapot", "--plot", "a.png"])
+    assert done.exit_code == 2
+    assert "a plot needs matplotlib" in done.output
