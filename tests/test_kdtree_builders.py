@@ -148,6 +148,13 @@ def test_in_place_equals_the_judge(scene_mesh, options):
     assert costs[0] == costs[1]
 
 
+def test_in_place_equals_the_judge_on_the_bunny(bunny):
+    tree, _ = build(bunny, "in_place", width=16)
+    judge, _ = build(bunny, "sweep", width=16)
+    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+    assert leaf_lists(tree) == leaf_lists(judge)
+
+
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 def test_threads_and_tasks_do_not_show(threads, monkeypatch):
     """Bit for bit the same tree, whatever the threads, the chunks, and the level at which subtrees take over."""
