@@ -82,11 +82,6 @@ class BuildStats:
         """Notes arrays that are held at the same time."""
         self.peak_bytes = max(self.peak_bytes, sum(array.capacity for array in arrays))
 
-    @property
-    def total_seconds(self) -> float:
-        """Wall time of the whole build."""
-        return sum(self.seconds.values())
-
 
 @dataclass
 class KdTree:

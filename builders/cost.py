@@ -16,6 +16,7 @@ References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 from dataclasses import dataclass

@@ -10,8 +10,6 @@ from functools import cache
 
 import warp as wp
 
-MAX_WIDTH = 16
-
 FOR_LANES = """
 #ifndef WRT_FOR_LANES
 #if defined(__clang__)

@@ -66,8 +66,9 @@ def test_every_folder_is_packaged():
 
 
 def test_import_is_light():
-    """`import wrt` loads neither a mesh reader nor a plotting library, nor does it start Warp's runtime."""
-    code = "import sys, wrt; print([m for m in ('trimesh', 'PIL', 'matplotlib', 'click', 'rich', 'scipy') if m in sys.modules])"
+    """`import wrt` and its first scene load neither an image, a plotting nor a command line library."""
+    code = "import sys, wrt; wrt.Scene; print([m for m in HEAVY if m in sys.modules])"
+    code = code.replace("HEAVY", "('trimesh', 'PIL', 'matplotlib', 'click', 'rich', 'scipy')")
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 

@@ -68,7 +68,7 @@ def test_close_to_a_large_floor(triangle_test):
     on_edge = np.zeros((count, 3))
     on_edge[:, 0] = rng.choice(steps[1:-1], count)
     on_edge[:, 1] = rng.uniform(-900, 900, count)
-    on_edge[rng.random(count) < 0.5] = on_edge[rng.random(count) < 0.5][:1][:, [1, 0, 2]]
+    on_edge[: count // 2] = on_edge[: count // 2, [1, 0, 2]]  # edges along both axes
     origins = on_edge + rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-3, 1, (count, 1))
     origins[:, 2] = np.abs(origins[:, 2]) + 1e-4
     directions = on_edge - origins

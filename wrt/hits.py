@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, use_threads
 
 if TYPE_CHECKING:
     from wrt.kernels.hits import SceneMesh
@@ -42,13 +42,16 @@ class Hits:
         counters: {"nodes", "leaves", "triangles": (...) int32}, the work done for each ray, if it was asked for.
     """
 
-    def __init__(self, batch: HitBatch, rays: RayBuffers, mesh: SceneMesh, counters: wp.array | None) -> None:
+    def __init__(
+        self, batch: HitBatch, rays: RayBuffers, mesh: SceneMesh, counters: wp.array | None, num_threads: int | None = None
+    ) -> None:
         self.batch = batch
         """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
         self._mesh = mesh
         self._counters = counters
         self._geometries = mesh.geometry_first.shape[0] - 1
         self._rays = rays
+        self._num_threads = num_threads
 
     def __repr__(self) -> str:
         return f"Hits(shape={self.shape})"
@@ -79,7 +82,7 @@ class Hits:
         from wrt.kernels.hits import mark_hits
 
         out = self._empty(wp.bool)
-        launch(mark_hits, len(out), [self.batch.primitive, out], device=self._device, chunk=4096)
+        self._launch(mark_hits, self.batch.primitive, out)
         return self._out(out)
 
     @cached_property
@@ -87,7 +90,7 @@ class Hits:
         from wrt.kernels.hits import hit_positions
 
         out = self._empty(wp.vec3d)
-        self._launch(hit_positions, self.batch.primitive, self.batch.uv, out)
+        self._launch(hit_positions, self._mesh, self.batch.primitive, self.batch.uv, out)
         return self._as_dtype(out)
 
     @cached_property
@@ -95,7 +98,7 @@ class Hits:
         from wrt.kernels.hits import hit_normals
 
         out = self._empty(wp.vec3)
-        self._launch(hit_normals, self.batch.primitive, out)
+        self._launch(hit_normals, self._mesh, self.batch.primitive, out)
         return self._as_dtype(out)
 
     @cached_property
@@ -111,7 +114,7 @@ class Hits:
         from wrt.kernels.hits import locate_geometry
 
         geometry, local = self._empty(int), self._empty(int)
-        self._launch(locate_geometry, self.batch.primitive, geometry, local)
+        self._launch(locate_geometry, self._mesh, self.batch.primitive, geometry, local)
         return geometry, local
 
     @property
@@ -121,8 +124,9 @@ class Hits:
     def _empty(self, dtype: type) -> wp.array:
         return wp.empty(len(self.batch.t), dtype=dtype, device=self._device)
 
-    def _launch(self, kernel: wp.Kernel, *inputs: wp.array) -> None:
-        launch(kernel, len(self.batch.t), [self._mesh, *inputs], device=self._device, chunk=4096)
+    def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        with use_threads(self._num_threads):
+            launch(kernel, len(self.batch.t), inputs, device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
         return shaped(values, self._rays)

@@ -133,7 +133,7 @@ class Scene:
             batch.primitive = wp.empty(buffers.count, dtype=int, device=self.device)
             batch.uv = wp.empty(buffers.count, dtype=wp.vec2, device=self.device)
             work = self._trace(buffers, batch, "closest", traversal, triangle_test, counters)
-        return Hits(batch, buffers, self.device_mesh, work)
+        return Hits(batch, buffers, self.device_mesh, work, self.num_threads)
 
     def occluded(
         self,

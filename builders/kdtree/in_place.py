@@ -18,6 +18,7 @@ which it is built: the tree is the same for any number of threads, chunks and ta
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
         High Performance Graphics 2010.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 from collections.abc import Iterator

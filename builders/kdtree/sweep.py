@@ -15,6 +15,7 @@ do, sorted lists, counts across chunks, classification and assembly are right.
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 from time import perf_counter

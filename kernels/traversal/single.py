@@ -24,7 +24,7 @@ the same.
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    J. Rahikainen: survey of real-time ray tracing, 2013, chapter 5.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 from functools import cache
