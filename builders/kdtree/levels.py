@@ -11,6 +11,10 @@ Data does not move: events stay in the order in which they were sorted once, and
 
 Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
 of the axes and positions. So neither threads nor chunks show in the result.
+
+References:
+    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 import warp as wp

@@ -4,6 +4,10 @@ The expected cost of a ray that hits the root's box (survey, equation 4.5, with 
 visit of a leaf as such):
 
     sum over inner nodes of C_t SA(i) / SA(root)  +  sum over leaves of C_b blocks(n) SA(l) / SA(root)
+
+References:
+    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 from dataclasses import dataclass
