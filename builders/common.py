@@ -7,6 +7,7 @@ import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, leaf_cost
 from wrt.kernels.boxes import INFINITY
+from wrt.kernels.bvh import WideNodes
 from wrt.kernels.kdtree import MAX_TREE_DEPTH, KdNodes
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -120,3 +121,53 @@ class KdTree:
         if device == self.nodes.device:
             return self
         return KdTree(self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats)
+
+
+@dataclass
+class Bvh:
+    """A finished wide bounding volume hierarchy on a device.
+
+    Attributes:
+        bounds: (nodes * 6 * width,) float32, see `wrt.kernels.bvh`.
+        child: (nodes * width,) int32, see `wrt.kernels.bvh`.
+        primitive: (blocks * width,) int32: triangle ids, leaf after leaf, -1 in unused lanes.
+        low, high: the root's box.
+        width: children a node and triangles a block.
+        level_first: first node of each level, and the number of nodes at the end: nodes are in breadth-first order.
+        stats: what the build cost.
+    """
+
+    bounds: wp.array
+    child: wp.array
+    primitive: wp.array
+    low: wp.vec3
+    high: wp.vec3
+    width: int
+    level_first: tuple[int, ...]
+    stats: BuildStats
+
+    @property
+    def bytes(self) -> int:
+        """Memory of nodes and leaf lists; the triangle records come on top."""
+        return self.bounds.capacity + self.child.capacity + self.primitive.capacity
+
+    @property
+    def depth(self) -> int:
+        """Most inner nodes on a path from the root."""
+        return len(self.level_first) - 1
+
+    def struct(self) -> WideNodes:
+        """The tree for a traversal kernel."""
+        tree = WideNodes()
+        tree.bounds = self.bounds
+        tree.child = self.child
+        tree.low = self.low
+        tree.high = self.high
+        return tree
+
+    def to(self, device: wp.Device) -> "Bvh":
+        """The tree on another device; itself if it is there already."""
+        if device == self.bounds.device:
+            return self
+        arrays = (array.to(device) for array in (self.bounds, self.child, self.primitive))
+        return Bvh(*arrays, self.low, self.high, self.width, self.level_first, self.stats)

@@ -14,6 +14,8 @@ TINY = wp.constant(1.1754944e-38)
 class RayBatch:
     """N rays origin + t direction, t_min <= t <= t_max. A stride of 0 shares element 0 among all rays, 1 gives each its own."""
 
+    count: int
+    """N."""
     origins: wp.array(dtype=wp.vec3)
     """(N,) or (1,), in the caller's coordinates."""
     directions: wp.array(dtype=wp.vec3)

@@ -85,6 +85,7 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     t_max = _as_range(rays.t_max, "t_max", device)
     shape = _common_shape(origins, directions, t_min, t_max)
     batch = RayBatch()
+    batch.count = int(np.prod(shape))
     batch.center = wp.vec3d(*(float(x) for x in center))
     batch.origins, batch.origin_stride = _vectors(origins, shape, device, center)
     batch.directions, batch.direction_stride = _vectors(directions, shape, device, np.zeros(3))

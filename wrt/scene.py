@@ -189,7 +189,15 @@ class Scene:
             tree = self.tree.struct()
         inputs = [tree, self._triangles(test.name, way.tree), rays.batch, hits, work]
         longest = MAX_CHUNK if way.tree != "none" else max(1, BRUTE_FORCE_TESTS // self.triangle_count)
-        launch(way.make_kernel(config), rays.count, inputs, device=self.device, chunk=1024, longest=longest)
+        grain = way.rays_per_item(config)
+        launch(
+            way.make_kernel(config),
+            -(-rays.count // grain),
+            inputs,
+            device=self.device,
+            chunk=max(1, 1024 // grain),
+            longest=max(1, longest // grain),
+        )
         return work if counters else None
 
     def _triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:

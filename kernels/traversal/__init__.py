@@ -18,6 +18,11 @@ from wrt.kernels.traversal import brute, single
 from wrt.kernels.traversal.config import TraversalConfig
 
 
+def one_ray(config: TraversalConfig) -> int:
+    """An item of the kernel is a ray."""
+    return 1
+
+
 @dataclass(frozen=True)
 class Traversal:
     """A way to find hits.
@@ -27,12 +32,14 @@ class Traversal:
         paper: authors, title, year.
         tree: kind of tree that it walks: "kdtree", or "none" for all triangles.
         make_kernel: config -> kernel.
+        rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
     """
 
     name: str
     paper: str
     tree: str
     make_kernel: Callable[[TraversalConfig], wp.Kernel]
+    rays_per_item: Callable[[TraversalConfig], int] = one_ray
 
 
 TRAVERSALS: dict[str, Traversal] = {
