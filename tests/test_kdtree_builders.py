@@ -11,8 +11,9 @@ import wrt
 from wrt.builders.common import StopRules
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import KDTREE_BUILDERS, in_place
-from wrt.builders.kdtree.events import sorted_events, triangle_boxes
+from wrt.builders.kdtree.events import sorted_events
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
+from wrt.builders.triangles import triangle_boxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import use_threads
 

@@ -66,7 +66,7 @@ class Scene:
 
     def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray) -> None:
         from wrt.builders.kdtree import KDTREE_BUILDERS
-        from wrt.builders.kdtree.events import triangle_boxes
+        from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
 
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.

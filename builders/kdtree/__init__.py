@@ -1,7 +1,7 @@
 """Kd-tree builders: one file per way to build, and the table of them.
 
 **Contract.** A builder is a function `build(triangles, config) -> KdTree`: boxes of the triangles in
-(`wrt.builders.kdtree.events.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
+(`wrt.builders.triangles.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
 `wrt.kernels.kdtree` out, with the time of each phase. The root's box is that of the triangles; a triangle is listed in
 every leaf whose interior its box meets, and a triangle that lies in a splitting plane on the side that the split chose.
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from wrt.builders.common import KdTree
 from wrt.builders.kdtree import in_place, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import TriangleBoxes
+from wrt.builders.triangles import TriangleBoxes
 
 
 @dataclass(frozen=True)

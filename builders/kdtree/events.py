@@ -5,11 +5,10 @@ position; at equal positions ends come first, then planar ones, then starts, and
 (Wald and Havran 2006). Boxes are not clipped to nodes, so a part of a sorted list is a sorted list.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import warp as wp
 
+from wrt.builders.triangles import Boxes, TriangleBoxes
 from wrt.kernels.launch import launch, run_tasks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -20,15 +19,6 @@ START = wp.constant(2)
 
 CHUNK = 4096
 """Triangles that are counted together before a scan."""
-
-
-@wp.struct
-class Boxes:
-    """Bounding boxes of triangles, component by component."""
-
-    low: wp.array2d(dtype=float)
-    """(3, triangles)"""
-    high: wp.array2d(dtype=float)
 
 
 @wp.struct
@@ -52,19 +42,6 @@ def event_position(events: Events, axis: int, i: int) -> float:
 def event_value(events: Events, axis: int, i: int) -> int:
     """events.value[axis, i], without index checks."""
     ...
-
-
-@wp.kernel
-def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
-    """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
-    i = first + wp.tid()
-    face = faces[i]
-    a = vertices[face[0]]
-    b = vertices[face[1]]
-    c = vertices[face[2]]
-    for axis in range(3):
-        boxes.low[axis, i] = wp.min(a[axis], wp.min(b[axis], c[axis])) + 0.0
-        boxes.high[axis, i] = wp.max(a[axis], wp.max(b[axis], c[axis])) + 0.0
 
 
 @wp.kernel
@@ -102,31 +79,6 @@ def emit_events(
                 events.position[axis, triangles + spread] = low
                 events.value[axis, triangles + spread] = (i << 2) | START
                 spread += 1
-
-
-@dataclass
-class TriangleBoxes:
-    """Boxes of all triangles and the box of them all."""
-
-    boxes: Boxes
-    count: int
-    low: np.ndarray
-    high: np.ndarray
-
-
-def triangle_boxes(vertices: wp.array, faces: wp.array) -> TriangleBoxes:
-    """Bounding boxes of the triangles.
-
-    Args:
-        vertices: (V,) vec3.
-        faces: (F,) vec3i.
-    """
-    device, count = vertices.device, len(faces)
-    boxes = Boxes()
-    boxes.low = wp.empty((3, count), dtype=float, device=device)
-    boxes.high = wp.empty((3, count), dtype=float, device=device)
-    launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
-    return TriangleBoxes(boxes, count, boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
 
 
 def sorted_events(triangles: TriangleBoxes) -> Events:

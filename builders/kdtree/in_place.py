@@ -34,10 +34,11 @@ from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree import subtrees as subtree_phase
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import CHUNK, Events, TriangleBoxes, emit_events, sorted_events
+from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
+from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
 
 TASKS_PER_THREAD = 4

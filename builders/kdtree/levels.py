@@ -21,8 +21,9 @@ import warp as wp
 
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
-from wrt.builders.kdtree.events import END, START, Boxes, Events, event_position, event_value
+from wrt.builders.kdtree.events import END, START, Events, event_position, event_value
 from wrt.builders.kdtree.planes import Sweep, close_planar, start_sweep, sweep_event
+from wrt.builders.triangles import Boxes
 from wrt.kernels.memory import load_int
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

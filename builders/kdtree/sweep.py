@@ -25,7 +25,8 @@ import warp as wp
 from wrt.builders.common import BuildStats, KdTree, StopLimits, bad_splits_after
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import END, PLANAR, START, Boxes, TriangleBoxes
+from wrt.builders.kdtree.events import END, PLANAR, START
+from wrt.builders.triangles import Boxes, TriangleBoxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import launch
 

@@ -1,0 +1,40 @@
+"""Builders of bounding volume hierarchies: one file per way to build, and the table of them.
+
+**Contract.** A builder is a function `build(triangles, config) -> Bvh`: boxes of the triangles in
+(`wrt.builders.triangles.TriangleBoxes`), cost model and leaf size as a frozen `BvhConfig`, a tree in the layout of
+`wrt.kernels.bvh` out, with the time of each phase. Builders make a binary tree (`tree`); `collapse` makes it wide. Every
+triangle is in exactly one leaf; every box is the exact union of the boxes of its triangles.
+
+To add a builder: write its file, add one line to `BVH_BUILDERS`; tests, command line and benchmarks pick it up.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from wrt.builders.bvh import binned
+from wrt.builders.bvh.config import BvhConfig
+from wrt.builders.common import Bvh
+from wrt.builders.triangles import TriangleBoxes
+
+
+@dataclass(frozen=True)
+class BvhBuilder:
+    """A way to build a bounding volume hierarchy.
+
+    Attributes:
+        name: key in `BVH_BUILDERS`.
+        paper: authors, title, year.
+        build: (boxes, config) -> tree.
+    """
+
+    name: str
+    paper: str
+    build: Callable[[TriangleBoxes, BvhConfig], Bvh]
+
+
+BVH_BUILDERS: dict[str, BvhBuilder] = {
+    builder.name: builder
+    for builder in (
+        BvhBuilder("binned", "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)", binned.build),
+    )
+}

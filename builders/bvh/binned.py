@@ -1,0 +1,160 @@
+"""Parallel binned SAH build of a bounding volume hierarchy (Wald 2007).
+
+**Problem.** A sweep over sorted centroids costs O(N log N) and three sorts; most of its planes are all but equal.
+
+**Algorithm.** Centroids fall into a few bins along each axis; only the planes between bins are tried (`bins`). Large nodes
+are split level by level, parallel over chunks of triangles (`levels`); the others are tasks, each of which builds a
+subtree depth first (`subtrees`). The binary tree is then collapsed to nodes of W children (`collapse`).
+
+**Complexity.** O(N) a level of the tree, with sequential access to memory only.
+
+**What we changed.** The paper parallelises over subtrees and over the triangles of large nodes as we do, but keeps a list of
+indices; here whole references are moved, which reads them in order. Leaf costs count blocks of W triangles
+(`wrt.builders.cost`). The tree is the same for any number of threads, chunks and tasks.
+
+References:
+    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+    I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst: Embree: a kernel framework for efficient CPU ray tracing.
+        ACM Transactions on Graphics 33(4), 2014.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from time import perf_counter
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.bvh import collapse as collapse_phase
+from wrt.builders.bvh import levels as level_phase
+from wrt.builders.bvh import subtrees as subtree_phase
+from wrt.builders.bvh.bins import make_scratch
+from wrt.builders.bvh.collapse import collapse
+from wrt.builders.bvh.config import BvhConfig
+from wrt.builders.bvh.levels import Chunk, LiveNode, Totals
+from wrt.builders.bvh.subtrees import STACK, Frame
+from wrt.builders.bvh.tree import empty_tree
+from wrt.builders.common import BuildStats, Bvh
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.launch import get_num_threads, launch, load
+
+TASKS_PER_THREAD = 8
+"""A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
+
+LEAST_LARGE = 4096
+"""Triangles below which a node is not worth more than one thread."""
+
+CHUNKS_PER_THREAD = 4
+"""Chunks per thread on a level."""
+
+LEAST_CHUNK = 2048
+"""Triangles that are worth a chunk of their own."""
+
+MAX_LEVELS = 32
+"""Levels after which the remaining nodes become tasks in any case."""
+
+KERNELS = (level_phase.bin_chunks, subtree_phase.build_subtrees, collapse_phase.open_nodes)
+"""One kernel of each module: compiling them is no phase of the build."""
+
+
+def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
+    """Builds the tree on the device that holds the boxes."""
+    builder = BinnedBuilder(triangles, config)
+    load(KERNELS, builder.device)
+    with builder.phase("references"):
+        builder.make_references()
+    with builder.phase("top levels"):
+        builder.build_levels()
+    with builder.phase("subtrees"):
+        builder.build_subtrees()
+    builder.stats.reserve(triangles.boxes.low, triangles.boxes.high, builder.references, *builder.arrays())
+    with builder.phase("collapse"):
+        return collapse(builder.tree, triangles, config, builder.stats)
+
+
+class BinnedBuilder:
+    """The state of one build."""
+
+    def __init__(self, triangles: TriangleBoxes, config: BvhConfig) -> None:
+        self.triangles = triangles
+        self.device = triangles.boxes.low.device
+        self.rules = config.struct()
+        self.stats = BuildStats()
+        self.tree = empty_tree(triangles.count, self.device)
+        threads = get_num_threads()
+        self.chunk = max(LEAST_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
+        self.large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
+        self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
+        """Two buffers of references."""
+        self.tasks = np.empty(0)
+
+    def arrays(self) -> list[wp.array]:
+        """The binary tree's memory."""
+        return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order]
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[None]:
+        """Adds the time of a phase to the statistics."""
+        start = perf_counter()
+        yield
+        wp.synchronize_device(self.device)
+        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
+
+    def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
+        """Launches a kernel on the build's device."""
+        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=CHUNKS_PER_THREAD)
+
+    def make_references(self) -> None:
+        """Phase "references": the first buffer, and the root's box."""
+        count, size = self.triangles.count, self.chunk
+        chunks = -(-count // size)
+        self.parts = wp.empty(16 * (chunks + count // self.large + 1), dtype=float, device=self.device)
+        self.run(level_phase.make_references, chunks, self.triangles.boxes, count, size, self.references, self.parts)
+        root = np.zeros(8, dtype=np.float32)
+        root[0:3], root[4:7] = self.triangles.low, -self.triangles.high
+        wp.copy(self.tree.box, wp.array(root, dtype=float, device=self.device), count=8)
+
+    def build_levels(self) -> None:
+        """Phase "top levels": splits large nodes until there are none."""
+        count, size, device = self.triangles.count, self.chunk, self.device
+        chunks = -(-count // size)
+        root = LiveNode()
+        root.frame.count = count
+        if count <= self.large:
+            self.tasks = wp.array([root.frame], dtype=Frame, device=device)
+            return
+        root.chunk_count = chunks
+        root.part_count = chunks
+        most_nodes = count // self.large + 1
+        most_chunks = chunks + most_nodes
+        nodes, new_nodes = (wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2))
+        lists, new_lists = (wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2))
+        tasks = wp.empty(2 * most_nodes * MAX_LEVELS, dtype=Frame, device=device)
+        totals = wp.zeros(1, dtype=Totals, device=device)
+        scratch = make_scratch(most_chunks + most_nodes, device)
+        domain = wp.empty(8 * most_chunks, dtype=float, device=device)
+        nodes, live = wp.array([root], dtype=LiveNode, device=device), 1
+        self.run(level_phase.cut_root, 1, nodes, size, lists)
+        for level in range(MAX_LEVELS):
+            self.run(level_phase.bin_chunks, chunks, self.rules, self.references, nodes, lists, self.parts, domain, scratch)
+            work = [count, nodes, lists, domain, scratch, most_chunks, self.tree]
+            self.run(level_phase.search_planes, live, self.rules, *work)
+            large = self.large if level < MAX_LEVELS - 1 else count
+            self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, totals)
+            self.run(level_phase.partition_chunks, chunks, self.references, nodes, lists, self.parts)
+            live, chunks, done = totals.numpy()[0].tolist()  # the one round trip of a level
+            nodes, new_nodes = new_nodes, nodes if level else wp.empty(most_nodes, dtype=LiveNode, device=device)
+            lists, new_lists = new_lists, lists
+            if live == 0:
+                break
+        made = tasks[:done].numpy()
+        self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)
+
+    def build_subtrees(self) -> None:
+        """Phase "subtrees": the largest first, which shares them out evenly."""
+        count = len(self.tasks)
+        scratch = make_scratch(count, self.device)
+        domain = wp.empty(8 * STACK * count, dtype=float, device=self.device)
+        stack = wp.empty((count, STACK), dtype=Frame, device=self.device)
+        inputs = [self.rules, self.references, self.triangles.count, self.tasks, scratch, domain, stack, self.tree]
+        launch(subtree_phase.build_subtrees, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
