@@ -11,7 +11,7 @@ To add a builder: write its file, add one line to `BVH_BUILDERS`; tests, command
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wrt.builders.bvh import binned
+from wrt.builders.bvh import binned, sweep
 from wrt.builders.bvh.config import BvhConfig
 from wrt.builders.common import Bvh
 from wrt.builders.triangles import TriangleBoxes
@@ -36,5 +36,10 @@ BVH_BUILDERS: dict[str, BvhBuilder] = {
     builder.name: builder
     for builder in (
         BvhBuilder("binned", "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)", binned.build),
+        BvhBuilder(
+            "sweep",
+            "Wald, Boulos, Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies (2007)",
+            sweep.build,
+        ),
     )
 }

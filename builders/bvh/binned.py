@@ -29,7 +29,7 @@ from wrt.builders.bvh import collapse as collapse_phase
 from wrt.builders.bvh import levels as level_phase
 from wrt.builders.bvh import subtrees as subtree_phase
 from wrt.builders.bvh.bins import make_scratch
-from wrt.builders.bvh.collapse import collapse
+from wrt.builders.bvh.collapse import BinaryBuild, collapse
 from wrt.builders.bvh.config import BvhConfig
 from wrt.builders.bvh.levels import Chunk, LiveNode, Totals
 from wrt.builders.bvh.subtrees import STACK, Frame
@@ -53,7 +53,7 @@ LEAST_CHUNK = 2048
 MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks in any case."""
 
-KERNELS = (level_phase.bin_chunks, subtree_phase.build_subtrees, collapse_phase.open_nodes)
+KERNELS = (level_phase.bin_chunks, subtree_phase.build_subtrees, collapse_phase.pick_children)
 """One kernel of each module: compiling them is no phase of the build."""
 
 
@@ -69,7 +69,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         builder.build_subtrees()
     builder.stats.reserve(triangles.boxes.low, triangles.boxes.high, builder.references, *builder.arrays())
     with builder.phase("collapse"):
-        return collapse(builder.tree, triangles, config, builder.stats)
+        return collapse(builder.result(), triangles, config, builder.stats)
 
 
 class BinnedBuilder:
@@ -86,7 +86,7 @@ class BinnedBuilder:
         self.large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
         self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
         """Two buffers of references."""
-        self.tasks = np.empty(0)
+        self.top: wp.array | None = None
 
     def arrays(self) -> list[wp.array]:
         """The binary tree's memory."""
@@ -130,6 +130,7 @@ class BinnedBuilder:
         nodes, new_nodes = (wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2))
         lists, new_lists = (wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2))
         tasks = wp.empty(2 * most_nodes * MAX_LEVELS, dtype=Frame, device=device)
+        top = wp.empty(most_nodes * MAX_LEVELS, dtype=int, device=device)
         totals = wp.zeros(1, dtype=Totals, device=device)
         scratch = make_scratch(most_chunks + most_nodes, device)
         domain = wp.empty(8 * most_chunks, dtype=float, device=device)
@@ -140,13 +141,14 @@ class BinnedBuilder:
             work = [count, nodes, lists, domain, scratch, most_chunks, self.tree]
             self.run(level_phase.search_planes, live, self.rules, *work)
             large = self.large if level < MAX_LEVELS - 1 else count
-            self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, totals)
+            self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, top, totals)
             self.run(level_phase.partition_chunks, chunks, self.references, nodes, lists, self.parts)
-            live, chunks, done = totals.numpy()[0].tolist()  # the one round trip of a level
+            live, chunks, done, pairs = totals.numpy()[0].tolist()  # the one round trip of a level
             nodes, new_nodes = new_nodes, nodes if level else wp.empty(most_nodes, dtype=LiveNode, device=device)
             lists, new_lists = new_lists, lists
             if live == 0:
                 break
+        self.top = top[:pairs] if pairs else None
         made = tasks[:done].numpy()
         self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)
 
@@ -156,5 +158,20 @@ class BinnedBuilder:
         scratch = make_scratch(count, self.device)
         domain = wp.empty(8 * STACK * count, dtype=float, device=self.device)
         stack = wp.empty((count, STACK), dtype=Frame, device=self.device)
-        inputs = [self.rules, self.references, self.triangles.count, self.tasks, scratch, domain, stack, self.tree]
+        self.subtrees = wp.empty(count, dtype=wp.vec2i, device=self.device)
+        inputs = [
+            self.rules,
+            self.references,
+            self.triangles.count,
+            self.tasks,
+            scratch,
+            domain,
+            stack,
+            self.tree,
+            self.subtrees,
+        ]
         launch(subtree_phase.build_subtrees, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
+
+    def result(self) -> BinaryBuild:
+        """The finished binary tree; the references are no longer needed."""
+        return BinaryBuild(self.tree, self.subtrees, self.top, self.references)

@@ -1,34 +1,52 @@
-"""From a binary tree to nodes of W children, in the layout of `wrt.kernels.bvh`.
+"""From a binary tree to nodes of W children, in the layout of `wrt.kernels.bvh`, at the least possible cost.
 
-**Algorithm.** A wide node takes the place of a binary one: of the nodes it holds, the one with the greatest surface area is
-opened, until it holds W (Wald, Benthin, Boulos 2008). Wide nodes are made level by level, in parallel:
+**Problem.** A node can take any W descendants of a binary node that cover it, and any subtree of few triangles can be one
+leaf. Opening the largest child until there are W leaves many nodes nearly empty.
 
-    open    every node picks its children, and counts its inner ones and the blocks of its leaves
+**Algorithm.** A dynamic programme from the leaves up (Ylitie, Karras, Laine 2017, section 3.1; blocks for triangles). For
+every binary node n, with surface area A(n), F(n, j) is the least cost of its triangles if they may take up to j lanes:
+
+    leaf(n) = A(n) C_b blocks(n)                               if n has at most so many triangles as a leaf may
+    D(n, j) = min over k of F(left, k) + F(right, j - k)       both children share the lanes
+    F(n, 1) = min(leaf(n), A(n) C_t + D(n, W))                 a lane: a leaf, or a wide node
+    F(n, j) = min(F(n, 1), D(n, j))
+
+Wide nodes are then made from the root down, level by level, in parallel:
+
+    pick    every node picks its children by following the minima, and counts its inner ones and the blocks of its leaves
     scan    the counts of the nodes before it tell each node where its children and blocks begin
-    fill    the next level's nodes are listed
+    list    the next level's nodes are listed
 
 When all levels are known, one launch writes boxes, child words and leaf blocks.
+
+**Complexity.** O(W^2) a binary node, in W vector steps.
 
 References:
     I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
         IEEE Symposium on Interactive Ray Tracing 2008.
+    H. Ylitie, T. Karras, S. Laine: Efficient incoherent ray traversal on GPUs through compressed wide BVHs.
+        High Performance Graphics 2017.
 """
+
+from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area
+from wrt.builders.bvh.config import BuildRules, BvhConfig
+from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, half_area_of_both
 from wrt.builders.common import BuildStats, Bvh
+from wrt.builders.cost import leaf_cost
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import EMPTY_LANE, MAX_BLOCKS, leaf_child
+from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_WIDTH = 16
 
-NO_NODE = wp.constant(-1)
+NO_NODE = wp.constant(0x7FFFFFFF)
 """Binary node of an unused lane."""
 
 
@@ -39,47 +57,158 @@ class WideLevels:
     source: wp.array(dtype=int)
     """(nodes,) the binary node that each stands for."""
     pick: wp.array2d(dtype=int)
-    """(nodes, W) the binary nodes of its children; NO_NODE."""
+    """(nodes, W) the binary nodes of its children; ~node: it is to be a leaf; NO_NODE."""
     first: wp.array(dtype=wp.vec2i)
     """(nodes,) its first inner child and its first block; before the scan, how many it has of each."""
 
 
+@wp.func
+def cost_as_leaf(rules: BuildRules, tree: BinaryTree, node: int):
+    """leaf(n); INFINITY if it has too many triangles."""
+    count = tree.range[node][1]
+    return wp.where(count <= rules.max_leaf, half_area(tree.box, node) * leaf_cost(rules.cost, count), INFINITY)
+
+
+@wp.func
+def least_cost(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
+    """F(n, lanes)."""
+    pair = tree.pair[node]
+    if pair == LEAF:
+        return cost_as_leaf(rules, tree, node)
+    return costs[pair * MAX_WIDTH + lanes - 1]
+
+
+@wp.func_native(
+    f"""{FOR_LANES}
+    constexpr int W = {MAX_WIDTH};
+    const float* a = costs.data + (size_t)left * W;
+    float* to = costs.data + (size_t)pair * W;
+    float shifted[2 * W], best[W];
+    WRT_FOR_LANES(i) {{ shifted[i] = INFINITY; best[i] = INFINITY; }}
+    if (right) {{ WRT_FOR_LANES(i) shifted[W + i] = costs.data[(size_t)right * W + i]; }}
+    else {{ WRT_FOR_LANES(i) shifted[W + i] = right_leaf; }}
+    for (int k = 0; k < width - 1; ++k) {{
+        const float own = left ? a[k] : left_leaf;
+        WRT_FOR_LANES(i) {{
+            const float sum = own + shifted[W - 1 - k + i];
+            best[i] = sum < best[i] ? sum : best[i];
+        }}
+    }}
+    const float node = inner + best[width - 1];
+    const float one = leaf < node ? leaf : node;
+    WRT_FOR_LANES(i) to[i] = best[i] < one ? best[i] : one;
+"""
+)
+def combine(
+    costs: wp.array(dtype=float),
+    pair: int,
+    width: int,
+    left: int,
+    left_leaf: float,
+    right: int,
+    right_leaf: float,
+    inner: float,
+    leaf: float,
+):
+    """F(n, 1 .. W) of the parent of a pair from those of the pair's nodes.
+
+    left, right: where their costs are; LEAF: they are leaves that cost left_leaf, right_leaf. inner: A(n) C_t."""
+    ...
+
+
+@wp.func
+def solve_pair(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), pair: int):
+    """F of the node that a pair belongs to."""
+    left = 2 * pair
+    right = left + 1
+    count = tree.range[left][1] + tree.range[right][1]
+    area = half_area_of_both(tree.box, pair)
+    leaf = wp.where(count <= rules.max_leaf, area * leaf_cost(rules.cost, count), INFINITY)
+    combine(
+        costs,
+        pair,
+        1 << rules.cost.width_bits,
+        tree.pair[left],
+        cost_as_leaf(rules, tree, left),
+        tree.pair[right],
+        cost_as_leaf(rules, tree, right),
+        area * rules.cost.traversal,
+        leaf,
+    )
+
+
 @wp.kernel
-def open_nodes(first: int, level_first: int, tree: BinaryTree, width_bits: int, wide: WideLevels):
+def solve_subtrees(
+    first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i), costs: wp.array(dtype=float)
+):
+    """Item: a subtree, as the range of its pairs, parents before children."""
+    pairs = subtrees[first + wp.tid()]
+    for i in range(pairs[1] - pairs[0]):
+        solve_pair(rules, tree, costs, pairs[1] - 1 - i)
+
+
+@wp.kernel
+def solve_top(first: int, rules: BuildRules, tree: BinaryTree, top: wp.array(dtype=int), costs: wp.array(dtype=float)):
+    """One item. top: pairs above the subtrees, parents before children."""
+    for i in range(top.shape[0]):
+        solve_pair(rules, tree, costs, top[top.shape[0] - 1 - i])
+
+
+@wp.func
+def share_lanes(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
+    """Lanes of a pair's left node in D(n, lanes)."""
+    best = float(INFINITY)
+    share = int(1)
+    for k in range(1, lanes):
+        cost = least_cost(rules, tree, costs, 2 * pair, k) + least_cost(rules, tree, costs, 2 * pair + 1, lanes - k)
+        if cost < best:
+            best = cost
+            share = k
+    return share
+
+
+@wp.kernel
+def pick_children(
+    first: int, level_first: int, rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), wide: WideLevels
+):
     """Item: a node of the level."""
     index = level_first + first + wp.tid()
-    width = 1 << width_bits
-    area = wp.zeros(shape=(MAX_WIDTH,), dtype=float)
-    row = wide.pick[index]
-    row[0] = wide.source[index]
-    area[0] = 0.0
-    held = int(1)
-    target = int(0)
-    if tree.pair[row[0]] == LEAF:
-        target = int(-1)
-    while target >= 0 and held < width:
-        pair = tree.pair[row[target]]
-        row[target] = 2 * pair
-        row[held] = 2 * pair + 1
-        for side in range(2):
-            node = 2 * pair + side
-            lane = wp.where(side == 0, target, held)
-            area[lane] = wp.where(tree.pair[node] == LEAF, -1.0, half_area(tree.box, node))
-        held += 1
-        target = int(-1)
-        best = float(-1.0)
-        for lane in range(held):
-            if area[lane] > best:
-                best = area[lane]
-                target = lane
+    width = 1 << rules.cost.width_bits
+    waiting = wp.zeros(shape=(MAX_WIDTH,), dtype=wp.vec2i)
+    node = wide.source[index]
+    lanes = int(width)
+    depth = int(0)
+    held = int(0)
     counts = wp.vec2i(0, 0)
-    for lane in range(width):
-        if lane >= held:
-            row[lane] = NO_NODE
-        elif tree.pair[row[lane]] == LEAF:
-            counts[1] += (tree.range[row[lane]][1] + width - 1) >> width_bits
+    share = bool(True)  # the root has to be a node, even if a leaf or a lane would do
+    picking = bool(True)
+    while picking:
+        pair = tree.pair[node]
+        if pair != LEAF and not share:
+            share = costs[pair * MAX_WIDTH + lanes - 1] < costs[pair * MAX_WIDTH]
+        if pair != LEAF and share:
+            left = share_lanes(rules, tree, costs, pair, lanes)
+            waiting[depth] = wp.vec2i(2 * pair + 1, lanes - left)
+            depth += 1
+            node = 2 * pair
+            lanes = left
         else:
-            counts[0] += 1
+            leaf = cost_as_leaf(rules, tree, node)
+            if pair == LEAF or leaf <= least_cost(rules, tree, costs, node, 1):
+                wide.pick[index, held] = ~node
+                counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
+            else:
+                wide.pick[index, held] = node
+                counts[0] += 1
+            held += 1
+            depth -= 1
+            picking = depth >= 0
+            if picking:
+                node = waiting[depth][0]
+                lanes = waiting[depth][1]
+        share = False
+    for lane in range(held, width):
+        wide.pick[index, lane] = NO_NODE
     wide.first[index] = counts
 
 
@@ -98,16 +227,13 @@ def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, t
 
 
 @wp.kernel
-def list_children(first: int, level_first: int, tree: BinaryTree, width: int, wide: WideLevels):
+def list_children(first: int, level_first: int, width: int, wide: WideLevels):
     """Item: a node of the level."""
     index = level_first + first + wp.tid()
     to = wide.first[index][0]
     for lane in range(width):
         node = wide.pick[index, lane]
-        inner = node != NO_NODE
-        if inner:
-            inner = tree.pair[node] != LEAF
-        if inner:
+        if node >= 0 and node != NO_NODE:
             wide.source[to] = node
             to += 1
 
@@ -134,10 +260,12 @@ def write_nodes(
             for component in range(6):
                 bounds[(index * 6 + component) * width + lane] = wp.where(component < 3, INFINITY, -INFINITY)
         else:
+            leaf = node < 0
+            node = wp.where(leaf, ~node, node)
             for axis in range(3):
                 bounds[(index * 6 + axis) * width + lane] = tree.box[node * 8 + axis]
                 bounds[(index * 6 + 3 + axis) * width + lane] = -tree.box[node * 8 + 4 + axis]
-            if tree.pair[node] == LEAF:
+            if leaf:
                 order = tree.range[node]
                 word = leaf_child(next_block, order[1])
                 blocks = (order[1] + width - 1) >> width_bits
@@ -153,14 +281,34 @@ def write_nodes(
         child[index * width + lane] = word
 
 
-def collapse(tree: BinaryTree, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
+@dataclass
+class BinaryBuild:
+    """What a builder hands over.
+
+    Attributes:
+        tree: the binary tree.
+        subtrees: (subtrees,) vec2i ranges of pairs, parents before children.
+        top: pairs above the subtrees, parents before children; may be empty.
+        space: (16 * triangles,) float32, to be overwritten.
+    """
+
+    tree: BinaryTree
+    subtrees: wp.array
+    top: wp.array | None
+    space: wp.array
+
+
+def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
     """The wide tree.
 
     Raises:
         ValueError: it would need more than MAX_BLOCKS blocks.
     """
-    device, width = tree.box.device, config.cost.width
-    bits = width.bit_length() - 1
+    tree, costs = binary.tree, binary.space
+    device, width, rules = costs.device, config.cost.width, config.struct()
+    launch(solve_subtrees, len(binary.subtrees), [rules, tree, binary.subtrees, costs], device=device, chunk=1)
+    if binary.top is not None:
+        launch(solve_top, 1, [rules, tree, binary.top, costs], device=device)
     most = triangles.count
     wide = WideLevels()
     wide.source = wp.zeros(most, dtype=int, device=device)
@@ -171,9 +319,9 @@ def collapse(tree: BinaryTree, triangles: TriangleBoxes, config: BvhConfig, stat
     nodes, blocks = 1, 0
     while level_first[-1] < nodes:
         first, count = level_first[-1], nodes - level_first[-1]
-        launch(open_nodes, count, [first, tree, bits, wide], device=device, chunk=64)
+        launch(pick_children, count, [first, rules, tree, costs, wide], device=device, chunk=64)
         launch(scan_level, 1, [first, nodes, wide, totals], device=device)
-        launch(list_children, count, [first, tree, width, wide], device=device, chunk=1024)
+        launch(list_children, count, [first, width, wide], device=device, chunk=1024)
         level_first.append(nodes)
         nodes, blocks = totals.numpy().tolist()  # the one round trip of a level
     if blocks > MAX_BLOCKS:
@@ -181,6 +329,7 @@ def collapse(tree: BinaryTree, triangles: TriangleBoxes, config: BvhConfig, stat
     bounds = wp.empty(nodes * 6 * width, dtype=float, device=device)
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)
-    launch(write_nodes, nodes, [tree, bits, wide, bounds, child, primitive], device=device, chunk=64)
+    inputs = [tree, rules.cost.width_bits, wide, bounds, child, primitive]
+    launch(write_nodes, nodes, inputs, device=device, chunk=64)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
     return Bvh(bounds, child, primitive, low, high, width, tuple(level_first), stats)

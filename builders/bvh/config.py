@@ -22,6 +22,8 @@ class BuildRules:
 
     cost: SplitCost
     bins: int
+    fine: int
+    """Triangles below which a node of the binary tree is split only if that pays: leaves are put together afterwards."""
     max_leaf: int
 
 
@@ -41,6 +43,7 @@ class BvhConfig:
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
     bins: int = 16
     max_leaf_triangles: int | None = None
+    fine: int | None = None
 
     def __post_init__(self) -> None:
         if not 2 <= self.bins <= MAX_BINS:
@@ -51,7 +54,7 @@ class BvhConfig:
     @property
     def leaf_limit(self) -> int:
         """Most triangles in a leaf."""
-        return self.max_leaf_triangles or max(SMALLEST_LEAF, self.cost.width)
+        return self.max_leaf_triangles or max(SMALLEST_LEAF, 3 * self.cost.width)
 
     def struct(self) -> BuildRules:
         """The values for a kernel."""
@@ -59,4 +62,5 @@ class BvhConfig:
         rules.cost = self.cost.struct()
         rules.bins = self.bins
         rules.max_leaf = self.leaf_limit
+        rules.fine = min(self.leaf_limit, self.fine or max(SMALLEST_LEAF, self.cost.width))
         return rules

@@ -180,6 +180,7 @@ class Totals:
     nodes: int
     chunks: int
     tasks: int
+    pairs: int
 
 
 @wp.func
@@ -210,15 +211,19 @@ def emit_children(
     next_nodes: wp.array(dtype=LiveNode),
     next_chunks: wp.array(dtype=Chunk),
     tasks: wp.array(dtype=Frame),
+    top: wp.array(dtype=int),
     totals: wp.array(dtype=Totals),
 ):
-    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split."""
+    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split.
+    top: the pairs made."""
     total = totals[0]
     total.nodes = 0
     total.chunks = 0
     for index in range(live):
         node = nodes[index]
         if node.plane.price < INFINITY:
+            top[total.pairs] = node.frame.first + node.plane.left
+            total.pairs += 1
             for side in range(2):
                 child = LiveNode()
                 child.frame.first = node.frame.first + side * node.plane.left

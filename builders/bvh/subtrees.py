@@ -53,9 +53,10 @@ def build_subtrees(
     domain: wp.array(dtype=float),
     stack: wp.array2d(dtype=Frame),
     tree: BinaryTree,
+    subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a task. stack: (tasks, STACK); domain: (tasks * STACK * 8,) centroid box of each waiting node, then of the
-    current one."""
+    """Item: a task. subtrees: (tasks,) the pairs it made. stack: (tasks, STACK). domain: (tasks * STACK * 8,) the centroid box of
+    each waiting node, then of the current one."""
     slot = first + wp.tid()
     frame = tasks[slot]
     next_pair = frame.first + 1
@@ -67,7 +68,7 @@ def build_subtrees(
         at = slot * STACK + waiting
         begin = frame.buffer + frame.first
         leaf = leaf_cost(rules.cost, frame.count)
-        may_stop = frame.count <= rules.max_leaf
+        may_stop = frame.count <= rules.fine
         split = frame.count > 1 and not (may_stop and leaf <= rules.cost.traversal)
         placement = place(domain, at, bins_for(rules, frame.count))
         area = half_area(tree.box, frame.node)
@@ -123,3 +124,4 @@ def build_subtrees(
             building = waiting >= 0
             if building:
                 frame = stack[slot, waiting]
+    subtrees[slot] = wp.vec2i(tasks[slot].first + 1, next_pair)

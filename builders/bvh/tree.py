@@ -52,6 +52,21 @@ def half_area(boxes: wp.array(dtype=float), node: int) -> float:
     ...
 
 
+@wp.func_native("""
+    const float* a = boxes.data + (size_t)pair * 16;
+    float size[3];
+    for (int i = 0; i < 3; ++i) {
+        const float low = a[i] < a[8 + i] ? a[i] : a[8 + i];
+        const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
+        size[i] = -(low + high);
+    }
+    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0];
+""")
+def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
+    """Half the surface area of the box around both nodes of a pair."""
+    ...
+
+
 @wp.func
 def halvings(count: int):
     """ceil(log2(count)): how often a range is halved until one is left."""
