@@ -38,7 +38,7 @@ from wrt.builders.common import BuildStats, Bvh
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
 
-TASKS_PER_THREAD = 8
+TASKS_PER_THREAD = 4
 """A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
 
 LEAST_LARGE = 4096
@@ -49,6 +49,9 @@ CHUNKS_PER_THREAD = 4
 
 LEAST_CHUNK = 2048
 """Triangles that are worth a chunk of their own."""
+
+SEARCHES = 8
+"""Nodes whose search for a plane is worth a second thread."""
 
 MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks in any case."""
@@ -139,7 +142,7 @@ class BinnedBuilder:
         for level in range(MAX_LEVELS):
             self.run(level_phase.bin_chunks, chunks, self.rules, self.references, nodes, lists, self.parts, domain, scratch)
             work = [count, nodes, lists, domain, scratch, most_chunks, self.tree]
-            self.run(level_phase.search_planes, live, self.rules, *work)
+            self.run(level_phase.search_planes, live, self.rules, *work, chunk=SEARCHES)
             large = self.large if level < MAX_LEVELS - 1 else count
             self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, top, totals)
             self.run(level_phase.partition_chunks, chunks, self.references, nodes, lists, self.parts)

@@ -34,7 +34,8 @@ ID_OFFSET = 0x00800000
 _HEAD = f"""{FOR_LANES}
     constexpr int W = 8;
     constexpr int SLOT_BINS = {SLOT_BINS};
-    (void)W; (void)SLOT_BINS;
+    constexpr int PIECE = 1 << 23;
+    (void)W; (void)SLOT_BINS; (void)PIECE;
 """
 
 
@@ -148,32 +149,49 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     const int bins = placement.bins;
     float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
     int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
-    for (int i = 0; i < 3 * bins * 8; ++i) grid[i] = INFINITY;
+    const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
+    for (int i = 0; i < 3 * bins; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
     for (int i = 0; i < 3 * bins; ++i) counts[i] = 0;
     float low[4], scale[4];
     for (int j = 0; j < 3; ++j) { low[j] = placement.low.c[j]; scale[j] = placement.scale.c[j]; }
     low[3] = 0.0f; scale[3] = 0.0f;
     const float last = (float)(bins - 1);
+    float one_more[W];
+    WRT_FOR_LANES(j) one_more[j] = -0.0f;
+    one_more[7] = -1.0f;
     const float* __restrict__ from = references.data + (size_t)begin * 8;
-    for (int i = 0; i < count; ++i, from += 8) {
-        int bin[4];
-        for (int j = 0; j < 4; ++j) {
-            float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
-            t = t > 0.0f ? t : 0.0f;
-            t = t < last ? t : last;
-            bin[j] = (int)t;
+    for (int done = 0; done < count; done += PIECE) {
+        const int piece = count - done < PIECE ? count - done : PIECE;
+        for (int i = 0; i < piece; ++i, from += 8) {
+            float reference[W];
+            memcpy(reference, from, sizeof(reference));
+            int bin[4];
+            for (int j = 0; j < 4; ++j) {
+                float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
+                t = t > 0.0f ? t : 0.0f;
+                t = t < last ? t : last;
+                bin[j] = (int)t;
+            }
+            for (int axis = 0; axis < 3; ++axis) {
+                float* box = grid + (axis * bins + bin[axis]) * 8;
+                float grown[W];
+                memcpy(grown, box, sizeof(grown));
+                WRT_FOR_LANES(j) grown[j] = (reference[j] < grown[j] ? reference[j] : grown[j]) + one_more[j];
+                memcpy(box, grown, sizeof(grown));
+            }
         }
-        for (int axis = 0; axis < 3; ++axis) {
-            const int b = axis * bins + bin[axis];
-            float* __restrict__ box = grid + b * 8;
-            WRT_FOR_LANES(j) box[j] = from[j] < box[j] ? from[j] : box[j];
-            counts[b] += 1;
+        for (int i = 0; i < 3 * bins; ++i) {
+            counts[i] -= (int)grid[i * 8 + 7];
+            grid[i * 8 + 7] = 0.0f;
         }
     }
 """
 )
 def bin_range(references: wp.array(dtype=float), begin: int, count: int, placement: Placement, scratch: Scratch, slot: int):
-    """Bins a range of triangles along the three axes."""
+    """Bins a range of triangles along the three axes.
+
+    The last lane of a bin counts down by one a triangle, in the same instruction that adds -0 to the others: a separate
+    counter would be another load and store. It is emptied before floats run out of whole numbers."""
     ...
 
 
@@ -280,6 +298,7 @@ def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: 
     const float* __restrict__ from = references.data + (size_t)begin * 8;
     float* left = references.data + (size_t)to_left * 8;
     float* right = references.data + (size_t)to_right * 8;
+    const float floors[2] = {INFINITY, -INFINITY};
     float low_side[W], high_side[W];
     WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
     for (int i = 0; i < count; ++i, from += 8) {
@@ -287,15 +306,20 @@ def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: 
         t = t > 0.0f ? t : 0.0f;
         t = t < last ? t : last;
         const bool on_left = (int)t < plane;
-        float* __restrict__ to = on_left ? left : right;
-        WRT_FOR_LANES(j) to[j] = from[j];
+        float reference[W], centroid[W];
+        memcpy(reference, from, sizeof(reference));
+        for (int j = 0; j < 4; ++j) {
+            centroid[j] = from[j] - from[4 + j];
+            centroid[4 + j] = from[4 + j] - from[j];
+        }
+        float* to = on_left ? left : right;
+        memcpy(to, reference, sizeof(reference));
         left += on_left ? 8 : 0;
         right += on_left ? 0 : 8;
-        float centroid[W];
-        for (int j = 0; j < 4; ++j) { centroid[j] = from[j] - from[4 + j]; centroid[4 + j] = from[4 + j] - from[j]; }
+        const float floor = floors[on_left];  // lifts what is on the other side out of the minimum, without a branch
         WRT_FOR_LANES(j) {
-            const float a = on_left ? centroid[j] : INFINITY;
-            const float b = on_left ? INFINITY : centroid[j];
+            const float a = centroid[j] > floor ? centroid[j] : floor;
+            const float b = centroid[j] > -floor ? centroid[j] : -floor;
             low_side[j] = a < low_side[j] ? a : low_side[j];
             high_side[j] = b < high_side[j] ? b : high_side[j];
         }

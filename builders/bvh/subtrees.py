@@ -55,7 +55,7 @@ def build_subtrees(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a task. subtrees: (tasks,) the pairs it made. stack: (tasks, STACK). domain: (tasks * STACK * 8,) the centroid box of
+    """Item: a task. subtrees: (tasks,) the pairs it made. stack: (tasks, STACK). domain: (tasks * STACK * 8,) centroid box of
     each waiting node, then of the current one."""
     slot = first + wp.tid()
     frame = tasks[slot]
