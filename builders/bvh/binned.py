@@ -72,7 +72,8 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         builder.build_subtrees()
     builder.stats.reserve(triangles.boxes.low, triangles.boxes.high, builder.references, *builder.arrays())
     with builder.phase("collapse"):
-        return collapse(builder.result(), triangles, config, builder.stats)
+        tree = collapse(builder.result(), triangles, config, builder.stats)
+    return tree
 
 
 class BinnedBuilder:

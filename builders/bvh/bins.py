@@ -28,6 +28,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 SLOT_BINS = 3 * MAX_BINS
 """Bins of a slot: axis * bins + bin, packed densely when fewer are in use."""
 
+FEW = wp.constant(64)
+FEW_BINS = wp.constant(8)
+"""A node of at most FEW triangles gets FEW_BINS bins: clearing and sweeping more would cost more than they improve."""
+
 ID_OFFSET = 0x00800000
 """Added to a triangle's id, so that its bits are those of a normal float: arithmetic on lanes nobody needs stays fast."""
 
@@ -91,7 +95,7 @@ class Plane:
 @wp.func
 def bins_for(rules: BuildRules, count: int):
     """Bins a node gets: few triangles need few."""
-    return wp.where(count > 64, rules.bins, wp.min(rules.bins, 8))
+    return wp.where(count > FEW, rules.bins, wp.min(rules.bins, FEW_BINS))
 
 
 @wp.func

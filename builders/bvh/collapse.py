@@ -193,8 +193,8 @@ def pick_children(
             node = 2 * pair
             lanes = left
         else:
-            leaf = cost_as_leaf(rules, tree, node)
-            if pair == LEAF or leaf <= least_cost(rules, tree, costs, node, 1):
+            may_be_leaf = tree.range[node][1] <= rules.max_leaf  # costs do not tell where surface areas overflow
+            if may_be_leaf and cost_as_leaf(rules, tree, node) <= least_cost(rules, tree, costs, node, 1):
                 wide.pick[index, held] = ~node
                 counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
             else:

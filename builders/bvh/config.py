@@ -12,8 +12,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 MAX_BINS = 32
 """Bins along an axis that the work space has room for."""
 
-SMALLEST_LEAF = 8
-"""Triangles that a leaf may always hold: with narrow blocks, nodes of less would not pay for themselves."""
+LEAST_GRAIN = 4
+"""Triangles of a leaf of the binary tree, if blocks are narrower."""
+
+LEAF_BLOCKS = 3
+"""Blocks that a leaf may have, unless `BvhConfig.max_leaf_triangles` says otherwise."""
+
+LEAST_MAX_LEAF = 8
+"""Triangles that a leaf may have, if so many blocks have less."""
 
 
 @wp.struct
@@ -22,9 +28,10 @@ class BuildRules:
 
     cost: SplitCost
     bins: int
-    fine: int
-    """Triangles below which a node of the binary tree is split only if that pays: leaves are put together afterwards."""
+    grain: int
+    """A node of the binary tree is a leaf if it has at most so many triangles; the collapse puts leaves together."""
     max_leaf: int
+    """Most triangles in a leaf of the finished tree."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +39,10 @@ class BvhConfig:
     """Cost model and leaf size: the same for every builder of bounding volume hierarchies.
 
     Attributes:
-        cost: the cost model; its width is that of blocks and of nodes. `empty_factor` plays no part.
+        cost: the cost model; its width, at least 2, is that of blocks and of nodes. `traversal` is the cost of visiting a
+            node of W children; `empty_factor` plays no part.
         bins: bins along an axis, 2 to 32, for builders that bin.
-        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for one block, but at least 8 triangles.
+        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
 
     Raises:
         ValueError: a value is out of range.
@@ -43,9 +51,10 @@ class BvhConfig:
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
     bins: int = 16
     max_leaf_triangles: int | None = None
-    fine: int | None = None
 
     def __post_init__(self) -> None:
+        if self.cost.width < 2:
+            raise ValueError(f"cost.width is {self.cost.width}; it must be at least 2, for nodes of as many children")
         if not 2 <= self.bins <= MAX_BINS:
             raise ValueError(f"bins is {self.bins}; it must be from 2 to {MAX_BINS}")
         if self.max_leaf_triangles is not None and not 1 <= self.max_leaf_triangles <= MAX_LEAF_TRIANGLES:
@@ -54,7 +63,7 @@ class BvhConfig:
     @property
     def leaf_limit(self) -> int:
         """Most triangles in a leaf."""
-        return self.max_leaf_triangles or max(SMALLEST_LEAF, 3 * self.cost.width)
+        return self.max_leaf_triangles or max(LEAST_MAX_LEAF, LEAF_BLOCKS * self.cost.width)
 
     def struct(self) -> BuildRules:
         """The values for a kernel."""
@@ -62,5 +71,5 @@ class BvhConfig:
         rules.cost = self.cost.struct()
         rules.bins = self.bins
         rules.max_leaf = self.leaf_limit
-        rules.fine = min(self.leaf_limit, self.fine or max(SMALLEST_LEAF, self.cost.width))
+        rules.grain = min(self.leaf_limit, max(LEAST_GRAIN, self.cost.width))
         return rules

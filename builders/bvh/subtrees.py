@@ -19,8 +19,7 @@ from wrt.builders.bvh.bins import (
     write_order,
 )
 from wrt.builders.bvh.config import BuildRules
-from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, middle, must_halve, pays
-from wrt.builders.cost import leaf_cost
+from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, middle, must_halve
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
 
@@ -67,9 +66,7 @@ def build_subtrees(
         # stop, search
         at = slot * STACK + waiting
         begin = frame.buffer + frame.first
-        leaf = leaf_cost(rules.cost, frame.count)
-        may_stop = frame.count <= rules.fine
-        split = frame.count > 1 and not (may_stop and leaf <= rules.cost.traversal)
+        split = frame.count > rules.grain
         placement = place(domain, at, bins_for(rules, frame.count))
         area = half_area(tree.box, frame.node)
         price = float(INFINITY)
@@ -83,8 +80,6 @@ def build_subtrees(
             axis = best.axis
             plane = best.bin
             left_count = best.left
-        if split and may_stop and not pays(rules.cost.traversal, area, price, leaf):
-            split = False
         tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
         if split:
             # partition

@@ -22,7 +22,7 @@ import warp as wp
 
 from wrt.builders.bvh.collapse import BinaryBuild, collapse
 from wrt.builders.bvh.config import BuildRules, BvhConfig
-from wrt.builders.bvh.tree import LEAF, BinaryTree, empty_tree, half_area, middle, must_halve, pays, price_of_areas
+from wrt.builders.bvh.tree import LEAF, BinaryTree, empty_tree, half_area, middle, must_halve, price_of_areas
 from wrt.builders.common import BuildStats, Bvh
 from wrt.builders.cost import leaf_cost
 from wrt.builders.triangles import Boxes, TriangleBoxes
@@ -172,10 +172,10 @@ def build_by_sweep(
         area = half_area(tree.box, item.node)
         best = Partition()
         best.price = INFINITY
-        if item.count > 1 and area > 0.0 and not must_halve(item.depth, item.count):
+        split = item.count > rules.grain
+        if split and area > 0.0 and not must_halve(item.depth, item.count):
             best = search(rules, boxes, work, item)
-        may_stop = item.count <= rules.fine
-        if may_stop and not pays(rules.cost.traversal, area, best.price, leaf_cost(rules.cost, item.count)):
+        if not split:
             # emit
             tree.pair[item.node] = LEAF
             for i in range(item.first, item.first + item.count):

@@ -9,7 +9,6 @@ A box is kept as (low, -high), 8 floats: it grows by a single minimum, all compo
 
 import warp as wp
 
-from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -97,9 +96,3 @@ def middle(count: int, width_bits: int):
 def price_of_areas(left_area: float, left_cost: float, right_area: float, right_cost: float):
     """The part of a split's cost that differs between the splits of a node."""
     return left_area * left_cost + right_area * right_cost
-
-
-@wp.func
-def pays(traversal: float, area: float, price: float, leaf: float):
-    """Whether a split is cheaper than a leaf; `price` is that of `price_of_areas`, INFINITY for no split."""
-    return price < INFINITY and traversal * area + price < leaf * area
