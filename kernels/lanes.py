@@ -35,6 +35,18 @@ def lowest_bit(mask: wp.uint32) -> int:
     ...
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __popc(mask);
+#else
+    return __builtin_popcount(mask);
+#endif
+""")
+def count_bits(mask: wp.uint32) -> int:
+    """Number of bits set."""
+    ...
+
+
 @cache
 def lanes(width: int) -> type:
     """The vector type of `width` floats."""

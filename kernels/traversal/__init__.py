@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, single
+from wrt.kernels.traversal import brute, lockstep, single
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -51,6 +51,13 @@ TRAVERSALS: dict[str, Traversal] = {
             "Havran: Heuristic ray shooting algorithms (2001), robust intervals for both children",
             "kdtree",
             single.make_kernel,
+        ),
+        Traversal(
+            "lockstep",
+            "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
+            "kdtree",
+            lockstep.make_kernel,
+            lockstep.rays_per_item,
         ),
     )
 }

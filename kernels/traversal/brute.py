@@ -5,9 +5,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, improves, start
+from wrt.kernels.traversal.leaf import Counters, improves, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -29,6 +29,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, intersect, load = test.prepare, test.intersect, test.record.load
+    store = store_best(config)
     box_low, box_high = test.record.box_low, test.record.box_high
     width, counting, any_hit = config.width, config.counters, config.query == ANY
 
@@ -60,10 +61,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         if wp.static(any_hit):
                             break
                 tested += 1
-        if wp.static(any_hit):
-            hits.occluded[i] = best.primitive >= 0
-        else:
-            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+        store(hits, i, best)
         if wp.static(counting):
             counters[i].triangles = tested
 

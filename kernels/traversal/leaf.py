@@ -7,8 +7,9 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import RaySlabs, clamp_to_box
+from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.lanes import lanes, lowest_bit
+from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -53,6 +54,28 @@ def start(t_max: float):
 def improves(t: float, primitive: int, t_min: float, best: Candidate):
     """Whether a hit at t (NaN: none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
     return t >= t_min and (t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive)))
+
+
+@wp.func
+def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: float):
+    """(entry, leave): the part of the ray's range in which it is inside the scene's box; empty if entry > leave."""
+    interval = slab_interval(slabs, low, high)
+    return wp.vec2(wp.max(interval[0], t_min), wp.min(interval[1], t_max))
+
+
+@cache
+def store_best(config: TraversalConfig) -> wp.Function:
+    """`wp.func(hits, i, best)` that writes the answer to the query for ray number i."""
+    any_hit = config.query == ANY
+
+    @wp.func
+    def store(hits: HitBatch, i: int, best: Candidate):
+        if wp.static(any_hit):
+            hits.occluded[i] = best.primitive >= 0
+        else:
+            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+
+    return store
 
 
 @cache

@@ -32,12 +32,12 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import kdtree
-from wrt.kernels.boxes import cross_plane, ray_slabs, reach, slab_interval
+from wrt.kernels.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, block_step, start
+from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -112,7 +112,7 @@ def step_selecting(
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_block = block_step(config)
+    test_block, store = block_step(config), store_best(config)
     step = step_guessing if config.coherent else step_selecting
     width, counting, any_hit = config.width, config.counters, config.query == ANY
 
@@ -131,10 +131,10 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         if ray.valid:
             slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
             state = prepare(ray.origin, ray.direction)
-            interval = slab_interval(slabs, tree.low, tree.high)
+            interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
             cell = Cell()
-            cell.entry = wp.max(interval[0], ray.t_min)
-            cell.leave = wp.min(interval[1], ray.t_max)
+            cell.entry = interval[0]
+            cell.leave = interval[1]
             stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
             stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
             stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
@@ -170,10 +170,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                         cell.entry = load_float(stack_entry, size)
                         cell.leave = load_float(stack_leave, size)
                         searching = cell.entry <= best.t
-        if wp.static(any_hit):
-            hits.occluded[i] = best.primitive >= 0
-        else:
-            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+        store(hits, i, best)
         if wp.static(counting):
             counters[i] = work
 
