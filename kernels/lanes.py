@@ -14,8 +14,12 @@ FOR_LANES = """
 #ifndef WRT_FOR_LANES
 #if defined(__clang__)
 #define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
+#define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
+#define WRT_UNROLLED _Pragma("clang loop unroll(full)")
 #else
+#define WRT_UNROLLED
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
+#define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)
 #endif
 #endif
 """

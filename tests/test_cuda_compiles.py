@@ -42,9 +42,10 @@ def test_module(name, tmp_path):
 
 @pytest.mark.parametrize("query", QUERIES)
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
-@pytest.mark.parametrize("traversal", TRAVERSALS)
-def test_traversal(traversal, triangle_test, query, tmp_path):
-    kernel = TRAVERSALS[traversal].make_kernel(TraversalConfig(triangle_test, 2, query, counters=query == "closest"))
+@pytest.mark.parametrize(("traversal", "tree"), [(name, tree) for name, way in TRAVERSALS.items() for tree in way.trees])
+def test_traversal(traversal, tree, triangle_test, query, tmp_path):
+    config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=4)
+    kernel = TRAVERSALS[traversal].kernels[tree](config)
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text, "a fused multiply-add breaks watertightness and the equality of devices"

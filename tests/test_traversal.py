@@ -7,21 +7,23 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
+from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-WALKS = [name for name, traversal in TRAVERSALS.items() if traversal.tree != "none"]
+TREES = [wrt.KdTree(builder=name) for name in KDTREE_BUILDERS] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]
+WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]
 
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
-@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
-def test_hits_equal_brute_force(scene_mesh, builder, triangle_test, device):
-    scene = wrt.Scene(scene_mesh, wrt.KdTree(builder=builder), device=device)
+@pytest.mark.parametrize("accelerator", TREES, ids=lambda tree: f"{tree.kind}-{tree.builder}")
+def test_hits_equal_brute_force(scene_mesh, accelerator, triangle_test, device):
+    scene = wrt.Scene(scene_mesh, accelerator, device=device)
     origins, directions = mixed_rays(scene_mesh, 3000)
     expected = scene.intersect(origins, directions, traversal="brute", triangle_test=triangle_test)
     assert 0.05 < expected.is_hit.mean() < 0.99
-    for traversal in WALKS:
+    for traversal in (name for tree, name in WALKS if tree == accelerator.kind):
         hits = scene.intersect(origins, directions, traversal=traversal, triangle_test=triangle_test)
         assert_same_hits(hits, expected)
         dark = scene.occluded(origins, directions, traversal=traversal, triangle_test=triangle_test)
@@ -30,10 +32,10 @@ def test_hits_equal_brute_force(scene_mesh, builder, triangle_test, device):
     np.testing.assert_array_equal(dark, expected.is_hit)
 
 
-@pytest.mark.parametrize("traversal", WALKS)
-def test_bounded_ranges_equal_brute_force(scene_mesh, traversal, device):
+@pytest.mark.parametrize(("tree", "traversal"), WALKS)
+def test_bounded_ranges_equal_brute_force(scene_mesh, tree, traversal, device):
     """Per-ray t_min and t_max that cut between hits, exactly at hits, and empty ranges."""
-    scene = wrt.Scene(scene_mesh, device=device)
+    scene = wrt.Scene(scene_mesh, tree, device=device)
     origins, directions = mixed_rays(scene_mesh, 3000, seed=1)
     first = scene.intersect(origins, directions, traversal="brute")
     rng = np.random.default_rng(2)

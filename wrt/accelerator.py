@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.builders import common
+    from wrt.builders.bvh.config import BvhConfig
     from wrt.builders.kdtree.config import KdTreeConfig
+    from wrt.builders.triangles import TriangleBoxes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,6 +30,8 @@ class KdTree:
     Raises:
         ValueError: unknown builder, or a value out of its range.
     """
+
+    kind: ClassVar[str] = "kdtree"
 
     builder: str = "in_place"
     width: int | None = None
@@ -57,20 +62,76 @@ class KdTree:
         return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits))
 
 
-ACCELERATORS = ("auto", "kdtree")
+    def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
+        """Builds the tree where the boxes are."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bvh:
+    """A wide bounding volume hierarchy by the surface area heuristic.
+
+    Attributes:
+        builder: key in `wrt.builders.bvh.BVH_BUILDERS`.
+        width: children a node and triangles tested at once, 2, 4, 8 or 16; None for what suits the device.
+        traversal_cost: cost of visiting a node.
+        block_cost: cost of testing one block of `width` triangles.
+        bins: bins along an axis, 2 to 32, for builders that bin.
+        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
+
+    Raises:
+        ValueError: unknown builder, or a value out of its range.
+    """
+
+    kind: ClassVar[str] = "bvh"
+
+    builder: str = "binned"
+    width: int | None = None
+    traversal_cost: float = 1.0
+    block_cost: float = 0.5
+    bins: int = 16
+    max_leaf_triangles: int | None = None
+
+    def __post_init__(self) -> None:
+        from wrt.builders.bvh import BVH_BUILDERS
+
+        lookup(BVH_BUILDERS, self.builder, "builder")
+        self.config(width=8)
+
+    def config(self, width: int) -> BvhConfig:
+        """The builder's configuration; `width` is used where the description leaves it open."""
+        from wrt.builders.bvh.config import BvhConfig
+        from wrt.builders.cost import SurfaceAreaCost
+
+        width = width if self.width is None else self.width
+        cost = SurfaceAreaCost(traversal=self.traversal_cost, block=self.block_cost, width=width)
+        return BvhConfig(cost, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles)
+
+    def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
+        """Builds the tree where the boxes are."""
+        from wrt.builders.bvh import BVH_BUILDERS
+
+        return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
+
+
+Accelerator = KdTree | Bvh
+
+ACCELERATORS = {"auto": Bvh, "bvh": Bvh, "kdtree": KdTree}
 """Names that `wrt.Scene` takes in place of a description."""
 
 
-def resolve_accelerator(accelerator: str | KdTree) -> KdTree:
+def resolve_accelerator(accelerator: str | Accelerator) -> Accelerator:
     """The description that a name stands for.
 
     Raises:
         ValueError: unknown name.
         TypeError: neither a name nor a description.
     """
-    if isinstance(accelerator, KdTree):
+    if isinstance(accelerator, Accelerator):
         return accelerator
     if not isinstance(accelerator, str):
-        raise TypeError(f"accelerator must be a name or a wrt.KdTree, not {type(accelerator).__name__}")
-    lookup(dict.fromkeys(ACCELERATORS), accelerator, "accelerator")
-    return KdTree()
+        kind = type(accelerator).__name__
+        raise TypeError(f"accelerator must be a name, a wrt.Bvh or a wrt.KdTree, not {kind}")
+    return lookup(ACCELERATORS, accelerator, "accelerator")()

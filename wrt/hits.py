@@ -13,6 +13,7 @@ from wrt.kernels.launch import launch, use_threads
 if TYPE_CHECKING:
     from wrt.kernels.hits import SceneMesh
     from wrt.kernels.rays import HitBatch
+    from wrt.plan import Plan
     from wrt.rays import RayBuffers
 
 
@@ -39,14 +40,22 @@ class Hits:
         position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
         normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
             0 for a miss and for a triangle without area.
+        plan: how the query was answered (`wrt.plan.Plan`).
         counters: {"nodes", "leaves", "triangles": (...) int32}, the work done for each ray, if it was asked for.
     """
 
     def __init__(
-        self, batch: HitBatch, rays: RayBuffers, mesh: SceneMesh, counters: wp.array | None, num_threads: int | None = None
+        self,
+        batch: HitBatch,
+        rays: RayBuffers,
+        mesh: SceneMesh,
+        plan: Plan,
+        counters: wp.array | None,
+        num_threads: int | None = None,
     ) -> None:
         self.batch = batch
         """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
+        self.plan = plan
         self._mesh = mesh
         self._counters = counters
         self._geometries = mesh.geometry_first.shape[0] - 1

@@ -8,20 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerator import KdTree, resolve_accelerator
+from wrt.accelerator import Accelerator, resolve_accelerator
 from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import MAX_CHUNK, check_num_threads, launch, use_threads
 from wrt.kernels.rays import HitBatch
 from wrt.mesh import TriangleMesh
+from wrt.plan import AUTO, Plan, make_plan, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, to_device
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
-
-AUTO = "auto"
 
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
@@ -35,7 +34,7 @@ class Scene:
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, or a sequence of such; each mesh of a sequence is a
             geometry of its own (`Hits.geometry_id`), a trimesh.Scene is one.
-        accelerator: "auto", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
+        accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
         device: a Warp device or its name, such as "cpu" or "cuda:0"; None for Warp's default device.
         num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
 
@@ -47,7 +46,7 @@ class Scene:
     def __init__(
         self,
         geometry: Any,
-        accelerator: str | KdTree = AUTO,
+        accelerator: str | Accelerator = AUTO,
         *,
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
@@ -65,7 +64,6 @@ class Scene:
             self._build(centered, faces, first)
 
     def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray) -> None:
-        from wrt.builders.kdtree import KDTREE_BUILDERS
         from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
 
@@ -73,9 +71,8 @@ class Scene:
         host = wp.get_device("cpu")
         host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        config = self.accelerator.config(native_width(self.device))
-        build = KDTREE_BUILDERS[self.accelerator.builder].build
-        self.tree = build(triangle_boxes(host_vertices, host_faces), config).to(self.device)
+        boxes = triangle_boxes(host_vertices, host_faces)
+        self.tree = self.accelerator.build(boxes, native_width(self.device)).to(self.device)
         self.device_mesh = SceneMesh()
         """All triangles on the device, for kernels."""
         self.device_mesh.vertices = host_vertices.to(self.device)
@@ -104,7 +101,7 @@ class Scene:
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
-        traversal: str = AUTO,
+        traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         counters: bool = False,
     ) -> Hits:
@@ -117,7 +114,8 @@ class Scene:
             origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
             directions: (..., 3), of any length; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
-            traversal: "auto" or a key of `wrt.kernels.traversal.TRAVERSALS`.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
+                the plan's triangle test then counts.
             triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
             counters: whether to count each ray's work (`Hits.counters`).
 
@@ -132,8 +130,9 @@ class Scene:
             batch.t = wp.empty(buffers.count, dtype=float, device=self.device)
             batch.primitive = wp.empty(buffers.count, dtype=int, device=self.device)
             batch.uv = wp.empty(buffers.count, dtype=wp.vec2, device=self.device)
-            work = self._trace(buffers, batch, "closest", traversal, triangle_test, counters)
-        return Hits(batch, buffers, self.device_mesh, work, self.num_threads)
+            plan = make_plan(self, buffers, traversal, triangle_test)
+            work = self._trace(plan, buffers, batch, "closest", counters)
+        return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
     def occluded(
         self,
@@ -142,7 +141,7 @@ class Scene:
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
-        traversal: str = AUTO,
+        traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
         """Whether anything is hit: (...) bool, a NumPy array if the rays were, else a Warp array.
@@ -154,8 +153,23 @@ class Scene:
             buffers = to_device(rays, self.device, self.center)
             batch = HitBatch()
             batch.occluded = wp.empty(buffers.count, dtype=wp.bool, device=self.device)
-            self._trace(buffers, batch, "any", traversal, triangle_test, False)
+            self._trace(make_plan(self, buffers, traversal, triangle_test), buffers, batch, "any", False)
         return shaped(batch.occluded, buffers)
+
+    def explain(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Plan:
+        """How `intersect` or `occluded` would answer these rays, and why; nothing is traced. Arguments as theirs."""
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test)
 
     @property
     def record_bytes(self) -> int:
@@ -168,30 +182,24 @@ class Scene:
 
         return scene_statistics(self)
 
-    def _trace(
-        self, rays: RayBuffers, hits: HitBatch, query: str, traversal: str, triangle_test: str, counters: bool
-    ) -> wp.array | None:
+    def _trace(self, plan: Plan, rays: RayBuffers, hits: HitBatch, query: str, counters: bool) -> wp.array | None:
         """Runs one query; returns the counters if they were asked for."""
-        from wrt.kernels.traversal import TRAVERSALS
         from wrt.kernels.traversal.brute import AllTriangles
-        from wrt.kernels.traversal.config import TraversalConfig
         from wrt.kernels.traversal.leaf import Counters
-        from wrt.kernels.triangle import TRIANGLE_TESTS
 
-        way = TRAVERSALS["single"] if traversal == AUTO else lookup(TRAVERSALS, traversal, "traversal")
-        test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
-        config = TraversalConfig(test.name, self.tree.width, query, rays.coherent, counters)
+        way, config = way_of(plan), traversal_config(plan, self, query, counters)
         work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
-        if way.tree == "none":
+        longest = MAX_CHUNK
+        if plan.accelerator == "none":
             tree = AllTriangles()
             tree.count, tree.low, tree.high = self.triangle_count, self.tree.low, self.tree.high
+            longest = max(1, BRUTE_FORCE_TESTS // self.triangle_count)
         else:
             tree = self.tree.struct()
-        inputs = [tree, self._triangles(test.name, way.tree), rays.batch, hits, work]
-        longest = MAX_CHUNK if way.tree != "none" else max(1, BRUTE_FORCE_TESTS // self.triangle_count)
+        inputs = [tree, self._triangles(plan.triangle_test, plan.accelerator), rays.batch, hits, work]
         grain = way.rays_per_item(config)
         launch(
-            way.make_kernel(config),
+            way.kernels[plan.accelerator](config),
             -(-rays.count // grain),
             inputs,
             device=self.device,

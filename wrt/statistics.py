@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from wrt.builders.bvh.statistics import BvhStatistics, bvh_statistics
 from wrt.builders.kdtree.statistics import KdTreeStatistics, kdtree_statistics
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -28,7 +29,7 @@ class SceneStatistics:
 
     triangles: int
     geometries: int
-    tree: KdTreeStatistics
+    tree: KdTreeStatistics | BvhStatistics
     tree_bytes: int
     mesh_bytes: int
     build_seconds: dict[str, float]
@@ -41,40 +42,44 @@ class SceneStatistics:
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain dicts, lists and numbers, as JSON takes them."""
-        tree = self.tree
+        memory = {"bytes": self.tree_bytes, "bytes per triangle": self.tree_bytes_per_triangle}
         return {
             "mesh": {"triangles": self.triangles, "geometries": self.geometries, "bytes": self.mesh_bytes},
-            "tree": {
-                "nodes": tree.nodes,
-                "leaves": tree.leaves,
-                "empty leaves": tree.empty_leaves,
-                "references": tree.references,
-                "references per triangle": tree.duplication,
-                "block fill": tree.block_fill,
-                "greatest depth": tree.max_depth,
-                "SAH cost": tree.sah_cost,
-                "bytes": self.tree_bytes,
-                "bytes per triangle": self.tree_bytes_per_triangle,
-            },
+            "tree": {**tree_figures(self.tree), **memory},
             "build": {
                 "seconds": {**self.build_seconds, "total": sum(self.build_seconds.values())},
                 "peak bytes": self.build_peak_bytes,
                 "peak bytes per triangle": self.build_peak_bytes / self.triangles,
             },
-            "leaves by depth": tree.depth_histogram.tolist(),
-            "leaves by triangles": tree.leaf_size_histogram.tolist(),
+            "leaves by depth": self.tree.depth_histogram.tolist(),
+            "leaves by triangles": self.tree.leaf_size_histogram.tolist(),
         }
+
+
+def tree_figures(tree: KdTreeStatistics | BvhStatistics) -> dict[str, Any]:
+    """Figures of a tree, by name."""
+    if isinstance(tree, BvhStatistics):
+        own = {"node fill": tree.node_fill}
+    else:
+        own = {
+            "empty leaves": tree.empty_leaves,
+            "references": tree.references,
+            "references per triangle": tree.duplication,
+        }
+    counts = {"nodes": tree.nodes, "leaves": tree.leaves, **own}
+    return {**counts, "block fill": tree.block_fill, "greatest depth": tree.max_depth, "SAH cost": tree.sah_cost}
 
 
 def scene_statistics(scene: Scene) -> SceneStatistics:
     """Measures a scene."""
     cost = scene.accelerator.config(scene.tree.width).cost
+    measure = bvh_statistics if scene.accelerator.kind == "bvh" else kdtree_statistics
     record = TRIANGLE_TESTS["woop"].record
     mesh_bytes = sum(array.capacity for array in (scene.device_mesh.vertices, scene.device_mesh.faces))
     return SceneStatistics(
         triangles=scene.triangle_count,
         geometries=len(scene.meshes),
-        tree=kdtree_statistics(scene.tree, scene.triangle_count, cost),
+        tree=measure(scene.tree, scene.triangle_count, cost),
         tree_bytes=scene.tree.bytes + 4 * record.components * len(scene.tree.primitive),
         mesh_bytes=mesh_bytes,
         build_seconds=dict(scene.tree.stats.seconds),

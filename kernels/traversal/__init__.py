@@ -1,7 +1,7 @@
 """Ways to find hits: one file per traversal, and the table of them.
 
 **Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
-`(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind that the traversal walks, `triangles`
+`(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind of tree for which it is made, `triangles`
 the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.rays`, `counters` is written only where the config
 asks for it. One skeleton serves every query through `wp.static` switches. Every traversal gives the same hits to the bit
 (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
@@ -9,12 +9,12 @@ asks for it. One skeleton serves every query through `wp.static` switches. Every
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, lockstep, single
+from wrt.kernels.traversal import brute, lockstep, packet, single, single_bvh
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -30,34 +30,42 @@ class Traversal:
     Attributes:
         name: key in `TRAVERSALS`.
         paper: authors, title, year.
-        tree: kind of tree that it walks: "kdtree", or "none" for all triangles.
-        make_kernel: config -> kernel.
+        kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
         rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
     """
 
     name: str
     paper: str
-    tree: str
-    make_kernel: Callable[[TraversalConfig], wp.Kernel]
+    kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
+
+    @property
+    def trees(self) -> tuple[str, ...]:
+        """Kinds of tree that it walks."""
+        return tuple(self.kernels)
 
 
 TRAVERSALS: dict[str, Traversal] = {
     traversal.name: traversal
     for traversal in (
-        Traversal("brute", "every ray against every triangle", "none", brute.make_kernel),
+        Traversal("brute", "every ray against every triangle", {"none": brute.make_kernel}),
         Traversal(
             "single",
-            "Havran: Heuristic ray shooting algorithms (2001), robust intervals for both children",
-            "kdtree",
-            single.make_kernel,
+            "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
+            {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
         ),
         Traversal(
             "lockstep",
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
-            "kdtree",
-            lockstep.make_kernel,
+            {"kdtree": lockstep.make_kernel},
             lockstep.rays_per_item,
+        ),
+        Traversal(
+            "packet",
+            "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
+            {"bvh": packet.make_kernel},
+            packet.rays_per_item,
         ),
     )
 }

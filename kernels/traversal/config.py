@@ -14,10 +14,14 @@ class TraversalConfig:
 
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
-        width: triangles a block, 1 to 16.
+        width: triangles a block, and children of a wide node, 1 to 16.
         query: "closest" or "any".
         coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
-        counters: whether work per ray is counted (`wrt.kernels.traversal.counters`).
+        counters: whether work per ray is counted (`wrt.kernels.traversal.leaf.Counters`).
+        levels: inner nodes on a path that the stack has room for; at least the depth of a wide tree.
+        packet: rays of a packet, a multiple of the width.
+        shared_origin: whether all rays of the batch start at the same point.
+        culling: key in `wrt.kernels.packet.CULLINGS`.
     """
 
     triangle_test: str
@@ -25,3 +29,7 @@ class TraversalConfig:
     query: str = CLOSEST
     coherent: bool = True
     counters: bool = False
+    levels: int = 16
+    packet: int = 64
+    shared_origin: bool = False
+    culling: str = "interval"

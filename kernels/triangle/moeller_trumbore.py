@@ -15,7 +15,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
-from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.records import Corners, PacketForm
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -106,3 +106,39 @@ def block_test(width: int) -> wp.Function:
     ) -> wp.uint32: ...
 
     return moeller_trumbore_block
+
+
+PACKET = PacketForm(
+    state=("direction_x", "direction_y", "direction_z"),
+    passes=1,
+    prepare="direction_x[k] = x; direction_y[k] = y; direction_z[k] = z;",
+    triangle="""
+            const float ax = corner[0], ay = corner[W], az = corner[2 * W];
+            const float bx = corner[3 * W] - ax, by = corner[4 * W] - ay, bz = corner[5 * W] - az;
+            const float cx = corner[6 * W] - ax, cy = corner[7 * W] - ay, cz = corner[8 * W] - az;
+    """,
+    inside="""
+                int inside[W];
+                float t_at[W], u_at[W], v_at[W];
+                int some = 0;
+                WRT_FOR_LANES(i) {
+                    const int k = f + i;
+                    const float dx = direction_x[k], dy = direction_y[k], dz = direction_z[k];
+                    const float ox = SHARED ? origin0[0] : origin_x[k], oy = SHARED ? origin0[1] : origin_y[k],
+                                oz = SHARED ? origin0[2] : origin_z[k];
+                    const float px = dy * cz - dz * cy, py = dz * cx - dx * cz, pz = dx * cy - dy * cx;
+                    const float scale = 1.0f / ((bx * px + by * py) + bz * pz);
+                    const float sx = ox - ax, sy = oy - ay, sz = oz - az;
+                    const float u_i = ((sx * px + sy * py) + sz * pz) * scale;
+                    const float qx = sy * bz - sz * by, qy = sz * bx - sx * bz, qz = sx * by - sy * bx;
+                    const float v_i = ((dx * qx + dy * qy) + dz * qz) * scale;
+                    const float t_i = ((cx * qx + cy * qy) + cz * qz) * scale;
+                    t_at[i] = t_i; u_at[i] = u_i; v_at[i] = v_i;
+                    inside[i] = ((u_i >= 0.0f) & (v_i >= 0.0f) & (u_i + v_i <= 1.0f) & (t_i - t_i == 0.0f)) ? 1 : 0;
+                    some |= inside[i];
+                }
+                if (!some) continue;
+    """,
+    hit="at = t_at[i]; hit_u = u_at[i]; hit_v = v_at[i];",
+)
+"""W rays x one triangle: the same arithmetic."""

@@ -91,3 +91,29 @@ def corners_high(corners: Corners):
 
 CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high)
 """The three vertices as they are: 36 bytes a triangle, nothing precomputed."""
+
+
+@dataclass(frozen=True)
+class PacketForm:
+    """W rays x one triangle: pieces of C++ that `wrt.kernels.packet` puts into its lane loops.
+
+    Free variables: `k` is the ray's number in the packet, `i` = k - f its lane, `corner` points at the record of the
+    triangle, whose component c is `corner[c * W]`; `SHARED`, `origin0`, `origin_x` .. `origin_z` and the test's own
+    components as in `wrt.kernels.packet.layout`; `bounds` are the packet's.
+
+    Attributes:
+        state: names of the components that the test keeps per ray.
+        passes: 1, or 3 for one pass over the rays of each main axis (bit `pass` of `bounds.passes` tells which occur).
+        prepare: per ray, from direction x, y, z, inverse ix, iy, iz, slopes sx, sy and `main_x`, `main_y`: the state.
+        triangle: once a triangle and pass.
+        inside: for the W rays from f on: declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
+            goes on with `continue` if it meets none.
+        hit: per ray, sets `at`, `hit_u`, `hit_v`.
+    """
+
+    state: tuple[str, ...]
+    passes: int
+    prepare: str
+    triangle: str
+    inside: str
+    hit: str

@@ -25,7 +25,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
-from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.records import Corners, PacketForm
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -157,3 +157,74 @@ def block_test(width: int) -> wp.Function:
     ) -> wp.uint32: ...
 
     return woop_block
+
+
+PACKET = PacketForm(
+    state=("shear_z", "main_axis"),
+    passes=3,
+    prepare="""
+        shear_z[k] = main_x ? ix : main_y ? iy : iz;
+        ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
+    """,
+    triangle="""
+            const int z = pass, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
+            const float ax = corner[x * W], ay = corner[y * W], az = corner[z * W];
+            const float bx = corner[(3 + x) * W], by = corner[(3 + y) * W], bz = corner[(3 + z) * W];
+            const float cx = corner[(6 + x) * W], cy = corner[(6 + y) * W], cz = corner[(6 + z) * W];
+            const float *from_x = x == 0 ? origin_x : x == 1 ? origin_y : origin_z;
+            const float *from_y = y == 0 ? origin_x : y == 1 ? origin_y : origin_z;
+            const float *from_z = z == 0 ? origin_x : z == 1 ? origin_y : origin_z;
+            const float from_x0 = origin0[x], from_y0 = origin0[y], from_z0 = origin0[z];
+            const int* axis = (const int*)main_axis;
+    """,
+    inside="""
+                int inside[W];
+                float area_a[W], area_b[W], area_c[W];
+                int some = 0, edges = 0;
+                WRT_FOR_LANES(i) {
+                    const int k = f + i;
+                    const float ox = SHARED ? from_x0 : from_x[k], oy = SHARED ? from_y0 : from_y[k],
+                                oz = SHARED ? from_z0 : from_z[k];
+                    const float pz = az - oz, qz = bz - oz, rz = cz - oz, sx = slope_x[k], sy = slope_y[k];
+                    const float px = (ax - ox) - sx * pz, qx = (bx - ox) - sx * qz, rx = (cx - ox) - sx * rz;
+                    const float py = (ay - oy) - sy * pz, qy = (by - oy) - sy * qz, ry = (cy - oy) - sy * rz;
+                    const float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
+                    area_a[i] = a; area_b[i] = b; area_c[i] = c;
+                    const bool in = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+                    const bool on_edge = (a == 0.0f) | (b == 0.0f) | (c == 0.0f);
+                    inside[i] = (in & (axis[k] == z)) ? 1 : 0;
+                    some |= inside[i];
+                    edges |= on_edge ? 1 : 0;
+                }
+                if (edges) {
+                    some = 0;
+                    for (int i = 0; i < W; ++i) {
+                        const int k = f + i;
+                        if (area_a[i] == 0.0f || area_b[i] == 0.0f || area_c[i] == 0.0f) {
+                            const float ox = SHARED ? from_x0 : from_x[k], oy = SHARED ? from_y0 : from_y[k],
+                                        oz = SHARED ? from_z0 : from_z[k];
+                            const float pz = az - oz, qz = bz - oz, rz = cz - oz, sx = slope_x[k], sy = slope_y[k];
+                            const double px = (ax - ox) - sx * pz, qx = (bx - ox) - sx * qz, rx = (cx - ox) - sx * rz;
+                            const double py = (ay - oy) - sy * pz, qy = (by - oy) - sy * qz, ry = (cy - oy) - sy * rz;
+                            const float a = (float)(rx * qy - ry * qx), b = (float)(px * ry - py * rx),
+                                        c = (float)(qx * py - qy * px);
+                            area_a[i] = a; area_b[i] = b; area_c[i] = c;
+                            const bool in = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f))
+                                | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+                            inside[i] = (in & ((a + b) + c != 0.0f) & (axis[k] == z)) ? 1 : 0;
+                        }
+                        some |= inside[i];
+                    }
+                }
+                if (!some) continue;
+    """,
+    hit="""
+                    const float from = SHARED ? from_z0 : from_z[k], sz = shear_z[k];
+                    const float scale = 1.0f / ((area_a[i] + area_b[i]) + area_c[i]);
+                    at = ((area_a[i] * (sz * (az - from)) + area_b[i] * (sz * (bz - from)))
+                        + area_c[i] * (sz * (cz - from))) * scale;
+                    hit_u = area_b[i] * scale;
+                    hit_v = area_c[i] * scale;
+    """,
+)
+"""W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""

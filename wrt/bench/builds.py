@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from wrt.accelerator import KdTree
+from wrt.accelerator import Accelerator, Bvh, KdTree, resolve_accelerator
 from wrt.bench.contract import Peer
 from wrt.bench.engines import Engine
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.peers import Open3D
 from wrt.bench.results import Question, Row
+from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.mesh import TriangleMesh
+from wrt.plan import AUTO
 
 BUDGET = 10.0
 """Seconds for each builder."""
@@ -31,9 +33,10 @@ SMALL = 256
 def builder_peers(peers: Sequence[Peer], threads: int, device: str) -> list[Peer]:
     """Every builder of the table with all threads and with one, then the peers; Open3D with one thread too."""
     counts = dict.fromkeys((threads, 1))
+    descriptions = [Bvh(builder=name) for name in BVH_BUILDERS] + [KdTree(builder=name) for name in KDTREE_BUILDERS]
     found: list[Peer] = [
-        Engine(count, device, name=f"wrt {name}", accelerator=KdTree(builder=name))
-        for name in KDTREE_BUILDERS
+        Engine(count, device, name=builder_name(description), accelerator=description)
+        for description in descriptions
         for count in counts
     ]
     for peer in peers:
@@ -71,6 +74,11 @@ def ask_builds(
     return Question("build", None, None, reference, rows)
 
 
+def builder_name(accelerator: Accelerator) -> str:
+    """How a builder is called in tables."""
+    return f"wrt {accelerator.kind} {accelerator.builder}"
+
+
 def label(peer: Peer) -> str:
     """A name that tells thread counts apart."""
     return f"{peer.name}, {peer.threads} thread{'s' if peer.threads > 1 else ''}"
@@ -78,7 +86,7 @@ def label(peer: Peer) -> str:
 
 def reference_label(builders: dict[str, Peer], threads: int) -> str:
     """wrt's default builder with all threads."""
-    default = f"wrt {KdTree().builder}"
+    default = builder_name(resolve_accelerator(AUTO))
     return next(name for name, peer in builders.items() if peer.name == default and peer.threads == threads)
 
 

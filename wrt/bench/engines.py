@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from wrt.accelerator import ACCELERATORS, KdTree
+from wrt.accelerator import Accelerator
 from wrt.bench.contract import Answer, Peer, Query, device_rays
 from wrt.bench.workloads import Workload
 from wrt.kernels.traversal import TRAVERSALS
@@ -35,7 +35,7 @@ class Engine(Peer):
         device: str = "cpu",
         *,
         name: str = "wrt",
-        accelerator: str | KdTree = AUTO,
+        accelerator: str | Accelerator = AUTO,
         traversal: str = AUTO,
         triangle_test: str = AUTO,
     ) -> None:
@@ -83,7 +83,7 @@ class Engine(Peer):
 
     def ray_limit(self, triangles: int) -> int | None:
         way = TRAVERSALS.get(self.traversal)
-        return max(64, BRUTE_FORCE_PAIRS // triangles) if way is not None and way.tree == "none" else None
+        return max(64, BRUTE_FORCE_PAIRS // triangles) if way is not None and way.trees == ("none",) else None
 
     @property
     def _options(self) -> dict[str, str]:
@@ -102,12 +102,13 @@ def default_engine(threads: int, device: str) -> Engine:
 
 
 def all_engines(threads: int, device: str) -> list[Engine]:
-    """One engine for each traversal, and one for each triangle test, that the tables list; the rest left on "auto"."""
+    """One engine for each traversal of each tree, and one for each triangle test, that the tables list; the rest left on "auto"."""
     engines = []
     for way in TRAVERSALS.values():
-        accelerator = way.tree if way.tree in ACCELERATORS else AUTO
-        name = f"wrt, {way.name}"
-        engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))
+        for tree in way.trees:
+            name = f"wrt, {way.name}" if tree == "none" else f"wrt, {tree}, {way.name}"
+            accelerator = AUTO if tree == "none" else tree
+            engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))
     for test in TRIANGLE_TESTS.values():
         engines.append(Engine(threads, device, name=f"wrt, {test.name}", triangle_test=test.name))
     return engines

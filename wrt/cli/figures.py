@@ -52,15 +52,19 @@ def list_tables(as_json: bool) -> None:
 
 
 def _all_tables() -> dict[str, list[dict[str, Any]]]:
+    from wrt.builders.bvh import BVH_BUILDERS
     from wrt.builders.kdtree import KDTREE_BUILDERS
+    from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
     from wrt.scenes import BUILTIN_SCENES
 
-    tests = ("name", "paper", "watertight", "two_sided", "needs_shared_origin")
+    tests = ("name", "paper", "watertight", "accurate", "two_sided", "needs_shared_origin")
     return {
+        "BVH builders": _rows(BVH_BUILDERS, ("name", "paper")),
         "kd-tree builders": _rows(KDTREE_BUILDERS, ("name", "paper")),
-        "traversals": _rows(TRAVERSALS, ("name", "tree", "paper")),
+        "traversals": _rows(TRAVERSALS, ("name", "trees", "paper")),
+        "packet cullings": _rows(CULLINGS, ("name", "paper")),
         "triangle tests": _rows(TRIANGLE_TESTS, tests),
         "built-in scenes": _rows(BUILTIN_SCENES, ("name", "description", "options")),
     }

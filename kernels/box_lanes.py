@@ -1,0 +1,96 @@
+"""A ray against the W child boxes of a wide node: the lane loop of every BVH traversal, and the keys that it leaves behind.
+
+A traversal keeps one row of W keys for each level of the tree that it is in: what is left to visit there. A key is the
+bits of the t at which the child's box is entered, which is not negative, with the child's lane in the lowest log2(W) bits:
+the least key, as an integer, is the nearest child, and no list of children is ever sorted. Cutting off the low bits only
+makes the entry earlier, which is safe. `NO_CHILD` is above all keys, and a NaN as a number: `NaN <= t` is false.
+
+The loop's twin in plain Warp is `wrt.kernels.boxes.slab_interval`, to which the tests compare it bit for bit.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.boxes import RaySlabs
+from wrt.kernels.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+NO_CHILD_CONSTANT = 0x7FFFFFFF
+NO_CHILD = wp.constant(NO_CHILD_CONSTANT)
+"""Key of a child that is missed, done, or not there."""
+
+_RAY_BOXES = """
+    const float* box = &bounds.data[(size_t)node * (6 * W)];
+    const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
+    const int sx = ix < 0.0f ? 3 * W : 0, sy = iy < 0.0f ? 3 * W : 0, sz = iz < 0.0f ? 3 * W : 0;
+    const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
+    const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
+    const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
+    const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
+    int* key = &keys.data[first];
+    int least = NO_CHILD;
+    WRT_FOR_LANES(i) {
+        float enter = t_min, leave = t_max, t;
+        t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
+        t = (near_y[i] - in_y) * iy; enter = t > enter ? t : enter;
+        t = (near_z[i] - in_z) * iz; enter = t > enter ? t : enter;
+        t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
+        t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
+        t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
+        int k = (__builtin_bit_cast(int, enter) & -W) | i;
+        k = enter <= leave ? k : NO_CHILD;
+        key[i] = k;
+        least = k < least ? k : least;
+    }
+    return least;
+"""
+
+_NEAREST = """
+    const int* key = &keys.data[first];
+    int least = NO_CHILD;
+    WRT_FOR_LANES(i) { least = key[i] < least ? key[i] : least; }
+    return least;
+"""
+
+
+def _head(width: int) -> str:
+    return f"{FOR_LANES}    constexpr int W = {width}, NO_CHILD = {NO_CHILD_CONSTANT};"
+
+
+@cache
+def ray_boxes(width: int) -> wp.Function:
+    """`wp.func(bounds, node, slabs, t_min, t_max, keys, first) -> least key`: one ray x W boxes.
+
+    Writes the keys of the children whose widened box the ray meets within [t_min, t_max] to keys[first .. first + W - 1].
+    """
+
+    @wp.func_native(_head(width) + _RAY_BOXES)
+    def ray_boxes_native(
+        bounds: wp.array(dtype=float),
+        node: int,
+        slabs: wp.ref[RaySlabs],
+        t_min: float,
+        t_max: float,
+        keys: wp.array(dtype=int),
+        first: int,
+    ) -> int: ...
+
+    return ray_boxes_native
+
+
+@cache
+def nearest_child(width: int) -> wp.Function:
+    """`wp.func(keys, first) -> least of W keys`."""
+
+    @wp.func_native(_head(width) + _NEAREST)
+    def nearest_child_native(keys: wp.array(dtype=int), first: int) -> int: ...
+
+    return nearest_child_native
+
+
+@wp.func
+def entry_of(key: int, width: int):
+    """The t at which a key's child is entered, or a hair before; NaN for `NO_CHILD`."""
+    return wp.cast(key & -width, wp.float32)

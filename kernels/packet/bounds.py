@@ -1,0 +1,49 @@
+"""Intervals over the rays of a packet: all that culling knows of it."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class PacketBounds:
+    """Intervals over the active rays.
+
+    An axis along which the directions have both signs bounds nothing: its `inverse_large` and `inverse_small` are NaN, and
+    every comparison with what follows from them is false.
+    """
+
+    active: int
+    """Number of active rays."""
+    mixed_axes: int
+    """Number of axes along which the directions have both signs."""
+    passes: int
+    """Passes over the rays that the triangle test asks for, one bit each (`PacketForm.passes`)."""
+    t_min: float
+    """Least of all."""
+    t_max: float
+    """Greatest t at which a hit would still count."""
+    slack: float
+    """Greatest of all."""
+    backward: wp.vec3i
+    """Per axis, 1 if the directions are negative."""
+    inverse_large: wp.vec3
+    """Per axis, the end of the interval of 1 / direction that is farther from 0."""
+    inverse_small: wp.vec3
+    """The end that is nearer to 0."""
+    origin_in: wp.vec3
+    """End of the interval of `RaySlabs.origin_in` from which near planes are closest."""
+    origin_out: wp.vec3
+    """End of the interval of `RaySlabs.origin_out` from which far planes are farthest."""
+    origin_low: wp.vec3
+    origin_high: wp.vec3
+    slope_low: wp.vec2
+    """Of the two slopes against the main axis. The next three mean something only if all rays have the same main axis."""
+    slope_high: wp.vec2
+    plane: float
+    """A plane across the main axis, near the origins."""
+    through_low: wp.vec2
+    """Where the rays' lines go through the plane, widened by what rounding may move a vertex in the watertight test."""
+    through_high: wp.vec2
+    main_axes: int
+    """Main axes that occur, one bit each."""

@@ -1,0 +1,97 @@
+"""Culling by interval arithmetic (survey, section 3.1): one slab test for all rays of a packet.
+
+An axis' near plane is entered at (plane - origin) * inverse. Over intervals of origins and of inverses of one sign, the
+least value is taken at the end of the origins that is closest to the plane, and at one of the two ends of the inverses;
+likewise for the far plane. Where the product is 0 * inf, the undefined value must bound nothing: the comparisons are
+written so that the NaN, which only the farther end of the inverses can give first, comes through and is then ignored.
+
+References:
+    S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
+        UUCS-06-010, University of Utah, 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.packet.bounds import PacketBounds
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_ENDS = """
+    const float in_x = packet.origin_in.c[0], in_y = packet.origin_in.c[1], in_z = packet.origin_in.c[2];
+    const float out_x = packet.origin_out.c[0], out_y = packet.origin_out.c[1], out_z = packet.origin_out.c[2];
+    const float large_x = packet.inverse_large.c[0], large_y = packet.inverse_large.c[1], large_z = packet.inverse_large.c[2];
+    const float small_x = packet.inverse_small.c[0], small_y = packet.inverse_small.c[1], small_z = packet.inverse_small.c[2];
+    const float t_min = packet.t_min, t_max = packet.t_max;
+    const int back_x = packet.backward.c[0], back_y = packet.backward.c[1], back_z = packet.backward.c[2];
+"""
+
+_INTERVAL = """
+        float enter = t_min, leave = t_max, d, p, q;
+        d = near_x - in_x; p = d * large_x; q = d * small_x; q = q < p ? q : p; enter = q > enter ? q : enter;
+        d = near_y - in_y; p = d * large_y; q = d * small_y; q = q < p ? q : p; enter = q > enter ? q : enter;
+        d = near_z - in_z; p = d * large_z; q = d * small_z; q = q < p ? q : p; enter = q > enter ? q : enter;
+        d = far_x - out_x; p = d * large_x; q = d * small_x; q = q > p ? q : p; leave = q < leave ? q : leave;
+        d = far_y - out_y; p = d * large_y; q = d * small_y; q = q > p ? q : p; leave = q < leave ? q : leave;
+        d = far_z - out_z; p = d * large_z; q = d * small_z; q = q > p ? q : p; leave = q < leave ? q : leave;
+"""
+
+_BOXES = f"""
+    const float* box = &bounds.data[(size_t)node * (6 * W)];{_ENDS}
+    const float *x0 = box + (back_x ? 3 * W : 0), *y0 = box + W + (back_y ? 3 * W : 0), *z0 = box + 2 * W + (back_z ? 3 * W : 0);
+    const float *x1 = box + (back_x ? 0 : 3 * W), *y1 = box + W + (back_y ? 0 : 3 * W), *z1 = box + 2 * W + (back_z ? 0 : 3 * W);
+    int* key = &keys.data[first];
+    int least = NO_CHILD;
+    WRT_FOR_LANES(i) {{
+        const float near_x = x0[i], near_y = y0[i], near_z = z0[i], far_x = x1[i], far_y = y1[i], far_z = z1[i];{_INTERVAL}
+        int k = (__builtin_bit_cast(int, enter) & -W) | i;
+        k = enter <= leave ? k : NO_CHILD;
+        key[i] = k;
+        least = k < least ? k : least;
+    }}
+    return least;
+"""
+
+_TRIANGLES = f"""
+    const float* r = &records.data[(size_t)block * (9 * W)];{_ENDS}
+    unsigned mask = 0;
+    WRT_FOR_LANES(i) {{
+        float low[3], high[3];
+        for (int a = 0; a < 3; ++a) {{
+            const float p = r[a * W + i], q = r[(3 + a) * W + i], s = r[(6 + a) * W + i];
+            float least = p < q ? p : q, most = p > q ? p : q;
+            low[a] = least < s ? least : s; high[a] = most > s ? most : s;
+        }}
+        const float near_x = back_x ? high[0] : low[0], near_y = back_y ? high[1] : low[1], near_z = back_z ? high[2] : low[2];
+        const float far_x = back_x ? low[0] : high[0], far_y = back_y ? low[1] : high[1], far_z = back_z ? low[2] : high[2];{_INTERVAL}
+        // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
+        mask |= ((enter <= leave) & (r[i] == r[i])) ? 1u << i : 0u;
+    }}
+    return mask;
+"""
+
+
+@cache
+def cull_boxes(width: int) -> wp.Function:
+    """Packet x W child boxes; keys as `wrt.kernels.box_lanes.ray_boxes` writes them."""
+
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width}, NO_CHILD = {NO_CHILD_CONSTANT};{_BOXES}")
+    def interval_boxes(
+        bounds: wp.array(dtype=float), node: int, packet: wp.ref[PacketBounds], keys: wp.array(dtype=int), first: int
+    ) -> int: ...
+
+    return interval_boxes
+
+
+@cache
+def cull_triangles(width: int) -> wp.Function:
+    """Packet x the boxes of the W triangles of a block."""
+
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};{_TRIANGLES}")
+    def interval_triangles(records: wp.array(dtype=float), block: int, packet: wp.ref[PacketBounds]) -> wp.uint32: ...
+
+    return interval_triangles

@@ -1,0 +1,59 @@
+"""Where a packet's numbers are: P floats a component, one component after another, in one local array.
+
+    inverse_x, _y, _z    1 / direction
+    t_min                where the ray starts
+    t                    its best hit so far; before the first its t_max; -inf for a ray that needs no more tests
+    primitive            bits of an int: the best hit's triangle, -1 before the first
+    u, v                 the best hit's weights
+    slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along that
+    origin_x, _y, _z     relative to the scene's centre; left out where all rays share one (`PacketBounds.origin_low`)
+    slack                widening of boxes (`wrt.kernels.boxes`); left out likewise (`PacketBounds.slack`)
+    ...                  what the triangle test prepares per ray (`PacketForm.state`)
+"""
+
+from dataclasses import dataclass
+
+from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y")
+OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack")
+
+
+@dataclass(frozen=True)
+class PacketLayout:
+    """The layout of packets of one kind.
+
+    Attributes:
+        rays: P, a multiple of the width.
+        width: W, lanes of a loop over rays, and triangles a block.
+        shared_origin: whether all rays start at one point.
+        triangle_test: key in `TRIANGLE_TESTS`.
+    """
+
+    rays: int
+    width: int
+    shared_origin: bool
+    triangle_test: str
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names, in order."""
+        own = () if self.shared_origin else OWN_ORIGIN
+        return COMMON + own + TRIANGLE_TESTS[self.triangle_test].packet_form.state
+
+    @property
+    def size(self) -> int:
+        """Floats of a packet."""
+        return len(self.components) * self.rays
+
+    @property
+    def head(self) -> str:
+        """C++ that opens a native function with a parameter `packet`: constants, and a pointer for each component."""
+        pointers = "".join(f"    float* {name} = packet.data + {k} * P;\n" for k, name in enumerate(self.components))
+        if self.shared_origin:
+            pointers += "    float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr, *slack = nullptr;\n"
+        constants = f"    constexpr int W = {self.width}, P = {self.rays};\n"
+        shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
+        infinity = "    const float INF = __builtin_inff();\n"
+        return FOR_LANES + constants + shared + infinity + pointers

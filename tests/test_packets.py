@@ -1,0 +1,130 @@
+"""Packets against brute force, bit for bit: every culling, triangle test and size, with rays that do stay together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import SCENES, assert_same_hits
+
+import wrt
+from wrt.kernels.packet import CULLINGS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.plan import Plan
+
+FITTING = [(c, t) for c, culling in CULLINGS.items() for t, test in TRIANGLE_TESTS.items() if culling.holds_for(test)]
+
+
+def beams(mesh: wrt.TriangleMesh, count: int, own_origins: bool, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Narrow beams of 64 rays each, from outside, from inside, along the axes, in planes of faces; some rays are bad."""
+    rng = np.random.default_rng(seed)
+    low, high = mesh.bounds
+    size = high - low + 1e-6
+    if own_origins:
+        eyes = rng.uniform(low - 0.5 * size, high + 0.5 * size, (count, 1, 3))
+        corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, count)]]
+        eyes[::5, 0] = corners[::5, 0]
+        origins = eyes + rng.normal(size=(count, 64, 3)) * size * rng.choice([0.0, 0.01, 0.2], (count, 1, 1))
+    else:
+        origins = np.broadcast_to(low + size * (0.4, 0.6, 1.3), (count, 64, 3))
+    targets = rng.uniform(low, high, (count, 1, 3)) + rng.normal(size=(count, 64, 3)) * size * 0.02
+    directions = targets - origins
+    kind = rng.integers(0, 6, count)
+    axes = np.eye(3)[rng.integers(0, 3, count)] * rng.choice([-1.0, 1.0], (count, 1)) * size.max()
+    directions[kind == 0] = axes[kind == 0, None]  # all parallel: components of 0
+    flat = kind == 1
+    directions[flat, :, 0] = 0.0  # within a plane
+    if own_origins:
+        origins[flat, :, 0] = mesh.vertices[rng.integers(0, mesh.vertex_count, int(flat.sum()))][:, None, 0]
+    bad = rng.random((count, 64))
+    directions[bad < 0.01] = np.nan
+    directions[(bad >= 0.01) & (bad < 0.02)] = 0.0
+    origins = origins.reshape(-1, 3) if own_origins else origins[0, 0]
+    return origins.astype(np.float32), directions.reshape(-1, 3).astype(np.float32)
+
+
+def packet_plan(scene: wrt.Scene, rays: wrt.Rays, triangle_test: str, **changes: object) -> Plan:
+    plan = scene.explain(rays, traversal="packet", triangle_test=triangle_test)
+    return replace(plan, **{"packet": 4 * plan.width, **changes})
+
+
+@pytest.mark.parametrize("own_origins", [False, True])
+@pytest.mark.parametrize(("culling", "triangle_test"), FITTING)
+def test_culling_never_shows(culling, triangle_test, own_origins, device):
+    for make in SCENES.values():
+        mesh = make()
+        scene = wrt.Scene(mesh, "bvh", device=device)
+        origins, directions = beams(mesh, 60, own_origins)
+        rays = wrt.Rays(origins, directions[:-5])  if not own_origins else wrt.Rays(origins[:-5], directions[:-5])
+        expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
+        assert expected.is_hit.mean() > 0.05
+        plan = packet_plan(scene, rays, triangle_test, culling=culling)
+        assert plan.shared_origin != own_origins
+        assert_same_hits(scene.intersect(rays, traversal=plan), expected)
+        np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+@pytest.mark.parametrize("vectors", [1, 2, 16])
+def test_sizes_and_ranges(vectors, device):
+    """Packets of one vector to the largest; per-ray ranges that cut between hits, at hits, and empty ones."""
+    mesh = wrt.scenes.build("atrium")
+    scene = wrt.Scene(mesh, "bvh", device=device)
+    origins, directions = beams(mesh, 80, True, seed=1)
+    first = scene.intersect(origins, directions, traversal="brute")
+    rng = np.random.default_rng(2)
+    shape = first.t.shape
+    t_min = np.where(first.is_hit & (rng.random(shape) < 0.5), first.t, rng.random(shape)).astype(np.float32)
+    t_max = np.where(rng.random(shape) < 0.3, t_min, t_min + rng.random(shape) - 0.1).clip(0).astype(np.float32)
+    rays = wrt.Rays(origins, directions, t_min, t_max)
+    expected = scene.intersect(rays, traversal="brute")
+    plan = packet_plan(scene, rays, "woop")
+    plan = replace(plan, packet=vectors * plan.width)
+    assert_same_hits(scene.intersect(rays, traversal=plan), expected)
+    np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+def test_a_camera_gets_packets_and_random_rays_do_not():
+    mesh = wrt.scenes.build("teapot", level=4)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    camera = wrt.PinholeCamera(96, 80, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0))
+    plan = scene.explain(camera.rays())
+    assert plan.traversal == "packet"
+    assert plan.shared_origin
+    hits = scene.intersect(camera.rays())
+    assert hits.plan == plan
+    assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
+    directions = np.random.default_rng(0).normal(size=(5000, 3))
+    assert scene.explain(np.zeros(3), directions).traversal == "single"
+    assert "look different" in str(scene.explain(np.zeros(3), directions))
+
+
+def test_packets_do_less_work_than_rays():
+    mesh = wrt.scenes.build("teapot", level=5)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    camera = wrt.PinholeCamera(128, 128, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0))
+    one = scene.intersect(camera.rays(), traversal="single", counters=True).counters
+    many = scene.intersect(camera.rays(), traversal="packet", counters=True).counters
+    assert many["nodes"].sum() < 0.25 * one["nodes"].sum()
+    assert many["leaves"].sum() < 0.5 * one["leaves"].sum()
+
+
+def test_plans_that_do_not_fit():
+    mesh = wrt.scenes.build("teapot", level=2)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    origins, directions = beams(mesh, 10, True)
+    plan = packet_plan(scene, wrt.Rays(origins, directions), "woop")
+    for change, name in (
+        ({"packet": plan.width + 1}, "packet"),
+        ({"packet": 100 * plan.width}, "packet"),
+        ({"culling": "no such"}, "culling"),
+        ({"triangle_test": "moeller_trumbore"}, "culling"),
+        ({"traversal": "no such"}, "traversal"),
+        ({"accelerator": "kdtree"}, "does not walk"),
+        ({"shared_origin": True}, "shared_origin"),
+        ({"width": 1}, "width"),
+    ):
+        with pytest.raises(ValueError, match=name):
+            scene.intersect(origins, directions, traversal=replace(plan, **change))
+    with pytest.raises(ValueError, match="does not walk a kdtree"):
+        wrt.Scene(mesh, "kdtree", device="cpu").intersect(origins, directions, traversal="packet")
