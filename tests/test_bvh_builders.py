@@ -255,6 +255,15 @@ def test_refit(scene_mesh, width):
     np.testing.assert_array_equal(tree.bounds.numpy(), before)
 
 
+def test_refit_knows_one_zero():
+    """Where the boxes of triangles are made, -0 becomes +0; so it does in a refit."""
+    mesh = mesh_of(
+        np.array([[[-0.0, -0.0, -0.0], [1, -0.0, -0.0], [-0.0, 1, -0.0]], [[-1, -0.0, -1], [-0.0, -1, -0.0], [-1, -1, -1]]])
+    )
+    tree, _ = build(mesh, width=2, max_leaf_triangles=1)
+    assert_same_tree(refit(tree, *arrays_of(mesh)), tree)
+
+
 @pytest.mark.parametrize("limit", [1, 3, 16, 63])
 def test_leaf_limit(limit):
     """Free nodes make no leaf larger than need be; free triangles make leaves as large as allowed."""
