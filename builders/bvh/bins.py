@@ -93,6 +93,14 @@ class Plane:
 
 
 @wp.func
+def no_plane():
+    """A plane that any other beats."""
+    plane = Plane()
+    plane.price = INFINITY
+    return plane
+
+
+@wp.func
 def bins_for(rules: BuildRules, count: int):
     """Bins a node gets: few triangles need few."""
     return wp.where(count > FEW, rules.bins, wp.min(rules.bins, FEW_BINS))
@@ -254,8 +262,7 @@ def sweep_bins(scratch: Scratch, slot: int, bins: int):
 def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int):
     """The cheapest plane; ties go to the smaller axis, then to the smaller bin."""
     sweep_bins(scratch, slot, bins)
-    best = Plane()
-    best.price = INFINITY
+    best = no_plane()
     for axis in range(3):
         for b in range(1, bins):
             i = slot * SLOT_BINS + axis * bins + b

@@ -297,6 +297,10 @@ class BinaryBuild:
     top: wp.array | None
     space: wp.array
 
+    def arrays(self) -> list[wp.array]:
+        """The memory that is held until the collapse is done."""
+        return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order, self.space]
+
 
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
     """The wide tree.
@@ -309,7 +313,8 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     launch(solve_subtrees, len(binary.subtrees), [rules, tree, binary.subtrees, costs], device=device, chunk=1)
     if binary.top is not None:
         launch(solve_top, 1, [rules, tree, binary.top, costs], device=device)
-    most = triangles.count
+    pairs = binary.subtrees.numpy()
+    most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
     wide = WideLevels()
     wide.source = wp.zeros(most, dtype=int, device=device)
     wide.pick = wp.empty((most, width), dtype=int, device=device)
@@ -319,7 +324,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     nodes, blocks = 1, 0
     while level_first[-1] < nodes:
         first, count = level_first[-1], nodes - level_first[-1]
-        launch(pick_children, count, [first, rules, tree, costs, wide], device=device, chunk=64)
+        launch(pick_children, count, [first, rules, tree, costs, wide], device=device, chunk=256)
         launch(scan_level, 1, [first, nodes, wide, totals], device=device)
         launch(list_children, count, [first, width, wide], device=device, chunk=1024)
         level_first.append(nodes)
@@ -330,6 +335,8 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)
     inputs = [tree, rules.cost.width_bits, wide, bounds, child, primitive]
-    launch(write_nodes, nodes, inputs, device=device, chunk=64)
+    launch(write_nodes, nodes, inputs, device=device, chunk=256)
+    work = [*binary.arrays(), wide.source, wide.pick, wide.first]
+    stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
     return Bvh(bounds, child, primitive, low, high, width, tuple(level_first), stats)

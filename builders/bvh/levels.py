@@ -26,6 +26,7 @@ from wrt.builders.bvh.bins import (
     bins_for,
     centroid_domain,
     merge_bins,
+    no_plane,
     partition_range,
     place,
     write_child_boxes,
@@ -151,7 +152,7 @@ def search_planes(
     node.placement = place(domain, node.chunk_first, bins_for(rules, frame.count))
     bins = node.placement.bins
     slot = merged_first + index
-    node.plane.price = INFINITY
+    node.plane = no_plane()
     if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
         merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
         node.plane = best_plane(rules.cost, scratch, slot, bins, frame.count)

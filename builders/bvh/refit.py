@@ -10,12 +10,14 @@ References:
         IEEE Symposium on Interactive Ray Tracing 2006.
 """
 
+from time import perf_counter
+
 import warp as wp
 
 from wrt.builders.common import BuildStats, Bvh
 from wrt.kernels.boxes import INFINITY, greatest, least
 from wrt.kernels.bvh import EMPTY_LANE, first_block, leaf_triangles
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, load
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -67,6 +69,8 @@ def refit(tree: Bvh, vertices: wp.array, faces: wp.array) -> Bvh:
         faces: (F,) vec3i.
     """
     device = tree.bounds.device
+    load([refit_nodes], device)
+    start = perf_counter()
     bounds = wp.empty(len(tree.bounds), dtype=float, device=device)
     levels = list(zip(tree.level_first, tree.level_first[1:], strict=False))
     for first, end in reversed(levels):
@@ -74,4 +78,6 @@ def refit(tree: Bvh, vertices: wp.array, faces: wp.array) -> Bvh:
         launch(refit_nodes, end - first, inputs, device=device, chunk=64)
     root = bounds[: 6 * tree.width].numpy().reshape(2, 3, tree.width)
     low, high = (wp.vec3(*map(float, corner)) for corner in (root[0].min(axis=1), root[1].max(axis=1)))
-    return Bvh(bounds, tree.child, tree.primitive, low, high, tree.width, tree.level_first, BuildStats())
+    stats = BuildStats({"refit": perf_counter() - start})
+    stats.reserve(bounds)
+    return Bvh(bounds, tree.child, tree.primitive, low, high, tree.width, tree.level_first, stats)

@@ -7,11 +7,14 @@ child waits on a stack. Phases of a node: stop, search, partition, emit.
 import warp as wp
 
 from wrt.builders.bvh.bins import (
+    Placement,
+    Plane,
     Scratch,
     best_plane,
     bin_range,
     bins_for,
     centroid_domain,
+    no_plane,
     partition_range,
     place,
     range_box,
@@ -41,6 +44,56 @@ class Frame:
     depth: int
 
 
+@wp.func
+def divide_at_plane(
+    references: wp.array(dtype=float),
+    triangles: int,
+    placement: Placement,
+    plane: Plane,
+    scratch: Scratch,
+    slot: int,
+    domain: wp.array(dtype=float),
+    at: int,
+    frame: Frame,
+    pair: int,
+    tree: BinaryTree,
+):
+    """Moves a node's triangles to the other buffer, those on the left of the plane first."""
+    write_child_boxes(scratch, slot, placement.bins, plane.axis, plane.bin, tree.box, pair)
+    to = triangles - frame.buffer + frame.first
+    partition_range(
+        references,
+        frame.buffer + frame.first,
+        frame.count,
+        placement,
+        plane.axis,
+        plane.bin,
+        to,
+        to + plane.left,
+        domain,
+        at + 1,
+        at,
+    )
+
+
+@wp.func
+def divide_in_the_middle(
+    references: wp.array(dtype=float),
+    left: int,
+    domain: wp.array(dtype=float),
+    at: int,
+    frame: Frame,
+    pair: int,
+    tree: BinaryTree,
+):
+    """Leaves a node's triangles where they are: the first `left` of them are the left child's."""
+    begin = frame.buffer + frame.first
+    range_box(references, begin, left, tree.box, 2 * pair)
+    range_box(references, begin + left, frame.count - left, tree.box, 2 * pair + 1)
+    centroid_domain(references, begin, left, domain, at + 1)
+    centroid_domain(references, begin + left, frame.count - left, domain, at)
+
+
 @wp.kernel
 def build_subtrees(
     first: int,
@@ -54,8 +107,11 @@ def build_subtrees(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a task. subtrees: (tasks,) the pairs it made. stack: (tasks, STACK). domain: (tasks * STACK * 8,) centroid box of
-    each waiting node, then of the current one."""
+    """Item: a task.
+
+    stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
+    that of the current one. subtrees: (tasks,) the pairs that each task made.
+    """
     slot = first + wp.tid()
     frame = tasks[slot]
     next_pair = frame.first + 1
@@ -63,60 +119,41 @@ def build_subtrees(
     centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
     building = bool(True)
     while building:
-        # stop, search
-        at = slot * STACK + waiting
-        begin = frame.buffer + frame.first
-        split = frame.count > rules.grain
-        placement = place(domain, at, bins_for(rules, frame.count))
-        area = half_area(tree.box, frame.node)
-        price = float(INFINITY)
-        axis = int(0)
-        plane = int(0)
-        left_count = int(0)
-        if split and area > 0.0 and not must_halve(frame.depth, frame.count):
-            bin_range(references, begin, frame.count, placement, scratch, slot)
-            best = best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
-            price = best.price
-            axis = best.axis
-            plane = best.bin
-            left_count = best.left
         tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-        if split:
-            # partition
-            pair = next_pair
-            next_pair += 1
-            tree.pair[frame.node] = pair
-            buffer = int(frame.buffer)
-            if price < INFINITY:
-                buffer = triangles - frame.buffer
-                write_child_boxes(scratch, slot, placement.bins, axis, plane, tree.box, pair)
-                to = buffer + frame.first
-                partition_range(references, begin, frame.count, placement, axis, plane, to, to + left_count, domain, at + 1, at)
-            else:
-                left_count = middle(frame.count, rules.cost.width_bits)
-                right_count = frame.count - left_count
-                range_box(references, begin, left_count, tree.box, 2 * pair)
-                range_box(references, begin + left_count, right_count, tree.box, 2 * pair + 1)
-                centroid_domain(references, begin, left_count, domain, at + 1)
-                centroid_domain(references, begin + left_count, right_count, domain, at)
-            right = frame
-            right.node = 2 * pair + 1
-            right.first = frame.first + left_count
-            right.count = frame.count - left_count
-            right.buffer = buffer
-            right.depth = frame.depth + 1
-            stack[slot, waiting] = right
-            waiting += 1
-            frame.node = 2 * pair
-            frame.count = left_count
-            frame.buffer = buffer
-            frame.depth += 1
-        else:
-            # emit
+        if frame.count <= rules.grain:
+            # stop, emit
             tree.pair[frame.node] = LEAF
-            write_order(references, begin, frame.count, tree.order, frame.first)
+            write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
             waiting -= 1
             building = waiting >= 0
             if building:
                 frame = stack[slot, waiting]
+        else:
+            # search
+            at = slot * STACK + waiting
+            placement = place(domain, at, bins_for(rules, frame.count))
+            plane = no_plane()
+            if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+                bin_range(references, frame.buffer + frame.first, frame.count, placement, scratch, slot)
+                plane = best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
+            # partition
+            pair = next_pair
+            next_pair += 1
+            tree.pair[frame.node] = pair
+            if plane.price < INFINITY:
+                divide_at_plane(references, triangles, placement, plane, scratch, slot, domain, at, frame, pair, tree)
+                frame.buffer = triangles - frame.buffer
+            else:
+                plane.left = middle(frame.count, rules.cost.width_bits)
+                divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
+            # emit
+            frame.depth += 1
+            right = frame
+            right.node = 2 * pair + 1
+            right.first += plane.left
+            right.count -= plane.left
+            stack[slot, waiting] = right
+            waiting += 1
+            frame.node = 2 * pair
+            frame.count = plane.left
     subtrees[slot] = wp.vec2i(tasks[slot].first + 1, next_pair)

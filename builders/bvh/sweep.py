@@ -222,6 +222,9 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     launch(build_by_sweep, 1, [config.struct(), triangles.boxes, work, tree, subtrees], device=device)
     wp.synchronize_device(device)
     stats.seconds["sweep"] = perf_counter() - start
-    stats.reserve(triangles.boxes.low, triangles.boxes.high, work.sorted, work.spare, work.on_left, work.suffix, tree.box)
     space = wp.empty(16 * count, dtype=float, device=device)
-    return collapse(BinaryBuild(tree, subtrees, None, space), triangles, config, stats)
+    start = perf_counter()
+    result = collapse(BinaryBuild(tree, subtrees, None, space), triangles, config, stats)
+    wp.synchronize_device(device)
+    stats.seconds["collapse"] = perf_counter() - start
+    return result
