@@ -12,11 +12,15 @@ import warp as wp
 
 FOR_LANES = """
 #ifndef WRT_FOR_LANES
+#define WRT_INFINITY __builtin_bit_cast(float, 0x7f800000)
+#define WRT_NAN __builtin_bit_cast(float, 0x7fc00000)
 #if defined(__clang__)
+#define WRT_ABS(x) __builtin_fabsf(x)
 #define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
 #else
+#define WRT_ABS(x) fabsf(x)
 #define WRT_UNROLLED
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)

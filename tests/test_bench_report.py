@@ -10,6 +10,7 @@ from wrt.bench import plot, startup
 from wrt.bench.command import bench, run_benchmark
 from wrt.bench.report import percent, print_report, times
 from wrt.bench.workloads import WORKLOADS
+from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.mesh import TriangleMesh
 from wrt.scenes import teapot
@@ -50,7 +51,7 @@ def test_the_report_is_complete_plain_data(report):
 
 def test_every_builder_is_there_with_one_thread_and_with_all(report):
     rows = {row.name: row for row in report.models[0].questions[-1].rows}
-    for name in KDTREE_BUILDERS:
+    for name in [f"kdtree {name}" for name in KDTREE_BUILDERS] + [f"bvh {name}" for name in BVH_BUILDERS]:
         one, all_threads = rows[f"wrt {name}, 1 thread"], rows[f"wrt {name}, 2 threads"]
         assert one.details["phases"]
         assert one.details["tree_bytes_per_triangle"] == all_threads.details["tree_bytes_per_triangle"] > 0

@@ -76,4 +76,4 @@ def test_deepest_tree_fills_the_log():
 
 def test_only_bad_rays(teapot):
     origins, directions = np.zeros((100, 3)), np.zeros((100, 3))
-    assert_equals_single(wrt.Scene(teapot, device="cpu"), origins, directions)
+    assert_equals_single(wrt.Scene(teapot, "kdtree", device="cpu"), origins, directions)

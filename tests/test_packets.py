@@ -56,7 +56,7 @@ def test_culling_never_shows(culling, triangle_test, own_origins, device):
         mesh = make()
         scene = wrt.Scene(mesh, "bvh", device=device)
         origins, directions = beams(mesh, 60, own_origins)
-        rays = wrt.Rays(origins, directions[:-5])  if not own_origins else wrt.Rays(origins[:-5], directions[:-5])
+        rays = wrt.Rays(origins, directions[:-5]) if not own_origins else wrt.Rays(origins[:-5], directions[:-5])
         expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
         assert expected.is_hit.mean() > 0.05
         plan = packet_plan(scene, rays, triangle_test, culling=culling)

@@ -61,7 +61,6 @@ class KdTree:
         )
         return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits))
 
-
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree where the boxes are."""
         from wrt.builders.kdtree import KDTREE_BUILDERS

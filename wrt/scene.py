@@ -16,7 +16,6 @@ from wrt.kernels.rays import HitBatch
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan, make_plan, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, to_device
-from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.records import Record, TriangleBlocks

@@ -42,8 +42,9 @@ _INTERVAL = """
 
 _BOXES = f"""
     const float* box = &bounds.data[(size_t)node * (6 * W)];{_ENDS}
-    const float *x0 = box + (back_x ? 3 * W : 0), *y0 = box + W + (back_y ? 3 * W : 0), *z0 = box + 2 * W + (back_z ? 3 * W : 0);
-    const float *x1 = box + (back_x ? 0 : 3 * W), *y1 = box + W + (back_y ? 0 : 3 * W), *z1 = box + 2 * W + (back_z ? 0 : 3 * W);
+    const float *x0 = box + (back_x ? 3 * W : 0), *x1 = box + (back_x ? 0 : 3 * W);
+    const float *y0 = box + (back_y ? 4 * W : W), *y1 = box + (back_y ? W : 4 * W);
+    const float *z0 = box + (back_z ? 5 * W : 2 * W), *z1 = box + (back_z ? 2 * W : 5 * W);
     int* key = &keys.data[first];
     int least = NO_CHILD;
     WRT_FOR_LANES(i) {{
@@ -66,8 +67,9 @@ _TRIANGLES = f"""
             float least = p < q ? p : q, most = p > q ? p : q;
             low[a] = least < s ? least : s; high[a] = most > s ? most : s;
         }}
-        const float near_x = back_x ? high[0] : low[0], near_y = back_y ? high[1] : low[1], near_z = back_z ? high[2] : low[2];
-        const float far_x = back_x ? low[0] : high[0], far_y = back_y ? low[1] : high[1], far_z = back_z ? low[2] : high[2];{_INTERVAL}
+        const float near_x = back_x ? high[0] : low[0], far_x = back_x ? low[0] : high[0];
+        const float near_y = back_y ? high[1] : low[1], far_y = back_y ? low[1] : high[1];
+        const float near_z = back_z ? high[2] : low[2], far_z = back_z ? low[2] : high[2];{_INTERVAL}
         // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
         mask |= ((enter <= leave) & (r[i] == r[i])) ? 1u << i : 0u;
     }}

@@ -38,17 +38,19 @@ _LOAD = """
     }
     float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f, slack0 = 0.0f;
     auto reach = [&](float x, float y, float z) {
-        float far = __builtin_fabsf(low.c[0] - x), f;
-        f = __builtin_fabsf(high.c[0] - x); far = f > far ? f : far;
-        f = __builtin_fabsf(low.c[1] - y); far = f > far ? f : far;
-        f = __builtin_fabsf(high.c[1] - y); far = f > far ? f : far;
-        f = __builtin_fabsf(low.c[2] - z); far = f > far ? f : far;
-        f = __builtin_fabsf(high.c[2] - z); far = f > far ? f : far;
+        float far = WRT_ABS(low.c[0] - x), f;
+        f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;
+        f = WRT_ABS(low.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(high.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(low.c[2] - z); far = f > far ? f : far;
+        f = WRT_ABS(high.c[2] - z); far = f > far ? f : far;
         return far;
     };
     if (SHARED) {
         const wp::vec3 o = rays.origins.data[0];
-        ox0 = (float)((double)o.c[0] - center_x); oy0 = (float)((double)o.c[1] - center_y); oz0 = (float)((double)o.c[2] - center_z);
+        ox0 = (float)((double)o.c[0] - center_x);
+        oy0 = (float)((double)o.c[1] - center_y);
+        oz0 = (float)((double)o.c[2] - center_z);
         slack0 = SLACK * reach(ox0, oy0, oz0);
     } else if (here == P && rays.origin_stride) {
         const float* o = (const float*)(rays.origins.data + first);
@@ -68,12 +70,13 @@ _LOAD = """
     if (here == P && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
     else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[(first + (k < here ? k : 0)) * rays.t_max_stride];
 
-    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz); WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
+    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz);
+    WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
     int active = 0, main_axes = 0;
     WRT_FOR(P, k) {
         const float x = dx[k], y = dy[k], z = dz[k];
         const float ox = SHARED ? ox0 : origin_x[k], oy = SHARED ? oy0 : origin_y[k], oz = SHARED ? oz0 : origin_z[k];
-        const float size_x = __builtin_fabsf(x), size_y = __builtin_fabsf(y), size_z = __builtin_fabsf(z);
+        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
         float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
         const bool valid = (k < here) & (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
             & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
@@ -116,7 +119,8 @@ _LOAD = """
     bounds.slack = slack0;
     bounds.slope_low = wp::vec2(wrt_value(sx_low), wrt_value(sy_low));
     bounds.slope_high = wp::vec2(wrt_value(sx_high), wrt_value(sy_high));
-    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2, next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
+    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
+    const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
     bounds.plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
     if (SHARED) {
         bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
@@ -141,7 +145,7 @@ _LOAD = """
     bounds.mixed_axes = 0;
     for (int a = 0; a < 3; ++a) {
         const bool backward = inverse_high[a] < 0.0f, mixed = (inverse_low[a] < 0.0f) & !backward;
-        const float none = __builtin_nanf("");
+        const float none = WRT_NAN;
         bounds.mixed_axes += mixed ? 1 : 0;
         bounds.backward.c[a] = backward ? 1 : 0;
         bounds.inverse_large.c[a] = mixed ? none : backward ? inverse_low[a] : inverse_high[a];

@@ -5,9 +5,13 @@ packet's intervals. A triangle is out of reach of all rays if its three vertices
 planes that these intervals span: W triangles are tested at a time, before any ray is.
 
 **What we changed.** The paper builds a transient frustum per leaf from the rays' exits; here the frustum is that of the
-slopes, and it is not built at all: the watertight test's own expression for a sheared vertex, x - s z, is evaluated on
-intervals. So what is bounded is the number that this test computes, rounding included: if it is negative for three
-vertices, the ray's point 0 is not in the triangle, to the bit. Rays with different main axes are not culled.
+slopes, and it is not built at all: the watertight test's own expression for a sheared vertex, (x - o) - s (z - p), is
+evaluated on intervals, with o where the ray goes through the plane z = p near the origins. Rays that share an origin have
+o and p in common, and what is bounded is the very number that the test computes: if it is negative for three vertices, the
+ray's point 0 is not in the triangle, to the bit. Where origins differ, o moves the rounding elsewhere, by a few units in the
+last place of the ray's reach; it is widened by the slack of `wrt.kernels.boxes`, which is several times as much. That also
+covers every other test that is accurate to within the slack. Triangles that begin behind the farthest of the best hits, or
+end before the rays begin, are culled too. Rays with different main axes are not culled.
 
 References:
     A. Reshetov: Faster ray packets - triangle intersection through vertex culling.
@@ -30,9 +34,11 @@ _TRIANGLES = """
     const float* r = &records.data[(size_t)block * (9 * W)];
     const float plane = packet.plane, x_low = packet.through_low.c[0], y_low = packet.through_low.c[1];
     const float x_high = packet.through_high.c[0], y_high = packet.through_high.c[1];
-    const float s0 = packet.slope_low.c[0], s1 = packet.slope_high.c[0], t0 = packet.slope_low.c[1], t1 = packet.slope_high.c[1];
+    const float s0 = packet.slope_low.c[0], s1 = packet.slope_high.c[0];
+    const float t0 = packet.slope_low.c[1], t1 = packet.slope_high.c[1];
     const float in_z = packet.origin_in.c[z], out_z = packet.origin_out.c[z];
-    const float large = packet.inverse_large.c[z], small = packet.inverse_small.c[z], t_min = packet.t_min, t_max = packet.t_max;
+    const float large = packet.inverse_large.c[z], small = packet.inverse_small.c[z];
+    const float t_min = packet.t_min, t_max = packet.t_max;
     const bool back = packet.backward.c[z];
     unsigned mask = 0;
     WRT_FOR_LANES(i) {

@@ -19,14 +19,15 @@ in the signs of their directions, as they must in Wald's packets; nodes, axes an
 A step computes what a single ray's step computes, from the same numbers: nodes, leaves and triangles visited are the same,
 and so are the hits, to the bit.
 
-**Measured** (two cores of a Zen 5; bunny, the same tree): random rays 1.7 times as fast as `single`, ambient occlusion 1.4
-times. A step is now so cheap that finer trees pay: with `wrt.KdTree(block_cost=1.5, empty_factor=1.0)` 1.85 and 1.55 times.
-Two vectors a step, not one: one waits for its nodes while the other computes. Sorting the rays of a run by octant or by
-cell of the origin gained nothing, even when the sorting itself was not counted; nor did prefetching the blocks of leaves.
+**Measured** (Zen 5; bunny, the same tree): random rays 1.7 times as fast as `single`, ambient occlusion 1.5 times; 75 and 68
+of 100 lanes take a step in a step. It is now so cheap that finer trees pay: 1.85 and 1.7 times with
+`wrt.KdTree(block_cost=1.5, empty_factor=1.0)`. Two vectors of lanes are a tenth faster than one: one waits for its nodes
+while the other computes. Sorting a run by octant, or by the origin's cell, gained nothing even when the sorting was not
+counted; nor did fetching the blocks of leaves ahead.
 
-**Limits.** Camera rays are slower than one by one: they guess well. On CUDA a thread has all lanes, in a loop: right, but
-slow; there the hardware's own lanes should each have a ray, which `single` gives them. A run has 64 rays a lane, so small
-batches occupy few threads.
+**Limits.** Camera rays gain nothing, shadow rays to a point light lose a tenth: one by one, they are guessed well. On CUDA a
+thread has all lanes, in a loop: right, but slow; there each of the hardware's lanes should have a ray, which is what `single`
+does. A run is 64 rays a lane, so small batches occupy few threads.
 
 References:
     T. Foley, J. Sugerman: KD-tree acceleration structures for a GPU raytracer. Graphics Hardware 2005.

@@ -102,7 +102,7 @@ def default_engine(threads: int, device: str) -> Engine:
 
 
 def all_engines(threads: int, device: str) -> list[Engine]:
-    """One engine for each traversal of each tree, and one for each triangle test, that the tables list; the rest left on "auto"."""
+    """One engine for each traversal of each tree and one for each triangle test; the rest is left on "auto"."""
     engines = []
     for way in TRAVERSALS.values():
         for tree in way.trees:
