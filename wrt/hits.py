@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.launch import launch, use_threads
+from wrt.memory import empty
 
 if TYPE_CHECKING:
     from wrt.kernels.hits import SceneMesh
@@ -58,7 +59,6 @@ class Hits:
         self.plan = plan
         self._mesh = mesh
         self._counters = counters
-        self._geometries = mesh.geometry_first.shape[0] - 1
         self._rays = rays
         self._num_threads = num_threads
 
@@ -80,7 +80,8 @@ class Hits:
 
     @cached_property
     def primitive_id(self) -> Any:
-        return self._out(self._located[1])
+        alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
+        return self._out(self.batch.primitive if alone else self._located[1])
 
     @cached_property
     def geometry_id(self) -> Any:
@@ -122,7 +123,7 @@ class Hits:
         """Geometry and triangle within it."""
         from wrt.kernels.hits import locate_geometry
 
-        geometry, local = self._empty(int), self._empty(int)
+        geometry, local = self._empty(wp.int32), self._empty(wp.int32)
         self._launch(locate_geometry, self._mesh, self.batch.primitive, geometry, local)
         return geometry, local
 
@@ -131,7 +132,7 @@ class Hits:
         return self.batch.t.device
 
     def _empty(self, dtype: type) -> wp.array:
-        return wp.empty(len(self.batch.t), dtype=dtype, device=self._device)
+        return empty(len(self.batch.t), dtype, self._device)
 
     def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         with use_threads(self._num_threads):

@@ -13,6 +13,7 @@ from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import MAX_CHUNK, check_num_threads, launch, use_threads
 from wrt.kernels.rays import HitBatch
+from wrt.memory import empty
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan, make_plan, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, to_device
@@ -126,9 +127,9 @@ class Scene:
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             batch = HitBatch()
-            batch.t = wp.empty(buffers.count, dtype=float, device=self.device)
-            batch.primitive = wp.empty(buffers.count, dtype=int, device=self.device)
-            batch.uv = wp.empty(buffers.count, dtype=wp.vec2, device=self.device)
+            batch.t = empty(buffers.count, wp.float32, self.device)
+            batch.primitive = empty(buffers.count, wp.int32, self.device)
+            batch.uv = empty(buffers.count, wp.vec2, self.device)
             plan = make_plan(self, buffers, traversal, triangle_test)
             work = self._trace(plan, buffers, batch, "closest", counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
@@ -151,7 +152,7 @@ class Scene:
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             batch = HitBatch()
-            batch.occluded = wp.empty(buffers.count, dtype=wp.bool, device=self.device)
+            batch.occluded = empty(buffers.count, wp.bool, self.device)
             self._trace(make_plan(self, buffers, traversal, triangle_test), buffers, batch, "any", False)
         return shaped(batch.occluded, buffers)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, lockstep, packet, single, single_bvh
+from wrt.kernels.traversal import brute, interleaved, lockstep, packet, single, single_bvh
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -59,6 +59,12 @@ TRAVERSALS: dict[str, Traversal] = {
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
             {"kdtree": lockstep.make_kernel},
             lockstep.rays_per_item,
+        ),
+        Traversal(
+            "interleaved",
+            "after Wald, Benthin, Boulos: Getting rid of packets (2008), several rays in turn",
+            {"bvh": interleaved.make_kernel},
+            interleaved.rays_per_item,
         ),
         Traversal(
             "packet",

@@ -7,12 +7,12 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
-from wrt.kernels.lanes import lanes, lowest_bit
+from wrt.kernels.boxes import RaySlabs, slab_interval
+from wrt.kernels.lanes import FOR_LANES, lanes, lowest_bit
 from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import TriangleBlocks
+from wrt.kernels.triangle.records import Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -78,6 +78,55 @@ def store_best(config: TraversalConfig) -> wp.Function:
     return store
 
 
+_CLAMP = """
+    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];
+    const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
+    const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
+    const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
+    const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
+    unsigned kept = 0;
+    WRT_FOR_LANES(i) {
+        float low[3], high[3];
+        LANE_BOX
+        float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i, at = t.c[i];
+        s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_z ? high[2] : low[2]) - in_z) * iz; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_x ? low[0] : high[0]) - out_x) * ix; leave = s_i < leave ? s_i : leave;
+        s_i = ((back_y ? low[1] : high[1]) - out_y) * iy; leave = s_i < leave ? s_i : leave;
+        s_i = ((back_z ? low[2] : high[2]) - out_z) * iz; leave = s_i < leave ? s_i : leave;
+        at = at > enter ? at : enter;
+        at = at < leave ? at : leave;
+        t.c[i] = at;
+        kept |= ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? 1u << i : 0u;
+    }
+    return kept & mask;
+"""
+
+
+@cache
+def clamp_block(record: Record, width: int) -> wp.Function:
+    """`wp.func(records, block, slabs, mask, t, t_min, t_max) -> mask`: `clamp_to_box` for the W candidates of a block.
+
+    Which of the lanes in `mask` are hits by the consistency rule, with t_min <= t <= t_max; `t` is clamped in place.
+    """
+    Lanes = lanes(width)
+    constants = f"    constexpr int W = {width}, COMPONENTS = {record.components};"
+
+    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("LANE_BOX", record.lane_box))
+    def clamp_block_native(
+        records: wp.array(dtype=float),
+        block: int,
+        slabs: wp.ref[RaySlabs],
+        mask: wp.uint32,
+        t: wp.ref[Lanes],
+        t_min: float,
+        t_max: float,
+    ) -> wp.uint32: ...
+
+    return clamp_block_native
+
+
 @cache
 def block_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
@@ -85,23 +134,22 @@ def block_step(config: TraversalConfig) -> wp.Function:
     width = config.width
     Lanes = lanes(width)
     RayState = test.ray_state
-    intersect_block = test.block_test(width)
-    load, box_low, box_high = test.record.load, test.record.box_low, test.record.box_high
+    intersect_block, clamp = test.block_test(width), clamp_block(test.record, width)
     any_hit = config.query == ANY
 
     @wp.func
-    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: RaySlabs, t_min: float, best: Candidate):
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: Candidate):
         t_lanes = Lanes()
         u_lanes = Lanes()
         v_lanes = Lanes()
         mask = intersect_block(triangles.records, block, state, t_lanes, u_lanes, v_lanes)
+        if mask != wp.uint32(0):
+            mask = clamp(triangles.records, block, slabs, mask, t_lanes, t_min, best.t)
         while mask != wp.uint32(0):
             lane = lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
-            slot = block * wp.static(width) + lane
-            corners = load(triangles.records, slot, wp.static(width))
-            t = clamp_to_box(slabs, box_low(corners), box_high(corners), t_lanes[lane])
-            primitive = triangles.primitive[slot]
+            t = t_lanes[lane]
+            primitive = triangles.primitive[block * wp.static(width) + lane]
             if improves(t, primitive, t_min, best):
                 best.t = t
                 best.primitive = primitive

@@ -41,6 +41,7 @@ class Record:
         pack: `wp.func(records, slot, width, corners)` that writes the record of one triangle; slot = block * W + lane.
         load: `wp.func(records, slot, width)` that reads one record back, as the struct that the test's scalar form takes.
         box_low, box_high: `wp.func(loaded)`: the corners of the triangle's exact bounding box.
+        lane_box: C++ that sets `low[3]`, `high[3]` to that box for lane i of the block that begins at `r`.
     """
 
     components: int
@@ -48,6 +49,7 @@ class Record:
     load: wp.Function
     box_low: wp.Function
     box_high: wp.Function
+    lane_box: str
 
 
 @wp.func
@@ -89,7 +91,15 @@ def corners_high(corners: Corners):
     return greatest(corners.a, greatest(corners.b, corners.c))
 
 
-CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high)
+_LANE_BOX = """
+        for (int a = 0; a < 3; ++a) {
+            const float p = r[a * W + i], q = r[(3 + a) * W + i], s = r[(6 + a) * W + i];
+            const float least = q < s ? q : s, most = q > s ? q : s;
+            low[a] = p < least ? p : least; high[a] = p > most ? p : most;
+        }
+"""
+
+CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high, _LANE_BOX)
 """The three vertices as they are: 36 bytes a triangle, nothing precomputed."""
 
 
