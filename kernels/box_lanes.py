@@ -13,7 +13,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import RaySlabs
-from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.lanes import FOR_LANES, lanes
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -21,17 +21,17 @@ NO_CHILD_CONSTANT = 0x7FFFFFFF
 NO_CHILD = wp.constant(NO_CHILD_CONSTANT)
 """Key of a child that is missed, done, or not there."""
 
-_RAY_BOXES = """
+_RAY = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];
     const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
     const int sx = ix < 0.0f ? 3 * W : 0, sy = iy < 0.0f ? 3 * W : 0, sz = iz < 0.0f ? 3 * W : 0;
-    const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
-    const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
+    WRT_LANES(near_x, box + sx); WRT_LANES(near_y, box + W + sy); WRT_LANES(near_z, box + 2 * W + sz);
+    WRT_LANES(far_x, box + 3 * W - sx); WRT_LANES(far_y, box + 4 * W - sy); WRT_LANES(far_z, box + 5 * W - sz);
     const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
     const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
-    int* key = &keys.data[first];
-    int least = NO_CHILD;
-    WRT_FOR_LANES(i) {
+"""
+
+_MEET = """
         float enter = t_min, leave = t_max, t;
         t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
         t = (near_y[i] - in_y) * iy; enter = t > enter ? t : enter;
@@ -39,12 +39,27 @@ _RAY_BOXES = """
         t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
         t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
         t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
+"""
+
+_KEYS = f"""{_RAY}
+    int* key = &keys.data[first];
+    int least = NO_CHILD;
+    WRT_FOR_LANES(i) {{{_MEET}
         int k = (__builtin_bit_cast(int, enter) & -W) | i;
         k = enter <= leave ? k : NO_CHILD;
         key[i] = k;
         least = k < least ? k : least;
-    }
+    }}
     return least;
+"""
+
+_MASK = f"""{_RAY}
+    unsigned mask = 0;
+    WRT_FOR_LANES(i) {{{_MEET}
+        entry.c[i] = enter;
+        mask |= enter <= leave ? 1u << i : 0u;
+    }}
+    return mask;
 """
 
 _NEAREST = """
@@ -66,7 +81,7 @@ def ray_boxes(width: int) -> wp.Function:
     Writes the keys of the children whose widened box the ray meets within [t_min, t_max] to keys[first .. first + W - 1].
     """
 
-    @wp.func_native(_head(width) + _RAY_BOXES)
+    @wp.func_native(_head(width) + _KEYS)
     def ray_boxes_native(
         bounds: wp.array(dtype=float),
         node: int,
@@ -88,6 +103,24 @@ def nearest_child(width: int) -> wp.Function:
     def nearest_child_native(keys: wp.array(dtype=int), first: int) -> int: ...
 
     return nearest_child_native
+
+
+@cache
+def met_boxes(width: int) -> wp.Function:
+    """`wp.func(bounds, node, slabs, t_min, t_max, entry) -> mask` of the boxes met; `entry` is where, in all lanes."""
+    Lanes = lanes(width)
+
+    @wp.func_native(_head(width) + _MASK)
+    def met_boxes_native(
+        bounds: wp.array(dtype=float),
+        node: int,
+        slabs: wp.ref[RaySlabs],
+        t_min: float,
+        t_max: float,
+        entry: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return met_boxes_native
 
 
 @wp.func

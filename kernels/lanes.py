@@ -15,12 +15,18 @@ FOR_LANES = """
 #define WRT_INFINITY __builtin_bit_cast(float, 0x7f800000)
 #define WRT_NAN __builtin_bit_cast(float, 0x7fc00000)
 #if defined(__clang__)
+#pragma clang diagnostic ignored "-Wpass-failed"
 #define WRT_ABS(x) __builtin_fabsf(x)
 #define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
+#define WRT_LANES(name, pointer) const float* name = pointer
 #else
 #define WRT_ABS(x) fabsf(x)
+#define WRT_LANES(name, pointer) float name[W]; \\
+    if (W % 4 == 0) for (int j_ = 0; j_ < W / 4; ++j_) { const float4 v_ = ((const float4*)(pointer))[j_]; \\
+        name[4 * j_] = v_.x; name[4 * j_ + 1] = v_.y; name[4 * j_ + 2] = v_.z; name[4 * j_ + 3] = v_.w; } \\
+    else for (int j_ = 0; j_ < W; ++j_) name[j_] = (pointer)[j_]
 #define WRT_UNROLLED
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)
@@ -28,7 +34,9 @@ FOR_LANES = """
 #endif
 """
 """Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
-would be put together again lane by lane, at a third of the speed). W is a constant of the snippet."""
+would be put together again lane by lane, at a third of the speed). W is a constant of the snippet. `WRT_LANES(name, pointer)`
+names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are loaded four at a time, so a block of W floats
+must begin at a multiple of 16 bytes if W is a multiple of 4."""
 
 
 @wp.func_native("""

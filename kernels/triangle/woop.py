@@ -96,9 +96,10 @@ def intersect(ray: ShearedRay, corners: Corners):
 
 _BLOCK = """
     const float* corner = &records.data[(size_t)block * (9 * W)];
-    const float *ax = corner + ray.x * W, *ay = corner + ray.y * W, *az = corner + ray.z * W;
-    const float *bx = ax + 3 * W, *by = ay + 3 * W, *bz = az + 3 * W;
-    const float *cx = ax + 6 * W, *cy = ay + 6 * W, *cz = az + 6 * W;
+    const float *x = corner + ray.x * W, *y = corner + ray.y * W, *z = corner + ray.z * W;
+    WRT_LANES(ax, x); WRT_LANES(ay, y); WRT_LANES(az, z);
+    WRT_LANES(bx, x + 3 * W); WRT_LANES(by, y + 3 * W); WRT_LANES(bz, z + 3 * W);
+    WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
     const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
     const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
     float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W];
