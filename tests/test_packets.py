@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits
+from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
+import wrt.plan
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import Plan
@@ -95,7 +96,8 @@ def test_a_camera_gets_packets_and_random_rays_do_not():
     assert hits.plan == plan
     assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
     directions = np.random.default_rng(0).normal(size=(5000, 3))
-    assert scene.explain(np.zeros(3), directions).traversal == "single"
+    assert scene.explain(np.zeros(3), directions).traversal == "interleaved"
+    assert scene.explain(np.zeros(3), directions, query="any").traversal == "single"
     assert "look different" in str(scene.explain(np.zeros(3), directions))
 
 
@@ -128,3 +130,35 @@ def test_plans_that_do_not_fit():
             scene.intersect(origins, directions, traversal=replace(plan, **change))
     with pytest.raises(ValueError, match="does not walk a kdtree"):
         wrt.Scene(mesh, "kdtree", device="cpu").intersect(origins, directions, traversal="packet")
+
+
+@pytest.mark.parametrize("traversal", ["single", "interleaved"])
+def test_reordering_never_shows(traversal, device):
+    """Any order of tracing, with all that a ray can have of its own, or share."""
+    mesh = wrt.scenes.build("wood", trees=3)
+    scene = wrt.Scene(mesh, "bvh", device=device)
+    origins, directions = mixed_rays(mesh, 5000)
+    t_max = np.linspace(0.1, 3.0, 5000, dtype=np.float32)
+    for rays in (wrt.Rays(origins, directions, 0.0, t_max), wrt.Rays(origins[:1], directions, t_max / 2)):
+        plan = scene.explain(rays, traversal=traversal)
+        expected = scene.intersect(rays, traversal=plan, counters=True)
+        hits = scene.intersect(rays, traversal=replace(plan, reorder=True), counters=True)
+        assert_same_hits(hits, expected)
+        np.testing.assert_array_equal(hits.counters["nodes"], expected.counters["nodes"])
+        dark = scene.occluded(rays, traversal=replace(plan, reorder=True))
+        np.testing.assert_array_equal(dark, expected.is_hit)
+
+
+def test_large_scattered_batches_are_reordered(monkeypatch):
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    rng = np.random.default_rng(0)
+    origins, directions = rng.normal(size=(2, 70_000, 3)).astype(np.float32)
+    assert not scene.explain(origins, directions).reorder
+    monkeypatch.setattr(wrt.plan, "CACHED_BYTES", 1)
+    assert scene.explain(origins, directions).reorder
+    assert not scene.explain(origins[:1], directions).reorder
+    with pytest.raises(ValueError, match="reorder"):
+        scene.intersect(
+            origins, directions, traversal=replace(scene.explain(origins, directions), traversal="brute", accelerator="none")
+        )

@@ -10,10 +10,12 @@ from wrt.tables import lookup
 if TYPE_CHECKING:
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
+    from wrt.kernels.triangle.records import Record
     from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
 AUTO = "auto"
+CLOSEST, ANY = "closest", "any"
 
 LEAST_FOR_PACKETS = 256
 """Rays below which a packet's set-up is not worth compiling another kernel."""
@@ -25,6 +27,19 @@ it for views and shadow rays of the bunny, the dragon (two sizes) and the atrium
 
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
+
+
+LEAST_TO_REORDER = 1 << 16
+"""Rays from which on sorting them pays."""
+
+CACHED_BYTES = 1 << 24
+"""Triangle records that are in reach of a core: rays that meet no more of them need no order."""
+
+REORDERED = ("single", "interleaved", "lockstep")
+"""Traversals that follow an order."""
+
+STACKED = 4
+"""Children a node up to which single rays have a stack, and nothing is gained by taking turns."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +55,7 @@ class Plan:
         shared_origin: whether all rays start at the same point.
         packet: rays that go together; 1 if every ray goes alone.
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
+        reorder: whether rays are traced by cell of the origin and octant of the direction (`wrt.kernels.reorder`).
         reason: why the traversal was chosen.
     """
 
@@ -51,15 +67,16 @@ class Plan:
     shared_origin: bool
     packet: int
     culling: str
+    reorder: bool
     reason: str
 
     def __str__(self) -> str:
         with_packets = f", packets of {self.packet}, {self.culling} culling" if self.packet > 1 else ""
-        lanes = f"width {self.width}"
-        return f"{self.accelerator}, {self.traversal}{with_packets}, {self.triangle_test}, {lanes}: {self.reason}"
+        more = f"{with_packets}, reordered" if self.reorder else with_packets
+        return f"{self.accelerator}, {self.traversal}{more}, {self.triangle_test}, width {self.width}: {self.reason}"
 
 
-def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
+def make_plan(scene: Scene, rays: RayBuffers, query: str, traversal: str | Plan, triangle_test: str) -> Plan:
     """Chooses what the caller left on "auto"; a plan that is given is checked.
 
     Raises:
@@ -74,7 +91,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
     kind = scene.accelerator.kind
     if traversal == AUTO:
-        way, reason = choose_traversal(scene, rays)
+        way, reason = choose_traversal(scene, rays, query)
     else:
         way, reason = lookup(TRAVERSALS, traversal, "traversal").name, "as asked"
     trees = TRAVERSALS[way].trees
@@ -89,7 +106,13 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     if way == "packet":
         packet = PACKET_VECTORS * scene.tree.width
         culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
-    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reason)
+    reorder = traversal == AUTO and way in REORDERED and rays.scattered and is_large(scene, rays, test.record)
+    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reorder, reason)
+
+
+def is_large(scene: Scene, rays: RayBuffers, record: Record) -> bool:
+    """Whether so many rays meet so many triangles that it pays to sort the rays first."""
+    return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * record.components >= CACHED_BYTES
 
 
 def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
@@ -112,6 +135,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
+    if plan.reorder and plan.traversal not in REORDERED:
+        raise ValueError(f"plan.reorder is true, but only {', '.join(REORDERED)} follow an order")
     if plan.traversal != "packet":
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
@@ -122,14 +147,17 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     return plan
 
 
-def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
+def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, str]:
     """Name of the traversal, and the reason."""
     kind = scene.accelerator.kind
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
     if not rays.coherent:
-        if kind == "kdtree" and rays.count >= LEAST_FOR_PACKETS:
+        many = rays.count >= LEAST_FOR_PACKETS
+        if kind == "kdtree" and many:
             return "lockstep", "neighbouring rays look different"
+        if kind == "bvh" and many and query == CLOSEST and scene.tree.width > STACKED:
+            return "interleaved", "neighbouring rays look different"
         return "single", "neighbouring rays look different"
     if kind == "bvh" and rays.count >= LEAST_FOR_PACKETS:
         return "packet", "neighbouring rays look alike"

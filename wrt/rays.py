@@ -55,6 +55,7 @@ class RayBuffers:
         is_warp: whether any input was on the Warp side, so that results stay there.
         dtype: float64 if any of origins and directions was, else float32: the type of positions and normals.
         coherent: whether neighbouring rays look alike.
+        scattered: whether neighbouring rays start far apart.
         keep: arrays that must live as long as the batch.
     """
 
@@ -63,6 +64,7 @@ class RayBuffers:
     is_warp: bool
     dtype: type
     coherent: bool
+    scattered: bool
     keep: list[Any]
 
     @property
@@ -94,30 +96,34 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     batch.t_min, batch.t_min_stride = _scalars(t_min, shape, device)
     batch.t_max, batch.t_max_stride = _scalars(t_max, shape, device)
     dtype = np.float64 if _is_float64(origins) or _is_float64(directions) else np.float32
-    return RayBuffers(batch, shape, is_warp, dtype, is_coherent(batch, device), [origins, directions, t_min, t_max])
+    coherent, scattered = sample_coherence(batch, device)
+    return RayBuffers(batch, shape, is_warp, dtype, coherent, scattered, [origins, directions, t_min, t_max])
 
 
-def is_coherent(batch: RayBatch, device: wp.Device) -> bool:
-    """Whether neighbouring rays look alike: from a sample of pairs on the CPU; on CUDA it would cost more than it gives.
+def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
+    """(coherent, scattered): whether neighbouring rays look alike, and whether they start far apart.
+
+    From a sample of pairs on the CPU; on CUDA that would cost more than it gives, and all rays count as coherent.
 
     A pair is alike if its directions differ by less than some 15 degrees and, where origins are not shared, their distance
     is small against that between rays far apart in the batch. Only speed depends on the answer.
     """
     count = len(batch.directions)
     if device.is_cuda or count < 2 * SAMPLE_PAIRS:
-        return True
+        return True, False
     first = np.linspace(0, count - 2, SAMPLE_PAIRS).astype(int)
     directions = batch.directions.numpy()
     one, other = directions[first].astype(np.float64), directions[first + 1].astype(np.float64)
     with np.errstate(all="ignore"):
         cosine = (one * other).sum(axis=1) / np.sqrt((one * one).sum(axis=1) * (other * other).sum(axis=1))
         alike = cosine > 0.966
+        near = np.ones(SAMPLE_PAIRS, dtype=bool)
         if len(batch.origins) == count:
             origins = batch.origins.numpy()
             here, spread = origins[first].astype(np.float64), origins[first[::-1]].astype(np.float64)
             step = np.abs(origins[first + 1] - here).sum(axis=1)
-            alike &= step <= 0.1 * np.median(np.abs(spread - here).sum(axis=1))
-    return bool(alike.mean() > 0.5)
+            near = step <= 0.1 * np.median(np.abs(spread - here).sum(axis=1))
+    return bool((alike & near).mean() > 0.5), bool(near.mean() <= 0.5)
 
 
 def _leading_shape(values: Array) -> tuple[int, ...]:

@@ -11,19 +11,16 @@ import warp as wp
 from wrt.accelerator import Accelerator, resolve_accelerator
 from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
-from wrt.kernels.launch import MAX_CHUNK, check_num_threads, launch, use_threads
-from wrt.kernels.rays import HitBatch
-from wrt.memory import empty
+from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
-from wrt.plan import AUTO, Plan, make_plan, traversal_config, way_of
-from wrt.rays import RayBuffers, Rays, to_device
+from wrt.plan import ANY, AUTO, CLOSEST, Plan, make_plan
+from wrt.rays import Rays, to_device
+from wrt.tables import lookup
+from wrt.tracing import trace
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
-
-BRUTE_FORCE_TESTS = 10_000_000
-"""Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
 
 class Scene:
@@ -126,12 +123,8 @@ class Scene:
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
-            batch = HitBatch()
-            batch.t = empty(buffers.count, wp.float32, self.device)
-            batch.primitive = empty(buffers.count, wp.int32, self.device)
-            batch.uv = empty(buffers.count, wp.vec2, self.device)
-            plan = make_plan(self, buffers, traversal, triangle_test)
-            work = self._trace(plan, buffers, batch, "closest", counters)
+            plan = make_plan(self, buffers, CLOSEST, traversal, triangle_test)
+            batch, work = trace(self, plan, buffers.batch, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
     def occluded(
@@ -151,9 +144,8 @@ class Scene:
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
-            batch = HitBatch()
-            batch.occluded = empty(buffers.count, wp.bool, self.device)
-            self._trace(make_plan(self, buffers, traversal, triangle_test), buffers, batch, "any", False)
+            plan = make_plan(self, buffers, ANY, traversal, triangle_test)
+            batch, _ = trace(self, plan, buffers.batch, ANY)
         return shaped(batch.occluded, buffers)
 
     def explain(
@@ -165,11 +157,16 @@ class Scene:
         *,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
+        query: str = CLOSEST,
     ) -> Plan:
-        """How `intersect` or `occluded` would answer these rays, and why; nothing is traced. Arguments as theirs."""
+        """How `intersect` (query "closest") or `occluded` (query "any") would answer these rays, and why.
+
+        Nothing is traced. Other arguments and errors as theirs.
+        """
+        lookup({CLOSEST: None, ANY: None}, query, "query")
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test)
+            return make_plan(self, to_device(rays, self.device, self.center), query, traversal, triangle_test)
 
     @property
     def record_bytes(self) -> int:
@@ -182,33 +179,7 @@ class Scene:
 
         return scene_statistics(self)
 
-    def _trace(self, plan: Plan, rays: RayBuffers, hits: HitBatch, query: str, counters: bool) -> wp.array | None:
-        """Runs one query; returns the counters if they were asked for."""
-        from wrt.kernels.traversal.brute import AllTriangles
-        from wrt.kernels.traversal.leaf import Counters
-
-        way, config = way_of(plan), traversal_config(plan, self, query, counters)
-        work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
-        longest = MAX_CHUNK
-        if plan.accelerator == "none":
-            tree = AllTriangles()
-            tree.count, tree.low, tree.high = self.triangle_count, self.tree.low, self.tree.high
-            longest = max(1, BRUTE_FORCE_TESTS // self.triangle_count)
-        else:
-            tree = self.tree.struct()
-        inputs = [tree, self._triangles(plan.triangle_test, plan.accelerator), rays.batch, hits, work]
-        grain = way.rays_per_item(config)
-        launch(
-            way.kernels[plan.accelerator](config),
-            -(-rays.count // grain),
-            inputs,
-            device=self.device,
-            chunk=max(1, 1024 // grain),
-            longest=max(1, longest // grain),
-        )
-        return work if counters else None
-
-    def _triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:
+    def triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:
         """The triangles in the order of the tree's leaves ("none": of their ids), as the test stores them; made once."""
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks

@@ -1,0 +1,76 @@
+"""Carrying out a plan: memory for the hits, the kernel and its inputs, rays in another order where the plan says so."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from wrt.kernels.launch import MAX_CHUNK, launch
+from wrt.kernels.rays import HitBatch
+from wrt.memory import empty
+from wrt.plan import ANY, Plan, traversal_config, way_of
+
+if TYPE_CHECKING:
+    from wrt.kernels.rays import RayBatch
+    from wrt.scene import Scene
+
+BRUTE_FORCE_TESTS = 10_000_000
+"""Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
+
+
+def trace(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool = False) -> tuple[HitBatch, wp.array | None]:
+    """Hits of the rays, and each ray's work if it is to be counted."""
+    from wrt.kernels.traversal.leaf import Counters
+
+    device = scene.device
+    hits = new_hits(rays.count, query, device)
+    work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=device)
+    if not plan.reorder:
+        run(scene, plan, rays, hits, query, work, counters)
+        return hits, work if counters else None
+
+    from wrt.kernels.reorder import find_order, sort_rays, unsort_hits, unsort_work
+
+    order = find_order(rays, scene.tree.low, scene.tree.high, device)
+    sorted_hits, sorted_work = new_hits(rays.count, query, device), wp.zeros_like(work)
+    run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
+    unsort_hits(order, sorted_hits, hits, query == ANY)
+    if counters:
+        unsort_work(order, sorted_work, work)
+    return hits, work if counters else None
+
+
+def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:
+    """Memory for what the query asks."""
+    hits = HitBatch()
+    if query == ANY:
+        hits.occluded = empty(count, wp.bool, device)
+    else:
+        hits.t = empty(count, wp.float32, device)
+        hits.primitive = empty(count, wp.int32, device)
+        hits.uv = empty(count, wp.vec2, device)
+    return hits
+
+
+def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
+    """Launches the traversal; `work` has an entry for each ray if `counters`, else any number."""
+    from wrt.kernels.traversal.brute import AllTriangles
+
+    way, config = way_of(plan), traversal_config(plan, scene, query, counters)
+    longest = MAX_CHUNK
+    if plan.accelerator == "none":
+        tree = AllTriangles()
+        tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
+        longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count)
+    else:
+        tree = scene.tree.struct()
+    grain = way.rays_per_item(config)
+    launch(
+        way.kernels[plan.accelerator](config),
+        -(-rays.count // grain),
+        [tree, scene.triangles(plan.triangle_test, plan.accelerator), rays, hits, work],
+        device=scene.device,
+        chunk=max(1, 1024 // grain),
+        longest=max(1, longest // grain),
+    )
