@@ -28,6 +28,12 @@ LARGE_PACKET, SMALL_PACKET = 4, 2
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
 
+STREAM, CUDA_STREAM = 4096, 64
+"""Rays of a stream. Longer ones leave the cache; on CUDA, where an item is a thread, they lie in its local memory."""
+
+MAX_STREAM = 4096
+"""Rays of a stream at most: 64 x 64."""
+
 
 @dataclass(frozen=True)
 class Plan:
@@ -43,6 +49,7 @@ class Plan:
         packet: rays that go together; 1 if every ray goes alone.
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
         reason: why the traversal was chosen.
+        stream: rays of a stream; 1 without streams.
     """
 
     accelerator: str
@@ -54,11 +61,16 @@ class Plan:
     packet: int
     culling: str
     reason: str
+    stream: int = 1
 
     def __str__(self) -> str:
-        with_packets = f", packets of {self.packet}, {self.culling} culling" if self.packet > 1 else ""
+        together = ""
+        if self.packet > 1:
+            together = f", packets of {self.packet}, {self.culling} culling"
+        elif self.stream > 1:
+            together = f", streams of {self.stream}"
         lanes = f"width {self.width}"
-        return f"{self.accelerator}, {self.traversal}{with_packets}, {self.triangle_test}, {lanes}: {self.reason}"
+        return f"{self.accelerator}, {self.traversal}{together}, {self.triangle_test}, {lanes}: {self.reason}"
 
 
 def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
@@ -91,7 +103,10 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     if way == "packet":
         packet = packet_size(scene, rays)
         culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
-    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reason)
+    stream = 1
+    if way == "stream":
+        stream = CUDA_STREAM if scene.device.is_cuda else STREAM
+    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reason, stream)
 
 
 def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
@@ -114,6 +129,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
+    if plan.traversal == "stream" and not 1 <= plan.stream <= MAX_STREAM:
+        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
     if plan.traversal != "packet":
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
@@ -148,13 +165,15 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
     """The specialisation that carries out a plan."""
     from wrt.kernels.traversal.config import TraversalConfig
 
-    packets = {}
+    group = {}
     if plan.packet > 1:
-        packets = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+        group = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+    if plan.traversal == "stream":
+        group = {"stream": plan.stream}
     levels = {}
     if plan.accelerator == "bvh":
         levels = {"levels": stack_levels(scene.tree.depth)}
-    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **packets)
+    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **group)
 
 
 def stack_levels(depth: int) -> int:

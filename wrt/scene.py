@@ -185,10 +185,9 @@ class Scene:
     def _trace(self, plan: Plan, rays: RayBuffers, hits: HitBatch, query: str, counters: bool) -> wp.array | None:
         """Runs one query; returns the counters if they were asked for."""
         from wrt.kernels.traversal.brute import AllTriangles
-        from wrt.kernels.traversal.leaf import Counters
 
         way, config = way_of(plan), traversal_config(plan, self, query, counters)
-        work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=self.device)
+        work = wp.zeros(rays.count if counters else 1, dtype=way.counters, device=self.device)
         longest = MAX_CHUNK
         if plan.accelerator == "none":
             tree = AllTriangles()
