@@ -15,16 +15,18 @@ rays lie in a local array (`stream_ray`), everything else is lists of their numb
   at a time.
 * In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
 * At leaves, pairs (ray, leaf) are filtered by `pair_tester`: first all of them by whether the ray's line meets any triangle
-  of the block, without a branch; then those that are left are worked out. One ray x W triangles: lists are so short at
-  leaves (of a million random rays in streams of 4096, 1.3 rays a leaf of the bunny) that W rays x one triangle would leave
-  most lanes idle, and blocks are full.
+  of the block, without a branch; then those that are left are worked out. One ray x W triangles: lists are too short at
+  leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437 leaves), and blocks are full.
 
 **What we changed.** The papers simulate a machine that gathers and compacts W rays at a time; CPUs have such instructions
 now, and where they do not, the compaction is a loop without a branch. Finished rays (any hit) and rays whose best hit lies
-before a child are dropped when the child's list is filtered next, not in a pass of its own.
+before a child drop out in the BVH when the child's list is filtered by its boxes, as these intervals end at the best hit; in
+the kd-tree when its list is taken from the stack.
 
 **Limits.** A list is ordered for all its rays: a child is visited when the first of them enters it, so that some rays meet
-nodes that a single ray would skip. A stream takes some hundred bytes a ray of local memory: on CUDA it runs, but slowly.
+nodes that a single ray would skip. A stream takes some hundred bytes a ray of local memory, and a thread to itself: on CUDA,
+where it compiles but has not been measured, that is the wrong shape. Neighbouring rays are better off in packets, whose
+culling spares them most tests.
 
 References:
     I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets
@@ -141,7 +143,9 @@ def get_ray(triangle_test: str) -> wp.Function:
     StreamRay = stream_ray(triangle_test)
     RayState = TRIANGLE_TESTS[triangle_test].ray_state
 
-    @wp.func_native("slabs = rays.data[k].slabs; state = rays.data[k].state; best = rays.data[k].best; return rays.data[k].t_min;")
+    @wp.func_native(
+        "slabs = rays.data[k].slabs; state = rays.data[k].state; best = rays.data[k].best; return rays.data[k].t_min;"
+    )
     def get_ray_native(
         rays: wp.array(dtype=StreamRay),
         k: int,
@@ -182,7 +186,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
     A leaf is a child word of `wrt.kernels.bvh`. Round by round, a block of each leaf: a pair whose ray's line meets some
     triangle of the block is kept, with the mask of these triangles; of those that are kept, hits are worked out one by one
     and selected rather than branched for. Each comparison ends a long chain of arithmetic, and a wrong guess would throw away
-    what has been done for the next pairs meanwhile: tested in one go, pairs took 1.6 times as long.
+    what has been done for the next pairs meanwhile: with a branch, random rays took 1.6 times as long altogether.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
@@ -192,7 +196,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
 
     @wp.func_native(f"""
         rays.data[k].best = best;
-        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = -__builtin_inff();
+        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
     """)
     def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
 
@@ -245,9 +249,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         return kept
 
     @wp.func
-    def work_out(
-        triangles: TriangleBlocks, stream: wp.array(dtype=StreamRay), k: int, block: int, triangle_mask: wp.uint32
-    ):
+    def work_out(triangles: TriangleBlocks, stream: wp.array(dtype=StreamRay), k: int, block: int, triangle_mask: wp.uint32):
         mask = wp.uint32(triangle_mask)
         slabs = RaySlabs()
         state = RayState()

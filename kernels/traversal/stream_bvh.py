@@ -9,14 +9,18 @@ key is that of the first of the rays to enter.
 Leaves are tested as soon as their parent's list is filtered: their pairs come from 16 leaves at once, where a leaf of its own
 would have a handful of rays, and what they hit shortens the rays for the inner children, which are filtered later.
 
-**Measured** (one thread of a Zen 5, Stanford bunny, a million rays or those that `far` sees, 16 children a node; nanoseconds
-a ray, and the share of the lists' lanes that hold rays):
+**Measured** (one thread of a Zen 5, Stanford bunny, 16 children a node, the rays of `wrt bench` at 512 x 512; nanoseconds a
+ray, and in brackets the share of the lists' lanes that hold rays):
 
-MEASURED
+    stream of        64           256          1024         4096        single rays    packets
+    far           48 (0.97)    46 (0.97)    41 (0.98)    48 (0.99)         63            24
+    near          73 (0.99)    72 (0.99)    73 (0.99)    73 (1.00)        108            25
+    random       182 (0.48)   143 (0.74)   106 (0.90)    84 (0.97)        147           153
+    ao           120 (0.88)   107 (0.95)   103 (0.98)   102 (0.99)        181           186
 
-The triangle tests' lanes are full to 0.98 whatever the stream: blocks are built so. Splitting a stream by octants, so that its
-rays agree on the order of children, saved one node in thirty and lost a third of the speed to shorter lists; fetching the
-blocks of waiting pairs ahead gained nothing.
+The triangle tests' lanes hold triangles to 0.91 whatever the stream: blocks are built so. Splitting a stream by octants, so
+that its rays agree on the order of children, saved three to five leaves in a hundred and lost a quarter of the speed to shorter lists;
+fetching the blocks of waiting pairs ahead of their turn gained nothing.
 
 References: see `wrt.kernels.traversal.stream`.
 """

@@ -96,7 +96,7 @@ _FILTER_BOXES = """
         list[kept] = (int)(inner << RAY_BITS) | k;
         kept += inner != 0u;
     }
-    WRT_FOR_LANES(i) { key[i] = leaves >> i & 1u ? NO_CHILD : least[i]; }
+    for (int i = 0; i < W; ++i) { key[i] = leaves >> i & 1u ? NO_CHILD : least[i]; }
     survivors = kept;
     tested = j;
     return pairs;
@@ -246,7 +246,8 @@ _FILTER_HITS = """
         int ray[L], from[L], to[L], flag[L];
         WRT_FOR(L, i) {
             const int here = f + i < count ? -1 : 0, k = far_rays.data[top + f + i] & here;
-            const float entry_i = far_entry.data[top + f + i], leave_i = far_leave.data[top + f + i], best = rays.data[k].best.t;
+            const float entry_i = far_entry.data[top + f + i], leave_i = far_leave.data[top + f + i];
+            const float best = rays.data[k].best.t;
             ray[i] = k;
             from[i] = wp::cast<int>(entry_i);
             to[i] = wp::cast<int>(leave_i < best ? leave_i : best);
