@@ -19,8 +19,8 @@ ray, and in brackets the share of the lists' lanes that hold rays):
     ao           120 (0.88)   107 (0.95)   103 (0.98)   102 (0.99)        181           186
 
 The triangle tests' lanes hold triangles to 0.91 whatever the stream: blocks are built so. Splitting a stream by octants, so
-that its rays agree on the order of children, saved three to five leaves in a hundred and lost a quarter of the speed to shorter lists;
-fetching the blocks of waiting pairs ahead of their turn gained nothing.
+that its rays agree on the order of children, saved three to five leaves in a hundred and lost a quarter of the speed to
+shorter lists; fetching the blocks of waiting pairs ahead of their turn gained nothing.
 
 References: see `wrt.kernels.traversal.stream`.
 """
