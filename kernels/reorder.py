@@ -9,10 +9,10 @@ queue rays by cells of a grid). Eight by eight by eight cells and eight octants 
 scanning and filling sorts the rays' numbers. The rays are then copied in that order and their hits copied back: reading
 them through the order while tracing waits for memory once a ray, copying has many such reads under way.
 
-**Measured** (Zen 5, one thread, a million random rays): tracing alone gets 1.2 times as fast on the bunny, 1.4 to 1.7 times
-on the dragon (202,000 triangles, and 810,000), and finer cells are no better. But copying rays and hits to and fro costs 50
-to 100 ns a ray, one read or write of memory out of reach after the other, so that 1.0 and 1.2 times are left on the two
-dragons, and only large scenes are worth it. Sorting runs of 2^14 to 2^18 rays each for itself made the copies cheaper and the
+**Measured** (Zen 5, one thread, a million random rays): tracing alone gets 1.2 times as fast on the bunny, and 2.5 times on
+the dragon of 810,000 triangles, where unsorted streams are slower than single rays; finer cells are no better. But copying
+rays and hits to and fro costs 50 to 100 ns a ray, one read or write of memory out of reach after the other, so that only
+large scenes are worth it. Sorting runs of 2^14 to 2^18 rays each for itself made the copies cheaper and the
 order worse: nothing gained.
 
 References:
@@ -27,7 +27,6 @@ import warp as wp
 
 from wrt.kernels.launch import get_num_threads, launch
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
-from wrt.kernels.traversal.leaf import Counters
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -131,13 +130,6 @@ def scatter_hits(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, 
 
 
 @wp.kernel
-def scatter_work(first: int, order: wp.array(dtype=int), sorted_work: wp.array(dtype=Counters), work: wp.array(dtype=Counters)):
-    """Item: a place in the order."""
-    place = first + wp.tid()
-    work[order[place]] = sorted_work[place]
-
-
-@wp.kernel
 def scatter_occlusion(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
     """Item: a place in the order."""
     place = first + wp.tid()
@@ -177,11 +169,6 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
         setattr(result, field, empty(count, dtype, device) if stride else getattr(rays, field))
     launch(gather_rays, count, [rays, order, result], device=device, chunk=4096)
     return result
-
-
-def unsort_work(order: wp.array, sorted_work: wp.array, work: wp.array) -> None:
-    """Writes the counters of sorted rays to the rays' own places."""
-    launch(scatter_work, len(order), [order, sorted_work, work], device=order.device, chunk=4096)
 
 
 def unsort_hits(order: wp.array, sorted_hits: HitBatch, hits: HitBatch, any_hit: bool) -> None:

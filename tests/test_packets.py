@@ -96,8 +96,7 @@ def test_a_camera_gets_packets_and_random_rays_do_not():
     assert hits.plan == plan
     assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
     directions = np.random.default_rng(0).normal(size=(5000, 3))
-    assert scene.explain(np.zeros(3), directions).traversal == "interleaved"
-    assert scene.explain(np.zeros(3), directions, query="any").traversal == "single"
+    assert scene.explain(np.zeros(3), directions).traversal == "stream"
     assert "look different" in str(scene.explain(np.zeros(3), directions))
 
 
@@ -132,7 +131,7 @@ def test_plans_that_do_not_fit():
         wrt.Scene(mesh, "kdtree", device="cpu").intersect(origins, directions, traversal="packet")
 
 
-@pytest.mark.parametrize("traversal", ["single", "interleaved"])
+@pytest.mark.parametrize("traversal", ["single", "stream"])
 def test_reordering_never_shows(traversal, device):
     """Any order of tracing, with all that a ray can have of its own, or share."""
     mesh = wrt.scenes.build("wood", trees=3)
@@ -158,7 +157,3 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     monkeypatch.setattr(wrt.plan, "CACHED_BYTES", 1)
     assert scene.explain(origins, directions).reorder
     assert not scene.explain(origins[:1], directions).reorder
-    with pytest.raises(ValueError, match="reorder"):
-        scene.intersect(
-            origins, directions, traversal=replace(scene.explain(origins, directions), traversal="brute", accelerator="none")
-        )

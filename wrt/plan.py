@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from wrt.kernels.launch import get_num_threads
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 AUTO = "auto"
 CLOSEST, ANY = "closest", "any"
 
+ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
+
 LEAST_FOR_PACKETS = 256
 """Rays below which a packet's set-up is not worth compiling another kernel."""
 
@@ -28,6 +31,15 @@ it for views and shadow rays of the bunny, the dragon (two sizes) and the atrium
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
 
+STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
+"""Rays of a stream: the longer, the better its lanes are used, as long as each thread has several. On CUDA, where a stream
+is a thread's, they lie in its local memory."""
+
+STREAMS_PER_THREAD = 4
+
+MAX_STREAM = 4096
+"""Rays of a stream at most: 64 x 64."""
+
 
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
@@ -35,11 +47,9 @@ LEAST_TO_REORDER = 1 << 16
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
 
-REORDERED = ("single", "interleaved", "lockstep")
-"""Traversals that follow an order."""
-
-STACKED = 4
-"""Children a node up to which single rays have a stack, and nothing is gained by taking turns."""
+RAYS_PER_TRIANGLE = 2.0
+"""Rays a triangle of the scene from which on coherent rays with origins of their own go in packets: where triangles are as
+small as the gaps between rays, streams lose less on rays that part company."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,7 @@ class Plan:
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
         reorder: whether rays are traced by cell of the origin and octant of the direction (`wrt.kernels.reorder`).
         reason: why the traversal was chosen.
+        stream: rays of a stream; 1 without streams.
     """
 
     accelerator: str
@@ -69,14 +80,19 @@ class Plan:
     culling: str
     reorder: bool
     reason: str
+    stream: int = 1
 
     def __str__(self) -> str:
-        with_packets = f", packets of {self.packet}, {self.culling} culling" if self.packet > 1 else ""
-        more = f"{with_packets}, reordered" if self.reorder else with_packets
+        together = ""
+        if self.packet > 1:
+            together = f", packets of {self.packet}, {self.culling} culling"
+        elif self.stream > 1:
+            together = f", streams of {self.stream}"
+        more = f"{together}, reordered" if self.reorder else together
         return f"{self.accelerator}, {self.traversal}{more}, {self.triangle_test}, width {self.width}: {self.reason}"
 
 
-def make_plan(scene: Scene, rays: RayBuffers, query: str, traversal: str | Plan, triangle_test: str) -> Plan:
+def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
     """Chooses what the caller left on "auto"; a plan that is given is checked.
 
     Raises:
@@ -91,7 +107,7 @@ def make_plan(scene: Scene, rays: RayBuffers, query: str, traversal: str | Plan,
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
     kind = scene.accelerator.kind
     if traversal == AUTO:
-        way, reason = choose_traversal(scene, rays, query)
+        way, reason = choose_traversal(scene, rays)
     else:
         way, reason = lookup(TRAVERSALS, traversal, "traversal").name, "as asked"
     trees = TRAVERSALS[way].trees
@@ -106,8 +122,17 @@ def make_plan(scene: Scene, rays: RayBuffers, query: str, traversal: str | Plan,
     if way == "packet":
         packet = PACKET_VECTORS * scene.tree.width
         culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
-    reorder = traversal == AUTO and way in REORDERED and rays.scattered and is_large(scene, rays, test.record)
-    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reorder, reason)
+    stream = stream_size(scene, rays) if way == "stream" else 1
+    reorder = traversal == AUTO and way != "packet" and rays.scattered and is_large(scene, rays, test.record)
+    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reorder, reason, stream)
+
+
+def stream_size(scene: Scene, rays: RayBuffers) -> int:
+    """Rays of a stream: fewer where a batch would not give each thread several streams."""
+    if scene.device.is_cuda:
+        return CUDA_STREAM
+    share = rays.count / (STREAMS_PER_THREAD * get_num_threads())
+    return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
 def is_large(scene: Scene, rays: RayBuffers, record: Record) -> bool:
@@ -135,8 +160,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
-    if plan.reorder and plan.traversal not in REORDERED:
-        raise ValueError(f"plan.reorder is true, but only {', '.join(REORDERED)} follow an order")
+    if plan.traversal == "stream" and not 1 <= plan.stream <= MAX_STREAM:
+        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
     if plan.traversal != "packet":
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
@@ -147,34 +172,35 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     return plan
 
 
-def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, str]:
+def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
     """Name of the traversal, and the reason."""
     kind = scene.accelerator.kind
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
+    if rays.count < LEAST_FOR_PACKETS:
+        return "single", "few rays"
+    if kind == "kdtree":
+        return ("single", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
     if not rays.coherent:
-        many = rays.count >= LEAST_FOR_PACKETS
-        if kind == "kdtree" and many:
-            return "lockstep", "neighbouring rays look different"
-        if kind == "bvh" and many and query == CLOSEST and scene.tree.width > STACKED:
-            return "interleaved", "neighbouring rays look different"
-        return "single", "neighbouring rays look different"
-    if kind == "bvh" and rays.count >= LEAST_FOR_PACKETS:
-        return "packet", "neighbouring rays look alike"
-    return "single", "neighbouring rays look alike" if rays.count >= LEAST_FOR_PACKETS else "few rays"
+        return "stream", DIFFERENT
+    if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
+        return "stream", f"{ALIKE}, but each has its own origin and triangles are small"
+    return "packet", ALIKE
 
 
 def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> TraversalConfig:
     """The specialisation that carries out a plan."""
     from wrt.kernels.traversal.config import TraversalConfig
 
-    packets = {}
+    group = {}
     if plan.packet > 1:
-        packets = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+        group = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+    if plan.traversal == "stream":
+        group = {"stream": plan.stream}
     levels = {}
     if plan.accelerator == "bvh":
         levels = {"levels": stack_levels(scene.tree.depth)}
-    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **packets)
+    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **group)
 
 
 def stack_levels(depth: int) -> int:

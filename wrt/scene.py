@@ -15,7 +15,6 @@ from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import ANY, AUTO, CLOSEST, Plan, make_plan
 from wrt.rays import Rays, to_device
-from wrt.tables import lookup
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
@@ -123,7 +122,7 @@ class Scene:
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, CLOSEST, traversal, triangle_test)
+            plan = make_plan(self, buffers, traversal, triangle_test)
             batch, work = trace(self, plan, buffers.batch, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
@@ -144,7 +143,7 @@ class Scene:
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, ANY, traversal, triangle_test)
+            plan = make_plan(self, buffers, traversal, triangle_test)
             batch, _ = trace(self, plan, buffers.batch, ANY)
         return shaped(batch.occluded, buffers)
 
@@ -157,16 +156,11 @@ class Scene:
         *,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
-        query: str = CLOSEST,
     ) -> Plan:
-        """How `intersect` (query "closest") or `occluded` (query "any") would answer these rays, and why.
-
-        Nothing is traced. Other arguments and errors as theirs.
-        """
-        lookup({CLOSEST: None, ANY: None}, query, "query")
+        """How `intersect` or `occluded` would answer these rays, and why; nothing is traced. Arguments as theirs."""
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            return make_plan(self, to_device(rays, self.device, self.center), query, traversal, triangle_test)
+            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test)
 
     @property
     def record_bytes(self) -> int:

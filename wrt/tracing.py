@@ -21,24 +21,24 @@ BRUTE_FORCE_TESTS = 10_000_000
 
 def trace(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool = False) -> tuple[HitBatch, wp.array | None]:
     """Hits of the rays, and each ray's work if it is to be counted."""
-    from wrt.kernels.traversal.leaf import Counters
-
     device = scene.device
     hits = new_hits(rays.count, query, device)
-    work = wp.zeros(rays.count if counters else 1, dtype=Counters, device=device)
+    work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
     if not plan.reorder:
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None
 
-    from wrt.kernels.reorder import find_order, sort_rays, unsort_hits, unsort_work
+    from wrt.kernels.reorder import find_order, sort_rays, unsort_hits
 
     order = find_order(rays, scene.tree.low, scene.tree.high, device)
     sorted_hits, sorted_work = new_hits(rays.count, query, device), wp.zeros_like(work)
     run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
     unsort_hits(order, sorted_hits, hits, query == ANY)
-    if counters:
-        unsort_work(order, sorted_work, work)
-    return hits, work if counters else None
+    if not counters:
+        return hits, None
+    values = work.numpy()
+    values[order.numpy()] = sorted_work.numpy()
+    return hits, wp.array(values, dtype=work.dtype, device=device)
 
 
 def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:

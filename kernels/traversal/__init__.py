@@ -14,8 +14,18 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, interleaved, lockstep, packet, single, single_bvh
+from wrt.kernels.traversal import (
+    brute,
+    lockstep,
+    packet,
+    single,
+    single_bvh,
+    stream,
+    stream_bvh,
+    stream_kdtree,
+)
 from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.leaf import Counters
 
 
 def one_ray(config: TraversalConfig) -> int:
@@ -32,12 +42,14 @@ class Traversal:
         paper: authors, title, year.
         kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
         rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
+        counters: struct of the work that its kernels count, at the first ray of an item.
     """
 
     name: str
     paper: str
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
+    counters: type = Counters
 
     @property
     def trees(self) -> tuple[str, ...]:
@@ -61,17 +73,19 @@ TRAVERSALS: dict[str, Traversal] = {
             lockstep.rays_per_item,
         ),
         Traversal(
-            "interleaved",
-            "after Wald, Benthin, Boulos: Getting rid of packets (2008), several rays in turn",
-            {"bvh": interleaved.make_kernel},
-            interleaved.rays_per_item,
-        ),
-        Traversal(
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
             {"bvh": packet.make_kernel},
             packet.rays_per_item,
+        ),
+        Traversal(
+            "stream",
+            "Wald, Gribble, Boulos, Kensler: SIMD ray stream tracing (2007); "
+            "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
+            {"kdtree": stream_kdtree.make_kernel, "bvh": stream_bvh.make_kernel},
+            stream.rays_per_item,
+            stream.StreamCounters,
         ),
     )
 }

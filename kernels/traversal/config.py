@@ -22,6 +22,7 @@ class TraversalConfig:
         packet: rays of a packet, a multiple of the width.
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.packet.CULLINGS`.
+        stream: rays of a stream, 1 to 4096.
     """
 
     triangle_test: str
@@ -33,3 +34,4 @@ class TraversalConfig:
     packet: int = 64
     shared_origin: bool = False
     culling: str = "interval"
+    stream: int = 1024

@@ -1,0 +1,154 @@
+"""Streams against brute force, bit for bit: both trees, any rays, lists of every length, and how full their vectors are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import SCENES, assert_same_hits, mixed_rays
+from test_packets import beams
+
+import wrt
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.plan import MAX_STREAM, Plan
+
+TREES = TRAVERSALS["stream"].trees
+SMALL_SCENES = ("teapot", "random_triangles", "stadium", "grid", "degenerate")
+SIZE = 64
+
+
+def stream_plan(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str = "woop") -> Plan:
+    return replace(scene.explain(rays, traversal="stream", triangle_test=triangle_test), stream=size)
+
+
+def assert_equals_brute_force(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str = "woop") -> wrt.Hits:
+    expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
+    plan = stream_plan(scene, rays, size, triangle_test)
+    assert_same_hits(scene.intersect(rays, traversal=plan), expected)
+    np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+    return expected
+
+
+def utilisation(scene: wrt.Scene, rays: wrt.Rays, size: int) -> tuple[float, float]:
+    """Share of the lanes in use, for traversal and for intersection."""
+    work = scene.intersect(rays, traversal=stream_plan(scene, rays, size), counters=True).counters
+    traversal = work["traversal_active"].sum() / work["traversal_slots"].sum()
+    return traversal, work["intersection_active"].sum() / work["intersection_slots"].sum()
+
+
+@pytest.mark.parametrize("own_origins", [False, True])
+@pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
+@pytest.mark.parametrize("tree", TREES)
+def test_beams(tree, triangle_test, own_origins, device):
+    """Rays that stay together, in planes of faces and along the axes; some are bad; the last stream is not full."""
+    for name in SMALL_SCENES:
+        mesh = SCENES[name]()
+        scene = wrt.Scene(mesh, tree, device=device)
+        origins, directions = beams(mesh, 60, own_origins)
+        rays = wrt.Rays(origins[:-5] if own_origins else origins, directions[:-5])
+        expected = assert_equals_brute_force(scene, rays, SIZE, triangle_test)
+        assert expected.is_hit.mean() > 0.05
+
+
+@pytest.mark.parametrize("size", [1, 17, 1024, MAX_STREAM])
+@pytest.mark.parametrize("tree", TREES)
+def test_sizes(tree, size, device):
+    """Streams of one ray to the longest, with per-ray ranges that cut between hits, at hits, and empty ones."""
+    mesh = wrt.scenes.build("teapot", level=4)
+    scene = wrt.Scene(mesh, tree, device=device)
+    origins, directions = mixed_rays(mesh, 4500, seed=size)
+    first = scene.intersect(origins, directions)
+    rng = np.random.default_rng(2)
+    t_min = np.where(first.is_hit & (rng.random(4500) < 0.5), first.t, rng.random(4500)).astype(np.float32)
+    t_max = np.where(rng.random(4500) < 0.3, t_min, t_min + rng.random(4500) - 0.1).clip(0).astype(np.float32)
+    assert_equals_brute_force(scene, wrt.Rays(origins, directions, t_min, t_max), size)
+    assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_ray_counts(tree, device):
+    """None, one, and counts about the length of a stream."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, tree, device=device)
+    for count in (0, 1, 63, 64, 65, 127, 128, 129):
+        assert_equals_brute_force(scene, wrt.Rays(*mixed_rays(mesh, count, seed=count)), SIZE)
+
+
+@pytest.mark.parametrize("accelerator", [wrt.Bvh(width=2), wrt.Bvh(width=8), wrt.KdTree(width=1), wrt.KdTree(width=4)])
+def test_widths(accelerator):
+    mesh = wrt.scenes.build("teapot", level=4)
+    scene = wrt.Scene(mesh, accelerator, device="cpu")
+    rays = wrt.Rays(*mixed_rays(mesh, 1500, seed=accelerator.width))
+    expected = scene.intersect(rays, traversal="brute")
+    assert_same_hits(scene.intersect(rays, traversal=stream_plan(scene, rays, 1024)), expected)
+
+
+@pytest.mark.parametrize("triangles", [63, 200])
+def test_one_leaf(triangles):
+    """A kd-tree that is one leaf, of more triangles than a pair's leaf can name, and of more rays than pairs can wait."""
+    mesh = wrt.scenes.build("random_triangles", count=triangles, size=0.5, seed=1)
+    for width in (1, 16):
+        scene = wrt.Scene(mesh, wrt.KdTree(width=width, max_depth=0), device="cpu")
+        assert len(scene.tree.nodes) == 1
+        origins = np.random.default_rng(0).uniform(-0.5, 0.0, (1100, 3))
+        assert_equals_brute_force(scene, wrt.Rays(origins, 0.5 - origins), MAX_STREAM)
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_a_range_from_minus_zero(tree, device):
+    """As an integer, -0.0 is less than every key of a child: the nearest one was never visited."""
+    mesh = wrt.scenes.build("teapot", level=4)
+    scene = wrt.Scene(mesh, tree, device=device)
+    rng = np.random.default_rng(0)
+    origins, directions = rng.uniform(*mesh.bounds, (500, 3)), rng.normal(size=(500, 3))
+    rays = wrt.Rays(origins, directions, np.full(500, -0.0, dtype=np.float32))
+    assert assert_equals_brute_force(scene, rays, SIZE).is_hit.mean() > 0.3
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_only_bad_rays(tree, device):
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), tree, device=device)
+    rays = wrt.Rays(np.full((300, 3), np.nan), np.zeros((300, 3)))
+    assert not assert_equals_brute_force(scene, rays, SIZE).is_hit.any()
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_coherent_rays_and_long_streams_fill_the_lanes(tree):
+    mesh = wrt.scenes.build("teapot", level=5)
+    scene = wrt.Scene(mesh, tree, device="cpu")
+    camera = wrt.PinholeCamera(128, 128, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0)).rays()
+    rng = np.random.default_rng(0)
+    random = wrt.Rays(rng.uniform(*mesh.bounds, (128 * 128, 3)), rng.normal(size=(128 * 128, 3)))
+    kinds = {"camera": camera, "random": random}
+    shares = {(name, size): utilisation(scene, rays, size) for name, rays in kinds.items() for size in (64, 1024)}
+    assert all(0.0 < share <= 1.0 for both in shares.values() for share in both)
+    for size in (64, 1024):
+        assert shares["camera", size][0] > shares["random", size][0]
+    for name in ("camera", "random"):
+        assert shares[name, 1024][0] > shares[name, 64][0]
+
+
+def test_counters_of_a_stream():
+    """The work of a stream is at its first ray; a list meets what single rays meet, or a little more."""
+    mesh = wrt.scenes.build("teapot", level=4)
+    for tree in TREES:
+        scene = wrt.Scene(mesh, tree, device="cpu")
+        rays = wrt.Rays(*mixed_rays(mesh, 1000))
+        work = scene.intersect(rays, traversal=stream_plan(scene, rays, SIZE), counters=True).counters
+        single = scene.intersect(rays, traversal="single", counters=True).counters
+        assert np.flatnonzero(work["nodes"]).tolist() == list(range(0, 1000, SIZE))
+        for name in ("nodes", "triangles"):
+            assert 1.0 <= work[name].sum() / single[name].sum() < 2.0
+        assert work["intersection_active"].sum() == work["triangles"].sum()
+
+
+def test_plans_that_do_not_fit():
+    mesh = wrt.scenes.build("teapot", level=2)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    rays = wrt.Rays(*mixed_rays(mesh, 10))
+    assert "streams of" in str(scene.explain(rays, traversal="stream"))
+    for size in (0, MAX_STREAM + 1):
+        with pytest.raises(ValueError, match=r"plan\.stream"):
+            scene.intersect(rays, traversal=stream_plan(scene, rays, size))
