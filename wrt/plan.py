@@ -88,7 +88,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
         raise ValueError(f"traversal {way!r} does not walk a {kind}; {other}, or choose from auto, {able}")
     shared = rays.batch.origin_stride == 0
     packet, culling = 1, ""
-    if way == "packet":
+    if TRAVERSALS[way].packets:
         packet = packet_size(scene, rays)
         culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
     return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reason)
@@ -114,7 +114,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
-    if plan.traversal != "packet":
+    if not way.packets:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
         raise ValueError(f"plan.packet is {plan.packet}; it must be a multiple of {plan.width}, at most {MAX_PACKET}")
@@ -133,9 +133,9 @@ def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
         if kind == "kdtree" and rays.count >= LEAST_FOR_PACKETS:
             return "lockstep", "neighbouring rays look different"
         return "single", "neighbouring rays look different"
-    if kind == "bvh" and rays.count >= LEAST_FOR_PACKETS:
+    if rays.count >= LEAST_FOR_PACKETS:
         return "packet", "neighbouring rays look alike"
-    return "single", "neighbouring rays look alike" if rays.count >= LEAST_FOR_PACKETS else "few rays"
+    return "single", "few rays"
 
 
 def packet_size(scene: Scene, rays: RayBuffers) -> int:

@@ -149,6 +149,15 @@ _LOAD = """
         bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
         bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
         bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];
+        if (mixed) {
+            const float* inverse = a == 0 ? inverse_x : a == 1 ? inverse_y : inverse_z;
+            WRT_INTERVAL(forward); WRT_INTERVAL(backward);
+            WRT_FOR(P, k) {
+                const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), behind = valid & !ahead;
+                WRT_WIDEN(forward, inverse[k], ahead) WRT_WIDEN(backward, inverse[k], behind)
+            }
+            bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(backward_high);
+        }
     }
 """
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, lockstep, packet, single, single_bvh
+from wrt.kernels.traversal import brute, lockstep, packet, packet_kdtree, packet_kernel, single, single_bvh
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -32,12 +32,14 @@ class Traversal:
         paper: authors, title, year.
         kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
         rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
+        packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
     """
 
     name: str
     paper: str
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
+    packets: bool = False
 
     @property
     def trees(self) -> tuple[str, ...]:
@@ -64,8 +66,9 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"bvh": packet.make_kernel},
-            packet.rays_per_item,
+            {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
+            packet_kernel.rays_per_item,
+            packets=True,
         ),
     )
 }
