@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Minima and maxima are taken of integers in the order of the floats: a compiler must keep the order of floating-point
 # comparisons, so it would not take W of them at a time.
-_INTERVALS = """
+INTERVALS = """
     constexpr int LEAST = (int)0x80000000, MOST = 0x7fffffff;
     #define WRT_ORDERED(value) wrt_ordered(value)
     auto wrt_ordered = [](float value) { int bits = __builtin_bit_cast(int, value); return bits ^ ((bits >> 31) & MOST); };
@@ -171,7 +171,7 @@ def load_packet(layout: PacketLayout) -> wp.Function:
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
 
-    @wp.func_native(layout.head + constants + _INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
+    @wp.func_native(layout.head + constants + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
     def load_packet_native(
         rays: RayBatch,
         first: int,

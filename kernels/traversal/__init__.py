@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, lockstep, packet, packet_kdtree, packet_kernel, single, single_bvh
+from wrt.kernels.traversal import brute, entry_point, lockstep, packet, packet_kdtree, packet_kernel, single, single_bvh
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -68,6 +68,20 @@ TRAVERSALS: dict[str, Traversal] = {
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
             {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
             packet_kernel.rays_per_item,
+            packets=True,
+        ),
+        Traversal(
+            "mlrta",
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
+            {"kdtree": entry_point.make_mlrta},
+            entry_point.rays_per_item,
+            packets=True,
+        ),
+        Traversal(
+            "aepsa",
+            "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
+            {"kdtree": entry_point.make_aepsa},
+            entry_point.rays_per_item,
             packets=True,
         ),
     )

@@ -49,10 +49,10 @@ MIXED_AXES = 2
 
 
 @cache
-def make_walk_below(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, bounds, node, low, high, work) -> bool`: traces one packet below a node.
+def make_walk_packet(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
 
-    low, high: the node's box. No ray of the packet may have a hit elsewhere. Returns False if the packet gave up.
+    The walk begins at `tree.root`; if that is not the whole tree's, no ray of the packet may have a hit elsewhere.
     """
     test_leaf = leaf_step(config)
     counting, patience = config.counters, PATIENCE * config.packet
@@ -63,14 +63,11 @@ def make_walk_below(config: TraversalConfig) -> wp.Function:
         triangles: TriangleBlocks,
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
-        top: int,
-        low: wp.vec3,
-        high: wp.vec3,
         work: wp.ref[Counters],
     ):
-        interval = enter_box(bounds, low, high)
+        interval = enter_box(bounds, tree.low, tree.high)
         cell = Cell()
-        cell.node = top
+        cell.node = tree.root
         cell.entry = interval[0]
         cell.leave = interval[1]
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
@@ -100,24 +97,6 @@ def make_walk_below(config: TraversalConfig) -> wp.Function:
                     cell.leave = load_float(stack_leave, size)
                     searching = cell.entry <= bounds.t_max
         return steps <= wp.static(patience)
-
-    return walk
-
-
-@cache
-def make_walk_packet(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
-    walk_below = make_walk_below(config)
-
-    @wp.func
-    def walk(
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        packet: wp.array(dtype=float),
-        bounds: wp.ref[PacketBounds],
-        work: wp.ref[Counters],
-    ):
-        return walk_below(tree, triangles, packet, bounds, 0, tree.low, tree.high, work)
 
     return walk
 

@@ -97,19 +97,61 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
 
 
 @cache
-def make_packet_kernel(
+def packet_step(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
-) -> wp.Kernel:
-    """The kernel for one specialisation.
+) -> wp.Function:
+    """`wp.func(tree, below, triangles, rays, begin, hits, counters, work)`: the packet whose first ray is `begin`.
 
-    walk_packet: `wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
-    walk_ray: `wp.func(tree, triangles, ray, work) -> best`: traces one valid ray.
-    mixed_axes: axes with both signs with which a packet is still walked together.
+    below: the tree, or the part of it where all hits of the packet are. `work` is what was done for it before.
+
+    Args:
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk_packet: `wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
+        walk_ray: `wp.func(tree, triangles, ray, work) -> best`: traces one valid ray.
+        mixed_axes: axes with both signs with which a packet is still walked together.
     """
     layout = packet_layout(config)
     load, store = load_packet(layout), store_packet(layout, config.query == ANY)
     alone = trace_alone(config, Tree, walk_ray)
     counting, size, packet_rays = config.counters, layout.size, config.packet
+
+    @wp.func
+    def step(
+        tree: Tree,
+        below: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        begin: int,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+        work: wp.ref[Counters],
+    ):
+        packet = wp.zeros(shape=(size,), dtype=float)
+        bounds = PacketBounds()
+        load(rays, begin, tree.low, tree.high, packet, bounds)
+        together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
+        if together and bounds.active > 0:
+            together = walk_packet(below, triangles, packet, bounds, work)
+        if together:
+            store(packet, rays.count, begin, hits)
+            if wp.static(counting):
+                counters[begin] = work
+                work = Counters()
+        else:
+            end = wp.min(begin + wp.static(packet_rays), rays.count)
+            alone(tree, triangles, rays, begin, end, hits, counters, work)
+
+    return step
+
+
+@cache
+def make_packet_kernel(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+) -> wp.Kernel:
+    """The kernel for one specialisation; arguments as those of `packet_step`."""
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
+    packet_rays = config.packet
 
     def packet_traversal(
         first: int,
@@ -119,20 +161,7 @@ def make_packet_kernel(
         hits: HitBatch,
         counters: wp.array(dtype=Counters),
     ):
-        begin = (first + wp.tid()) * wp.static(packet_rays)
-        packet = wp.zeros(shape=(size,), dtype=float)
-        bounds = PacketBounds()
-        load(rays, begin, tree.low, tree.high, packet, bounds)
         work = Counters()
-        together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
-        if together and bounds.active > 0:
-            together = walk_packet(tree, triangles, packet, bounds, work)
-        if together:
-            store(packet, rays.count, begin, hits)
-            if wp.static(counting):
-                counters[begin] = work
-        else:
-            end = wp.min(begin + wp.static(packet_rays), rays.count)
-            alone(tree, triangles, rays, begin, end, hits, counters, work)
+        step(tree, tree, triangles, rays, (first + wp.tid()) * wp.static(packet_rays), hits, counters, work)
 
     return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})
