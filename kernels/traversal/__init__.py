@@ -14,7 +14,17 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal import brute, entry_point, lockstep, packet, packet_kdtree, packet_kernel, single, single_bvh
+from wrt.kernels.traversal import (
+    brute,
+    entry_point,
+    lockstep,
+    omnidirectional,
+    packet,
+    packet_kdtree,
+    packet_kernel,
+    single,
+    single_bvh,
+)
 from wrt.kernels.traversal.config import TraversalConfig
 
 
@@ -82,6 +92,13 @@ TRAVERSALS: dict[str, Traversal] = {
             "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
             {"kdtree": entry_point.make_aepsa},
             entry_point.rays_per_item,
+            packets=True,
+        ),
+        Traversal(
+            "omnidirectional",
+            "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
+            {"kdtree": omnidirectional.make_kernel},
+            packet_kernel.rays_per_item,
             packets=True,
         ),
     )
