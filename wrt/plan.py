@@ -42,6 +42,7 @@ class Plan:
         shared_origin: whether all rays start at the same point.
         packet: rays that go together; 1 if every ray goes alone.
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
+        mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
         reason: why the traversal was chosen.
     """
 
@@ -53,12 +54,14 @@ class Plan:
     shared_origin: bool
     packet: int
     culling: str
+    mailbox: str
     reason: str
 
     def __str__(self) -> str:
         with_packets = f", packets of {self.packet}, {self.culling} culling" if self.packet > 1 else ""
+        memory = f", {self.mailbox} mailbox" if self.mailbox != "none" else ""
         lanes = f"width {self.width}"
-        return f"{self.accelerator}, {self.traversal}{with_packets}, {self.triangle_test}, {lanes}: {self.reason}"
+        return f"{self.accelerator}, {self.traversal}{with_packets}{memory}, {self.triangle_test}, {lanes}: {self.reason}"
 
 
 def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
@@ -91,7 +94,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     if TRAVERSALS[way].packets:
         packet = packet_size(scene, rays)
         culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
-    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reason)
+    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, "none", reason)
 
 
 def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
@@ -100,6 +103,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     Raises:
         ValueError: it does not; the message names the field.
     """
+    from wrt.kernels.mailbox import MAILBOXES, NONE
     from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -114,6 +118,9 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
+    if lookup(MAILBOXES, plan.mailbox, "plan.mailbox").name != NONE and not (way.mailbox and plan.accelerator == "kdtree"):
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
+        raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
     if not way.packets:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
@@ -154,7 +161,9 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
     levels = {}
     if plan.accelerator == "bvh":
         levels = {"levels": stack_levels(scene.tree.depth)}
-    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **packets)
+    return TraversalConfig(
+        plan.triangle_test, plan.width, query, plan.coherent, counters, mailbox=plan.mailbox, **levels, **packets
+    )
 
 
 def stack_levels(depth: int) -> int:

@@ -41,8 +41,11 @@ _GATHER = """
             for (int a = 0; a < 3; ++a) WRT_FOR(here, k) o[a][k] = (float)((double)from[3 * k + a] - center[a]);
         }
         const float* to = directions + 3 * (size_t)begin * rays.direction_stride;
-        if (rays.direction_stride) { WRT_FOR(here, k) { d[0][k] = to[3 * k]; d[1][k] = to[3 * k + 1]; d[2][k] = to[3 * k + 2]; } }
-        else { WRT_FOR(here, k) { d[0][k] = to[0]; d[1][k] = to[1]; d[2][k] = to[2]; } }
+        if (rays.direction_stride) {
+            WRT_FOR(here, k) { d[0][k] = to[3 * k]; d[1][k] = to[3 * k + 1]; d[2][k] = to[3 * k + 2]; }
+        } else {
+            WRT_FOR(here, k) { d[0][k] = to[0]; d[1][k] = to[1]; d[2][k] = to[2]; }
+        }
         if (rays.t_min_stride) { WRT_FOR(here, k) t0[k] = rays.t_min.data[begin + k]; }
         if (rays.t_max_stride) { WRT_FOR(here, k) t1[k] = rays.t_max.data[begin + k]; }
         WRT_FOR(here, k) {

@@ -43,6 +43,7 @@ class Traversal:
         kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
         rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
         packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
+        mailbox: whether `mailbox` of the config matters, on a kd-tree.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Traversal:
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
     packets: bool = False
+    mailbox: bool = False
 
     @property
     def trees(self) -> tuple[str, ...]:
@@ -65,6 +67,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
             {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
+            mailbox=True,
         ),
         Traversal(
             "lockstep",
@@ -79,6 +82,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
             packet_kernel.rays_per_item,
             packets=True,
+            mailbox=True,
         ),
         Traversal(
             "mlrta",
@@ -86,6 +90,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"kdtree": entry_point.make_mlrta},
             entry_point.rays_per_item,
             packets=True,
+            mailbox=True,
         ),
         Traversal(
             "aepsa",
@@ -93,6 +98,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"kdtree": entry_point.make_aepsa},
             entry_point.rays_per_item,
             packets=True,
+            mailbox=True,
         ),
         Traversal(
             "omnidirectional",
@@ -100,6 +106,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"kdtree": omnidirectional.make_kernel},
             packet_kernel.rays_per_item,
             packets=True,
+            mailbox=True,
         ),
     )
 }

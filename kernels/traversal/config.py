@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from wrt.kernels.mailbox import NONE
+
 CLOSEST = "closest"
 ANY = "any"
 QUERIES = (CLOSEST, ANY)
@@ -22,6 +24,7 @@ class TraversalConfig:
         packet: rays of a packet, a multiple of the width.
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.packet.CULLINGS`.
+        mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
     """
 
     triangle_test: str
@@ -33,3 +36,4 @@ class TraversalConfig:
     packet: int = 64
     shared_origin: bool = False
     culling: str = "interval"
+    mailbox: str = NONE

@@ -17,6 +17,9 @@ go one by one against W triangles at a time. Lanes are filled either way.
 out from the box, already cut at the best hits found in between. The stack does not grow with the packet. Rays with one sign
 need no special case; nothing falls back to single rays.
 
+**Measured** (one core of a Zen 5, the bunny, packets of 32, against `single`): far 2.4 times as fast, near 2.8 times, shadow
+rays to a point light 1.4 times (`packet`: 1.1), ambient occlusion 0.9 times, random rays 0.5 times.
+
 **Limits.** Where rays have nothing in common, a packet visits the cells of all its rays, and most lanes idle. There
 `wrt.kernels.traversal.lockstep`, whose lanes each go their own way, is what to use.
 
@@ -33,6 +36,7 @@ import warp as wp
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.lane_cells import enter_cell, split_cell
@@ -107,7 +111,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     enter, split = enter_cell(layout), split_cell(layout)
     leaf_together, leaf_alone = leaf_step(config), leaf_by_ray(config)
     counting, size_of_packet, P = config.counters, layout.size, config.packet
-    cell_floats = 2 * P
+    cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
     def omnidirectional(
         first: int,
@@ -123,6 +127,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
         work = Counters()
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_low = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
         stack_high = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
@@ -166,7 +171,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                     for k in range(wp.static(P)):
                         arrived += wp.where(load_float(cells, k) <= load_float(cells, wp.static(P) + k), 1, 0)
                     if arrived > wp.static(FEW):
-                        leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, work)
+                        leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
                     else:
                         leaf_alone(tree, triangles, node, rays, begin, packet, cells, work)
                 searching = bool(False)

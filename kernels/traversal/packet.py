@@ -28,6 +28,7 @@ import warp as wp
 from wrt.kernels import bvh
 from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.bvh import WideNodes
+from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
@@ -48,6 +49,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
     cull_boxes = CULLINGS[config.culling].boxes(config.width)
     test_leaf = leaf_step(config)
+    memory = MAILBOXES[config.mailbox].size
     nearest = nearest_child(config.width)
     width, counting = config.width, config.counters
     levels, row, patience = config.levels, config.levels * config.width, PATIENCE * config.packet
@@ -62,6 +64,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     ):
         keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
         level = int(0)
         steps = int(0)
         key = cull_boxes(tree.bounds, 0, bounds, keys, 0)
@@ -80,7 +83,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                     if wp.static(counting):
                         work.nodes += 1
                 else:
-                    test_leaf(triangles, bvh.first_block(child), bvh.leaf_triangles(child), packet, bounds, work)
+                    test_leaf(triangles, bvh.first_block(child), bvh.leaf_triangles(child), packet, bounds, mailbox, work)
                     key = nearest(keys, level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:

@@ -8,6 +8,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.lanes import count_bits
+from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.block import test_block
 from wrt.kernels.packet.bounds import PacketBounds
@@ -34,9 +36,10 @@ def rays_per_item(config: TraversalConfig) -> int:
 
 @cache
 def leaf_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, block, count, packet, bounds, work)`: the `count` triangles of a leaf, from a block on."""
+    """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: the `count` triangles of a leaf, from a block on."""
     cull_triangles = CULLINGS[config.culling].triangles(config.width)
     test_triangles = test_block(packet_layout(config), config.query == ANY)
+    forget = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -46,6 +49,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
         count: int,
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
+        mailbox: wp.array(dtype=int),
         work: wp.ref[Counters],
     ):
         if wp.static(counting):
@@ -54,7 +58,11 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
         block = int(first)
         rest = int(count)
         while rest > 0:
-            mask = cull_triangles(triangles.records, block, bounds)
+            kept = cull_triangles(triangles.records, block, bounds)
+            mask = forget(triangles.primitive, block, kept, mailbox)
+            if wp.static(counting):
+                work.triangles -= count_bits(kept ^ mask)
+                work.avoided += count_bits(kept ^ mask)
             if mask != wp.uint32(0):
                 test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
             block += 1

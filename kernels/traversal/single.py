@@ -34,6 +34,7 @@ import warp as wp
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
@@ -42,6 +43,8 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+ALL_LANES = wp.constant(wp.uint32(0xFFFFFFFF))
 
 
 @wp.struct
@@ -115,6 +118,8 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     test_block = block_step(config)
     step = step_guessing if config.coherent else step_selecting
     width, counting, any_hit = config.width, config.counters, config.query == ANY
+    forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
+    remembering = config.mailbox != NONE
 
     @wp.func
     def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, work: wp.ref[Counters]):
@@ -128,6 +133,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
         size = int(0)
         searching = cell.entry <= cell.leave
         while searching:
@@ -148,7 +154,15 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    best = test_block(triangles, block, state, slabs, ray.t_min, best)
+                    if wp.static(remembering):
+                        fresh = forget(triangles.primitive, block, ALL_LANES, mailbox)
+                        if fresh != wp.uint32(0):
+                            best = test_block(triangles, block, state, slabs, ray.t_min, best)
+                        elif wp.static(counting):
+                            work.avoided += wp.min(count, wp.static(width))
+                            work.triangles -= wp.min(count, wp.static(width))
+                    else:
+                        best = test_block(triangles, block, state, slabs, ray.t_min, best)
                     block += 1
                     count -= wp.static(width)
                 searching = bool(False)
