@@ -28,12 +28,12 @@ rows, they are not, and most searches end at the root.
 neither origin nor signs. Queues of the survey's algorithm 5.1 come out deepest first, with which the first success would not
 be the topmost one: here AEPSA goes through the frozen stack from its bottom.
 
-**Measured** (one core of a Zen 5, the bunny, a million rays in Morton's order, packets of 64). The papers' baseline is a
-packet of four rays; one of 64 has amortised the way down already, and there is little left to save. MLRTA runs at 0.97 times
-the speed of `packet` in the far view and 0.86 times in the near one, AEPSA at 0.99 and 0.86; with packets of 16, at 1.00 and
-0.93, and 1.05 and 1.01. Against `single` that is 4.5 to 5.8 times. (MLRTA's authors report 3.25 times for eye rays,
-AEPSA's up to 18 % more.) AEPSA visits 13 to 15 % fewer nodes than MLRTA, searches included; with packets of 16 it is 5 to
-9 % faster, with packets of 64 1 to 2 %.
+**Measured** (one core of a Zen 5, the bunny, a million rays in Morton's order). A packet of 64 shares the way down among
+its rays already, and there is little left to save: MLRTA runs at 0.97 times the speed of `packet` in the far view and 0.86
+times in the near one, AEPSA at 0.99 and 0.86. With packets of 16, MLRTA runs at 1.00 and 0.93, AEPSA at 1.05 and 1.01 times.
+Against `single`, both are 4.5 to 5.8 times as fast with packets of 64. (The papers report 3.25 times for eye rays and up to
+18 % more for AEPSA.) AEPSA visits 13 to 15 % fewer nodes than MLRTA, searches included; with packets of 16 it is 5 to 9 %
+faster, with larger ones at most 2 %.
 
 References:
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.

@@ -8,7 +8,8 @@ by its own direction's sign, and a child is visited if some ray's part of it is 
 ray, so the order of the children is right for some rays only: a cell that turns out to lie behind the best hits of all its
 rays does not end the search, it is only left for the next one that waits.
 
-**The order.** Of the rays that visit both children, the majority decides which comes first.
+**The order.** Of the rays that visit both children, the majority decides which comes first. (The rule is ours: the survey,
+from which this is written, does not give the paper's.)
 
 **Leaves.** W rays are tested against a triangle at a time where more than `FEW` rays of the packet have arrived; the others
 go one by one against W triangles at a time. Lanes are filled either way.
