@@ -17,6 +17,9 @@ FOR_LANES = """
 #define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
 #else
+#define __builtin_fabsf(x) fabsf(x)
+#define __builtin_inff() __int_as_float(0x7f800000)
+#define __builtin_nanf(text) __int_as_float(0x7fffffff)
 #define WRT_UNROLLED
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)
@@ -24,7 +27,8 @@ FOR_LANES = """
 #endif
 """
 """Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
-would be put together again lane by lane, at a third of the speed). W is a constant of the snippet."""
+would be put together again lane by lane, at a third of the speed). W is a constant of the snippet.
+NVRTC lacks three of the built-in functions used in snippets; they get their CUDA names here."""
 
 
 @wp.func_native("""

@@ -13,12 +13,15 @@ straddle an axis of the scene so need not visit both children of every plane acr
 
 import warp as wp
 
+from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.packet.bounds import PacketBounds
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
-@wp.func_native("""
+@wp.func_native(
+    FOR_LANES
+    + """
     const float INF = __builtin_inff();
     const float large = bounds.inverse_large.c[axis], small = bounds.inverse_small.c[axis];
     if (large == large) {
@@ -37,7 +40,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
     const bool right_first = -backward < forward;
     return wp::vec3(right_first ? -1.0f : 1.0f, (right_first ? no_right : no_left) ? -INF : leave,
                     (right_first ? no_left : no_right) ? INF : entry);
-""")
+"""
+)
 def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
     """As `wrt.kernels.boxes.cross_plane`, for all rays of a packet that is in a cell from `entry` to `leave`.
 
