@@ -28,9 +28,11 @@ MAX_INDEX = (1 << 29) - 1
 
 @wp.struct
 class KdNodes:
-    """The nodes of a tree and the box that they divide."""
+    """The nodes of a tree and the box that they divide; or the part of a tree below one of its nodes."""
 
     nodes: wp.array(dtype=wp.vec2i)
+    root: int
+    """Where a traversal begins: 0, or the node whose box `low`, `high` is."""
     low: wp.vec3
     high: wp.vec3
 

@@ -11,10 +11,14 @@ from conftest import SCENES, assert_same_hits, mixed_rays
 import wrt
 import wrt.plan
 from wrt.kernels.packet import CULLINGS
+from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import Plan
 
 FITTING = [(c, t) for c, culling in CULLINGS.items() for t, test in TRIANGLE_TESTS.items() if culling.holds_for(test)]
+
+OTHERS = [(tree, "vertex", "woop") for tree in TRAVERSALS["packet"].trees if tree != "bvh"]
+"""Leaves are leaves: what culling and test do there, one tree shows for all."""
 
 
 def beams(mesh: wrt.TriangleMesh, count: int, own_origins: bool, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -50,14 +54,18 @@ def packet_plan(scene: wrt.Scene, rays: wrt.Rays, triangle_test: str, **changes:
     return replace(plan, **{"packet": 4 * plan.width, **changes})
 
 
+def ragged(origins: np.ndarray, directions: np.ndarray) -> wrt.Rays:
+    """The rays without the last five, so that the last packet is not full."""
+    return wrt.Rays(origins if origins.ndim == 1 else origins[:-5], directions[:-5])
+
+
 @pytest.mark.parametrize("own_origins", [False, True])
-@pytest.mark.parametrize(("culling", "triangle_test"), FITTING)
-def test_culling_never_shows(culling, triangle_test, own_origins, device):
+@pytest.mark.parametrize(("tree", "culling", "triangle_test"), [("bvh", *fitting) for fitting in FITTING] + OTHERS)
+def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
     for make in SCENES.values():
         mesh = make()
-        scene = wrt.Scene(mesh, "bvh", device=device)
-        origins, directions = beams(mesh, 60, own_origins)
-        rays = wrt.Rays(origins, directions[:-5]) if not own_origins else wrt.Rays(origins[:-5], directions[:-5])
+        scene = wrt.Scene(mesh, tree, device=device)
+        rays = ragged(*beams(mesh, 60, own_origins))
         expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
         assert expected.is_hit.mean() > 0.05
         plan = packet_plan(scene, rays, triangle_test, culling=culling)
@@ -66,11 +74,11 @@ def test_culling_never_shows(culling, triangle_test, own_origins, device):
         np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
-@pytest.mark.parametrize("vectors", [1, 2, 16])
-def test_sizes_and_ranges(vectors, device):
+@pytest.mark.parametrize(("tree", "vectors"), [("bvh", 1), ("bvh", 2), ("bvh", 16), ("kdtree", 1), ("kdtree", 8)])
+def test_sizes_and_ranges(vectors, tree, device):
     """Packets of one vector to the largest; per-ray ranges that cut between hits, at hits, and empty ones."""
     mesh = wrt.scenes.build("atrium")
-    scene = wrt.Scene(mesh, "bvh", device=device)
+    scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = beams(mesh, 80, True, seed=1)
     first = scene.intersect(origins, directions, traversal="brute")
     rng = np.random.default_rng(2)
@@ -85,9 +93,10 @@ def test_sizes_and_ranges(vectors, device):
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
-def test_a_camera_gets_packets_and_random_rays_do_not():
+@pytest.mark.parametrize(("tree", "otherwise"), [("bvh", "stream"), ("kdtree", "lockstep")])
+def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     mesh = wrt.scenes.build("teapot", level=4)
-    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    scene = wrt.Scene(mesh, tree, device="cpu")
     camera = wrt.PinholeCamera(96, 80, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0))
     plan = scene.explain(camera.rays())
     assert plan.traversal == "packet"
@@ -96,13 +105,14 @@ def test_a_camera_gets_packets_and_random_rays_do_not():
     assert hits.plan == plan
     assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
     directions = np.random.default_rng(0).normal(size=(5000, 3))
-    assert scene.explain(np.zeros(3), directions).traversal == "stream"
+    assert scene.explain(np.zeros(3), directions).traversal == otherwise
     assert "look different" in str(scene.explain(np.zeros(3), directions))
 
 
-def test_packets_do_less_work_than_rays():
+@pytest.mark.parametrize("tree", TRAVERSALS["packet"].trees)
+def test_packets_do_less_work_than_rays(tree):
     mesh = wrt.scenes.build("teapot", level=5)
-    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    scene = wrt.Scene(mesh, tree, device="cpu")
     camera = wrt.PinholeCamera(128, 128, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0))
     one = scene.intersect(camera.rays(), traversal="single", counters=True).counters
     many = scene.intersect(camera.rays(), traversal="packet", counters=True).counters
@@ -121,14 +131,31 @@ def test_plans_that_do_not_fit():
         ({"culling": "no such"}, "culling"),
         ({"triangle_test": "moeller_trumbore"}, "culling"),
         ({"traversal": "no such"}, "traversal"),
-        ({"accelerator": "kdtree"}, "does not walk"),
+        ({"accelerator": "kdtree"}, "accelerator"),
         ({"shared_origin": True}, "shared_origin"),
         ({"width": 1}, "width"),
     ):
         with pytest.raises(ValueError, match=name):
             scene.intersect(origins, directions, traversal=replace(plan, **change))
-    with pytest.raises(ValueError, match="does not walk a kdtree"):
-        wrt.Scene(mesh, "kdtree", device="cpu").intersect(origins, directions, traversal="packet")
+    with pytest.raises(ValueError, match="does not walk a bvh"):
+        scene.intersect(origins, directions, traversal="lockstep")
+
+
+def test_an_axis_with_both_signs_bounds_a_kdtree_too():
+    """Beams along z that spread to both sides of x and y: few cells are visited although no sign is shared but z's."""
+    mesh = wrt.scenes.build("random_triangles", count=3000, size=0.05, seed=2)
+    scene = wrt.Scene(mesh, "kdtree", device="cpu")
+    rng = np.random.default_rng(3)
+    low, high = mesh.bounds
+    starts = np.repeat(rng.uniform(low, high, (40, 3)), 64, axis=0)
+    starts[:, 2] = low[2] - 1.0
+    directions = np.concatenate([rng.normal(size=(2560, 2)) * 0.002, np.ones((2560, 1))], axis=1)
+    rays = wrt.Rays(starts, directions)
+    plan = packet_plan(scene, rays, "woop")
+    expected = scene.intersect(rays, traversal="single", counters=True)
+    together = scene.intersect(rays, traversal=replace(plan, packet=64 // plan.width * plan.width), counters=True)
+    assert_same_hits(together, expected)
+    assert together.counters["nodes"].sum() < 0.1 * expected.counters["nodes"].sum()
 
 
 @pytest.mark.parametrize("traversal", ["single", "stream"])

@@ -11,6 +11,7 @@ from PIL import Image
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -32,7 +33,7 @@ def test_python_example(tmp_path, monkeypatch):
     assert Image.open("model.png").size == (640, 480)
 
 
-@pytest.mark.parametrize("name", [*BVH_BUILDERS, *KDTREE_BUILDERS, *TRAVERSALS, *CULLINGS, *TRIANGLE_TESTS])
+@pytest.mark.parametrize("name", [*BVH_BUILDERS, *KDTREE_BUILDERS, *TRAVERSALS, *CULLINGS, *MAILBOXES, *TRIANGLE_TESTS])
 def test_every_algorithm_is_listed(name):
     assert f"`{name}`" in README
 

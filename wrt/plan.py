@@ -11,7 +11,7 @@ from wrt.tables import lookup
 if TYPE_CHECKING:
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
-    from wrt.kernels.triangle.records import Record
+    from wrt.kernels.triangle import TriangleTest
     from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
@@ -21,15 +21,18 @@ CLOSEST, ANY = "closest", "any"
 ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
 
 LEAST_FOR_PACKETS = 256
-"""Rays below which a packet's set-up is not worth compiling another kernel."""
+"""Rays below which the set-up of packets and streams is not worth compiling another kernel."""
 
 PACKET_VECTORS = 2
 """Rays of a packet, in vectors of the tree's width. Of 1, 2, 4 and 8, measured with 16 lanes, 2 was best or within 5 % of
 it for views and shadow rays of the bunny, the dragon (two sizes) and the atrium."""
 
-
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
+
+RAYS_PER_TRIANGLE = 2.0
+"""Rays a triangle of the scene from which on coherent rays with origins of their own go in packets: where triangles are as
+small as the gaps between rays, streams lose less on rays that part company."""
 
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
 """Rays of a stream: the longer, the better its lanes are used, as long as each thread has several. On CUDA, where a stream
@@ -40,19 +43,14 @@ STREAMS_PER_THREAD = 4
 MAX_STREAM = 4096
 """Rays of a stream at most: 64 x 64."""
 
-
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
 
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
 
-RAYS_PER_TRIANGLE = 2.0
-"""Rays a triangle of the scene from which on coherent rays with origins of their own go in packets: where triangles are as
-small as the gaps between rays, streams lose less on rays that part company."""
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """What answers a query. `dataclasses.replace` makes another one of it, which goes where the name of a traversal goes.
 
@@ -63,11 +61,12 @@ class Plan:
         width: triangles tested at once, and children a node.
         coherent: whether neighbouring rays were found to look alike.
         shared_origin: whether all rays start at the same point.
+        reason: why the traversal was chosen.
         packet: rays that go together; 1 if every ray goes alone.
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
-        reorder: whether rays are traced by cell of the origin and octant of the direction (`wrt.kernels.reorder`).
-        reason: why the traversal was chosen.
         stream: rays of a stream; 1 without streams.
+        mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
+        reorder: whether rays are traced by cell of the origin and octant of the direction (`wrt.kernels.reorder`).
     """
 
     accelerator: str
@@ -76,20 +75,24 @@ class Plan:
     width: int
     coherent: bool
     shared_origin: bool
-    packet: int
-    culling: str
-    reorder: bool
     reason: str
+    packet: int = 1
+    culling: str = ""
     stream: int = 1
+    mailbox: str = "none"
+    reorder: bool = False
 
     def __str__(self) -> str:
-        together = ""
+        parts = [self.accelerator, self.traversal]
         if self.packet > 1:
-            together = f", packets of {self.packet}, {self.culling} culling"
-        elif self.stream > 1:
-            together = f", streams of {self.stream}"
-        more = f"{together}, reordered" if self.reorder else together
-        return f"{self.accelerator}, {self.traversal}{more}, {self.triangle_test}, width {self.width}: {self.reason}"
+            parts += [f"packets of {self.packet}", f"{self.culling} culling"]
+        if self.stream > 1:
+            parts.append(f"streams of {self.stream}")
+        if self.mailbox != "none":
+            parts.append(f"{self.mailbox} mailbox")
+        if self.reorder:
+            parts.append("reordered")
+        return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
 
 
 def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
@@ -105,26 +108,59 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+    name, reason = choose_traversal(scene, rays) if traversal == AUTO else (traversal, "as asked")
+    way = lookup(TRAVERSALS, name, "traversal")
+    options: dict[str, object] = {}
+    if way.packets:
+        options["packet"] = PACKET_VECTORS * scene.tree.width
+        options["culling"] = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
+    if way.streams:
+        options["stream"] = stream_size(scene, rays)
+    if traversal == AUTO and not way.packets:
+        options["reorder"] = rays.scattered and is_large(scene, rays, test)
+    return Plan(
+        accelerator=tree_for(way, scene),
+        traversal=way.name,
+        triangle_test=test.name,
+        width=scene.tree.width,
+        coherent=rays.coherent,
+        shared_origin=rays.batch.origin_stride == 0,
+        reason=reason,
+        **options,
+    )
+
+
+def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
+    """Name of the traversal, and the reason."""
+    if scene.device.is_cuda:
+        return "single", "a CUDA thread is a ray"
+    if rays.count < LEAST_FOR_PACKETS:
+        return "single", "few rays"
+    if scene.accelerator.kind == "kdtree":
+        return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
+    if not rays.coherent:
+        return "stream", DIFFERENT
+    if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
+        return "stream", f"{ALIKE}, but each has its own origin and triangles are small"
+    return "packet", ALIKE
+
+
+def tree_for(way: Traversal, scene: Scene) -> str:
+    """Kind of tree that a traversal walks in a scene.
+
+    Raises:
+        ValueError: none that the scene has.
+    """
+    from wrt.kernels.traversal import TRAVERSALS
+
     kind = scene.accelerator.kind
-    if traversal == AUTO:
-        way, reason = choose_traversal(scene, rays)
-    else:
-        way, reason = lookup(TRAVERSALS, traversal, "traversal").name, "as asked"
-    trees = TRAVERSALS[way].trees
-    if trees == ("none",):
-        kind = "none"
-    elif kind not in trees:
+    if way.trees == ("none",):
+        return "none"
+    if kind not in way.trees:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if kind in entry.trees)
-        other = f"build the scene with accelerator={trees[0]!r}"
-        raise ValueError(f"traversal {way!r} does not walk a {kind}; {other}, or choose from auto, {able}")
-    shared = rays.batch.origin_stride == 0
-    packet, culling = 1, ""
-    if way == "packet":
-        packet = PACKET_VECTORS * scene.tree.width
-        culling = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
-    stream = stream_size(scene, rays) if way == "stream" else 1
-    reorder = traversal == AUTO and way != "packet" and rays.scattered and is_large(scene, rays, test.record)
-    return Plan(kind, way, test.name, scene.tree.width, rays.coherent, shared, packet, culling, reorder, reason, stream)
+        other = f"build the scene with accelerator={way.trees[0]!r}"
+        raise ValueError(f"traversal {way.name!r} does not walk a {kind}; {other}, or choose from auto, {able}")
+    return kind
 
 
 def stream_size(scene: Scene, rays: RayBuffers) -> int:
@@ -135,9 +171,9 @@ def stream_size(scene: Scene, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
-def is_large(scene: Scene, rays: RayBuffers, record: Record) -> bool:
+def is_large(scene: Scene, rays: RayBuffers, test: TriangleTest) -> bool:
     """Whether so many rays meet so many triangles that it pays to sort the rays first."""
-    return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * record.components >= CACHED_BYTES
+    return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
 
 
 def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
@@ -146,6 +182,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     Raises:
         ValueError: it does not; the message names the field.
     """
+    from wrt.kernels.mailbox import MAILBOXES
     from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -160,9 +197,13 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
         raise ValueError("plan.shared_origin is true, but each ray has an origin of its own; broadcast a single one")
-    if plan.traversal == "stream" and not 1 <= plan.stream <= MAX_STREAM:
+    lookup(MAILBOXES, plan.mailbox, "plan.mailbox")
+    if plan.mailbox != "none" and not (way.mailbox and plan.accelerator == "kdtree"):
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
+        raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
+    if way.streams and not 1 <= plan.stream <= MAX_STREAM:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
-    if plan.traversal != "packet":
+    if not way.packets:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
         raise ValueError(f"plan.packet is {plan.packet}; it must be a multiple of {plan.width}, at most {MAX_PACKET}")
@@ -172,35 +213,19 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     return plan
 
 
-def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
-    """Name of the traversal, and the reason."""
-    kind = scene.accelerator.kind
-    if scene.device.is_cuda:
-        return "single", "a CUDA thread is a ray"
-    if rays.count < LEAST_FOR_PACKETS:
-        return "single", "few rays"
-    if kind == "kdtree":
-        return ("single", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
-    if not rays.coherent:
-        return "stream", DIFFERENT
-    if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
-        return "stream", f"{ALIKE}, but each has its own origin and triangles are small"
-    return "packet", ALIKE
-
-
 def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> TraversalConfig:
     """The specialisation that carries out a plan."""
     from wrt.kernels.traversal.config import TraversalConfig
 
-    group = {}
-    if plan.packet > 1:
-        group = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
-    if plan.traversal == "stream":
-        group = {"stream": plan.stream}
-    levels = {}
+    way, options = way_of(plan), {}
+    if way.packets:
+        options = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+    if way.streams:
+        options["stream"] = plan.stream
     if plan.accelerator == "bvh":
-        levels = {"levels": stack_levels(scene.tree.depth)}
-    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **levels, **group)
+        options["levels"] = stack_levels(scene.tree.depth)
+    test, mailbox = plan.triangle_test, plan.mailbox
+    return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, **options)
 
 
 def stack_levels(depth: int) -> int:

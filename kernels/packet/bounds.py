@@ -31,6 +31,10 @@ class PacketBounds:
     """Per axis, the end of the interval of 1 / direction that is farther from 0."""
     inverse_small: wp.vec3
     """The end that is nearer to 0."""
+    forward_small: wp.vec3
+    """Per axis with both signs, the least 1 / direction of the rays that go forward."""
+    backward_small: wp.vec3
+    """Likewise the greatest, nearest to 0, of the rays that go backward."""
     origin_in: wp.vec3
     """End of the interval of `RaySlabs.origin_in` from which near planes are closest."""
     origin_out: wp.vec3

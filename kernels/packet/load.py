@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Minima and maxima are taken of integers in the order of the floats: a compiler must keep the order of floating-point
 # comparisons, so it would not take W of them at a time.
-_INTERVALS = """
+INTERVALS = """
     constexpr int LEAST = (int)0x80000000, MOST = 0x7fffffff;
     #define WRT_ORDERED(value) wrt_ordered(value)
     auto wrt_ordered = [](float value) { int bits = __builtin_bit_cast(int, value); return bits ^ ((bits >> 31) & MOST); };
@@ -153,6 +153,15 @@ _LOAD = """
         bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
         bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
         bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];
+        if (mixed) {
+            const float* inverse = a == 0 ? inverse_x : a == 1 ? inverse_y : inverse_z;
+            WRT_INTERVAL(forward); WRT_INTERVAL(backward);
+            WRT_FOR(P, k) {
+                const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), behind = valid & !ahead;
+                WRT_WIDEN(forward, inverse[k], ahead) WRT_WIDEN(backward, inverse[k], behind)
+            }
+            bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(backward_high);
+        }
     }
 """
 
@@ -166,7 +175,7 @@ def load_packet(layout: PacketLayout) -> wp.Function:
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
 
-    @wp.func_native(layout.head + constants + _INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
+    @wp.func_native(layout.head + constants + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
     def load_packet_native(
         rays: RayBatch,
         first: int,

@@ -16,8 +16,12 @@ import warp as wp
 
 from wrt.kernels.traversal import (
     brute,
+    entry_point,
     lockstep,
+    omnidirectional,
     packet,
+    packet_kdtree,
+    packet_kernel,
     single,
     single_bvh,
     stream,
@@ -42,6 +46,9 @@ class Traversal:
         paper: authors, title, year.
         kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
         rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
+        packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
+        mailbox: whether `mailbox` of the config matters, on a kd-tree.
+        streams: whether rays go in streams: `stream` of the config matters.
         counters: struct of the work that its kernels count, at the first ray of an item.
     """
 
@@ -49,6 +56,9 @@ class Traversal:
     paper: str
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
+    packets: bool = False
+    mailbox: bool = False
+    streams: bool = False
     counters: type = Counters
 
     @property
@@ -65,6 +75,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
             {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
+            mailbox=True,
         ),
         Traversal(
             "lockstep",
@@ -76,8 +87,34 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet",
             "Wald et al.: Interactive rendering with coherent ray tracing (2001); "
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
-            {"bvh": packet.make_kernel},
-            packet.rays_per_item,
+            {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
+            packet_kernel.rays_per_item,
+            packets=True,
+            mailbox=True,
+        ),
+        Traversal(
+            "mlrta",
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
+            {"kdtree": entry_point.make_mlrta},
+            entry_point.rays_per_item,
+            packets=True,
+            mailbox=True,
+        ),
+        Traversal(
+            "aepsa",
+            "Fowler, Collins, Manzke: Accelerated entry point search algorithm for real-time ray-tracing (2009)",
+            {"kdtree": entry_point.make_aepsa},
+            entry_point.rays_per_item,
+            packets=True,
+            mailbox=True,
+        ),
+        Traversal(
+            "omnidirectional",
+            "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
+            {"kdtree": omnidirectional.make_kernel},
+            packet_kernel.rays_per_item,
+            packets=True,
+            mailbox=True,
         ),
         Traversal(
             "stream",
@@ -85,7 +122,8 @@ TRAVERSALS: dict[str, Traversal] = {
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
             {"kdtree": stream_kdtree.make_kernel, "bvh": stream_bvh.make_kernel},
             stream.rays_per_item,
-            stream.StreamCounters,
+            streams=True,
+            counters=stream.StreamCounters,
         ),
     )
 }

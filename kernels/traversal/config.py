@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from wrt.kernels.mailbox import NONE
+
 CLOSEST = "closest"
 ANY = "any"
 QUERIES = (CLOSEST, ANY)
@@ -23,6 +25,7 @@ class TraversalConfig:
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.packet.CULLINGS`.
         stream: rays of a stream, 1 to 4096.
+        mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
     """
 
     triangle_test: str
@@ -35,3 +38,4 @@ class TraversalConfig:
     shared_origin: bool = False
     culling: str = "interval"
     stream: int = 1024
+    mailbox: str = NONE

@@ -39,6 +39,8 @@ class Counters:
     """Leaves visited, empty ones included."""
     triangles: int
     """Triangles tested; the unused lanes of a block do not count."""
+    avoided: int
+    """Triangles not tested again, because a mailbox remembered them."""
 
 
 @wp.func

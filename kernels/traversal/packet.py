@@ -28,21 +28,17 @@ import warp as wp
 from wrt.kernels import bvh
 from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.bvh import WideNodes
+from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.packet import CULLINGS
-from wrt.kernels.packet.block import test_block
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
-from wrt.kernels.packet.store import store_packet
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
-from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, start
+from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.packet_kernel import leaf_step, make_packet_kernel
 from wrt.kernels.traversal.single_bvh import make_walk
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
 
 PATIENCE = 1
 """Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone."""
@@ -51,11 +47,9 @@ PATIENCE = 1
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
-    layout = packet_layout(config)
-    culling = CULLINGS[config.culling]
-    cull_boxes = culling.boxes(config.width)
-    cull_triangles = culling.triangles(config.width)
-    test_triangles = test_block(layout, config.query == ANY)
+    cull_boxes = CULLINGS[config.culling].boxes(config.width)
+    test_leaf = leaf_step(config)
+    memory = MAILBOXES[config.mailbox].size
     nearest = nearest_child(config.width)
     width, counting = config.width, config.counters
     levels, row, patience = config.levels, config.levels * config.width, PATIENCE * config.packet
@@ -70,6 +64,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     ):
         keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
         level = int(0)
         steps = int(0)
         key = cull_boxes(tree.bounds, 0, bounds, keys, 0)
@@ -88,17 +83,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                     if wp.static(counting):
                         work.nodes += 1
                 else:
-                    count = bvh.leaf_triangles(child)
-                    block = bvh.first_block(child)
-                    if wp.static(counting):
-                        work.leaves += 1
-                        work.triangles += count
-                    while count > 0:
-                        mask = cull_triangles(triangles.records, block, bounds)
-                        if mask != wp.uint32(0):
-                            test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
-                        block += 1
-                        count -= wp.static(width)
+                    test_leaf(triangles, bvh.first_block(child), bvh.leaf_triangles(child), packet, bounds, mailbox, work)
                     key = nearest(keys, level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:
@@ -110,56 +95,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     return walk
 
 
-def packet_layout(config: TraversalConfig) -> PacketLayout:
-    """Where the packet's numbers are."""
-    return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
-
-
-def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a packet."""
-    return config.packet
-
-
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    layout = packet_layout(config)
-    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
-    walk_packet, walk_ray = make_walk_packet(config), make_walk(config)
-    counting, any_hit, size, packet_rays = config.counters, config.query == ANY, layout.size, config.packet
-
-    def packet_bvh(
-        first: int,
-        tree: WideNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: wp.array(dtype=Counters),
-    ):
-        begin = (first + wp.tid()) * wp.static(packet_rays)
-        packet = wp.zeros(shape=(size,), dtype=float)
-        bounds = PacketBounds()
-        load(rays, begin, tree.low, tree.high, packet, bounds)
-        work = Counters()
-        together = bool(bounds.mixed_axes < 2)
-        if together and bounds.active > 0:
-            together = walk_packet(tree, triangles, packet, bounds, work)
-        if together:
-            store(packet, rays.count, begin, hits)
-            if wp.static(counting):
-                counters[begin] = work
-        else:
-            for i in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
-                ray = load_ray(rays, i)
-                best = start(ray.t_max)
-                if ray.valid:
-                    best = walk_ray(tree, triangles, ray, work)
-                if wp.static(any_hit):
-                    hits.occluded[i] = best.primitive >= 0
-                else:
-                    store_hit(hits, i, best.t, best.primitive, best.u, best.v)
-                if wp.static(counting):
-                    counters[i] = work
-                    work = Counters()
-
-    return wp.kernel(packet_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), mixed_axes=1)

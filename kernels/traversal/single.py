@@ -34,14 +34,17 @@ import warp as wp
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+ALL_LANES = wp.constant(wp.uint32(0xFFFFFFFF))
 
 
 @wp.struct
@@ -109,12 +112,77 @@ def step_selecting(
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
-    """The kernel for one specialisation."""
+def make_walk(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, ray, work) -> best` for one valid ray."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_block, store = block_step(config), store_best(config)
+    test_block = block_step(config)
     step = step_guessing if config.coherent else step_selecting
     width, counting, any_hit = config.width, config.counters, config.query == ANY
+    forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
+    remembering = config.mailbox != NONE
+
+    @wp.func
+    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, work: wp.ref[Counters]):
+        best = start(ray.t_max)
+        slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
+        state = prepare(ray.origin, ray.direction)
+        interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
+        cell = Cell()
+        cell.entry = interval[0]
+        cell.leave = interval[1]
+        stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+        stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+        stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
+        size = int(0)
+        searching = cell.entry <= cell.leave
+        while searching:
+            node = kdtree.load_node(tree.nodes, cell.node)
+            axis = kdtree.split_axis(node)
+            if axis != LEAF:
+                crossing = cross_plane(slabs, axis, kdtree.split_position(node))
+                crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
+                crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+                right = kdtree.right_child(node)
+                step(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
+                if wp.static(counting):
+                    work.nodes += 1
+            else:
+                count = kdtree.leaf_triangles(node)
+                block = kdtree.first_block(node)
+                if wp.static(counting):
+                    work.leaves += 1
+                    work.triangles += count
+                while count > 0:
+                    if wp.static(remembering):
+                        fresh = forget(triangles.primitive, block, ALL_LANES, mailbox)
+                        if fresh != wp.uint32(0):
+                            best = test_block(triangles, block, state, slabs, ray.t_min, best)
+                        elif wp.static(counting):
+                            work.avoided += wp.min(count, wp.static(width))
+                            work.triangles -= wp.min(count, wp.static(width))
+                    else:
+                        best = test_block(triangles, block, state, slabs, ray.t_min, best)
+                    block += 1
+                    count -= wp.static(width)
+                searching = bool(False)
+                if wp.static(any_hit):
+                    size = wp.where(best.primitive < 0, size, 0)
+                while size > 0 and not searching:
+                    size -= 1
+                    cell.node = load_int(stack_node, size)
+                    cell.entry = load_float(stack_entry, size)
+                    cell.leave = load_float(stack_leave, size)
+                    searching = cell.entry <= best.t
+        return best
+
+    return walk
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    walk, store, counting = make_walk(config), store_best(config), config.counters
 
     def single_ray_kdtree(
         first: int,
@@ -129,47 +197,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-            state = prepare(ray.origin, ray.direction)
-            interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
-            cell = Cell()
-            cell.entry = interval[0]
-            cell.leave = interval[1]
-            stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
-            stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-            stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-            size = int(0)
-            searching = cell.entry <= cell.leave
-            while searching:
-                node = kdtree.load_node(tree.nodes, cell.node)
-                axis = kdtree.split_axis(node)
-                if axis != LEAF:
-                    crossing = cross_plane(slabs, axis, kdtree.split_position(node))
-                    crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
-                    crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
-                    right = kdtree.right_child(node)
-                    step(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
-                    if wp.static(counting):
-                        work.nodes += 1
-                else:
-                    count = kdtree.leaf_triangles(node)
-                    block = kdtree.first_block(node)
-                    if wp.static(counting):
-                        work.leaves += 1
-                        work.triangles += count
-                    while count > 0:
-                        best = test_block(triangles, block, state, slabs, ray.t_min, best)
-                        block += 1
-                        count -= wp.static(width)
-                    searching = bool(False)
-                    if wp.static(any_hit):
-                        size = wp.where(best.primitive < 0, size, 0)
-                    while size > 0 and not searching:
-                        size -= 1
-                        cell.node = load_int(stack_node, size)
-                        cell.entry = load_float(stack_entry, size)
-                        cell.leave = load_float(stack_leave, size)
-                        searching = cell.entry <= best.t
+            best = walk(tree, triangles, ray, work)
         store(hits, i, best)
         if wp.static(counting):
             counters[i] = work

@@ -54,6 +54,7 @@ def list_tables(as_json: bool) -> None:
 def _all_tables() -> dict[str, list[dict[str, Any]]]:
     from wrt.builders.bvh import BVH_BUILDERS
     from wrt.builders.kdtree import KDTREE_BUILDERS
+    from wrt.kernels.mailbox import MAILBOXES
     from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -65,6 +66,7 @@ def _all_tables() -> dict[str, list[dict[str, Any]]]:
         "kd-tree builders": _rows(KDTREE_BUILDERS, ("name", "paper")),
         "traversals": _rows(TRAVERSALS, ("name", "trees", "paper")),
         "packet cullings": _rows(CULLINGS, ("name", "paper")),
+        "mailboxes": _rows(MAILBOXES, ("name", "paper")),
         "triangle tests": _rows(TRIANGLE_TESTS, tests),
         "built-in scenes": _rows(BUILTIN_SCENES, ("name", "description", "options")),
     }

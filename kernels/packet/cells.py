@@ -1,0 +1,68 @@
+"""A packet against the cells of a kd-tree: the interval of t in which any of its rays may be inside.
+
+A cell's interval (entry, leave) holds those of all rays: no ray's entry is earlier, no ray's exit is later, as
+`wrt.kernels.traversal.single` computes them. Both come from the same expressions on the ends of the packet's intervals
+(`wrt.kernels.packet.interval` says why that bounds the rounded values too, and what a NaN does).
+
+**Both signs along the plane's axis.** Forward rays have the left child first, backward rays the right one, so there is no
+child that all rays leave where they enter the other. Still one of the two can be ruled out. Say the plane is to the right
+of every origin. No backward ray reaches it; forward rays reach it no sooner than the fastest of them, whose 1 / direction
+is the least, starting from the rightmost origin. If that is after the cell is left, nobody goes right. Packets that
+straddle an axis of the scene so need not visit both children of every plane across it.
+"""
+
+import warp as wp
+
+from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.packet.bounds import PacketBounds
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func_native(
+    FOR_LANES
+    + """
+    const float INF = WRT_INFINITY;
+    const float large = bounds.inverse_large.c[axis], small = bounds.inverse_small.c[axis];
+    if (large == large) {
+        float d = position - bounds.origin_out.c[axis], p = d * large, q = d * small;
+        q = q > p ? q : p;
+        const float near_leave = q < leave ? q : leave;
+        d = position - bounds.origin_in.c[axis]; p = d * large; q = d * small;
+        q = q < p ? q : p;
+        return wp::vec3(large, near_leave, q > entry ? q : entry);
+    }
+    const float forward = bounds.forward_small.c[axis], backward = bounds.backward_small.c[axis];
+    const float right_of = position - (bounds.origin_high.c[axis] + bounds.slack);
+    const float left_of = position - (bounds.origin_low.c[axis] - bounds.slack);
+    const bool no_right = (right_of > 0.0f) & (right_of * forward > leave) & (right_of * backward < entry);
+    const bool no_left = (left_of < 0.0f) & (left_of * backward > leave) & (left_of * forward < entry);
+    const bool right_first = -backward < forward;
+    return wp::vec3(right_first ? -1.0f : 1.0f, (right_first ? no_right : no_left) ? -INF : leave,
+                    (right_first ? no_left : no_right) ? INF : entry);
+"""
+)
+def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
+    """As `wrt.kernels.boxes.cross_plane`, for all rays of a packet that is in a cell from `entry` to `leave`.
+
+    Returns (negative if the right child comes first, t at which the last ray leaves the first child, t at which the first
+    ray enters the second). The first child need not be visited if it is left before `entry`, nor the second if it is
+    entered after `leave`; with both signs, the first child is that towards which the faster rays go."""
+    ...
+
+
+@wp.func_native("""
+    float entry = bounds.t_min, leave = bounds.t_max;
+    for (int a = 0; a < 3; ++a) {
+        const bool back = bounds.backward.c[a];
+        const float large = bounds.inverse_large.c[a], small = bounds.inverse_small.c[a];
+        float d = (back ? high.c[a] : low.c[a]) - bounds.origin_in.c[a], p = d * large, q = d * small;
+        q = q < p ? q : p; entry = q > entry ? q : entry;
+        d = (back ? low.c[a] : high.c[a]) - bounds.origin_out.c[a]; p = d * large; q = d * small;
+        q = q > p ? q : p; leave = q < leave ? q : leave;
+    }
+    return wp::vec2(entry, leave);
+""")
+def enter_box(bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3) -> wp.vec2:
+    """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave."""
+    ...

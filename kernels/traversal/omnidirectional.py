@@ -1,0 +1,189 @@
+"""Omnidirectional packets on a kd-tree (Reshetov 2006): rays that go every way, each with an interval of its own.
+
+**Problem.** Packets that decide by one interval need rays that go the same way. Secondary rays do not, and splitting packets
+until they do leaves lanes empty.
+
+**Idea.** Every ray keeps its own interval of t in the current cell, in lanes: at a plane all intervals are cut at once, each
+by its own direction's sign, and a child is visited if some ray's part of it is not empty. Near and far differ from ray to
+ray, so the order of the children is right for some rays only: a cell that turns out to lie behind the best hits of all its
+rays does not end the search, it is only left for the next one that waits.
+
+**The order.** Of the rays that visit both children, the majority decides which comes first. (The rule is ours: the survey,
+from which this is written, does not give the paper's.)
+
+**Leaves.** W rays are tested against a triangle at a time where more than `FEW` rays of the packet have arrived; the others
+go one by one against W triangles at a time. Lanes are filled either way.
+
+**What we changed.** A waiting cell is its node and its box, not P intervals: when its turn comes, the intervals are worked
+out from the box, already cut at the best hits found in between. The stack does not grow with the packet. Rays with one sign
+need no special case; nothing falls back to single rays.
+
+**Measured** (one core of a Zen 5, the bunny, packets of 32, against `single`): far 2.4 times as fast, near 2.8 times, shadow
+rays to a point light 1.4 times (`packet`: 1.1), ambient occlusion 0.9 times, random rays 0.5 times.
+
+**Limits.** Where rays have nothing in common, a packet visits the cells of all its rays, and most lanes idle. There
+`wrt.kernels.traversal.lockstep`, whose lanes each go their own way, is what to use.
+
+References:
+    A. Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees.
+        IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels import kdtree
+from wrt.kernels.boxes import INFINITY, ray_slabs, reach
+from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.mailbox import MAILBOXES
+from wrt.kernels.memory import load_float, load_int, store_float, store_int
+from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.lane_cells import enter_cell, split_cell
+from wrt.kernels.packet.load import load_packet
+from wrt.kernels.packet.store import store_packet
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
+from wrt.kernels.traversal.packet_kernel import leaf_step, packet_layout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+FEW = 4
+"""Rays in a leaf up to which each is tested alone, against W triangles at a time."""
+
+
+@cache
+def leaf_by_ray(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, node, rays, begin, packet, cells, work)`: the rays in a leaf, one by one."""
+    components, P = packet_layout(config).components, config.packet
+    t_at, primitive_at, u_at, v_at = (P * components.index(name) for name in ("t", "primitive", "u", "v"))
+    prepare, test_block = TRIANGLE_TESTS[config.triangle_test].prepare, block_step(config)
+    width, any_hit, counting = config.width, config.query == ANY, config.counters
+
+    @wp.func
+    def test(
+        tree: KdNodes,
+        triangles: TriangleBlocks,
+        node: wp.vec2i,
+        rays: RayBatch,
+        begin: int,
+        packet: wp.array(dtype=float),
+        cells: wp.array(dtype=float),
+        work: wp.ref[Counters],
+    ):
+        if wp.static(counting):
+            work.leaves += 1
+            work.triangles += kdtree.leaf_triangles(node)
+        for k in range(wp.static(P)):
+            if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
+                ray = load_ray(rays, begin + k)
+                slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
+                state = prepare(ray.origin, ray.direction)
+                best = Candidate()
+                best.t = load_float(packet, wp.static(t_at) + k)
+                best.primitive = wp.cast(load_float(packet, wp.static(primitive_at) + k), wp.int32)
+                best.u = load_float(packet, wp.static(u_at) + k)
+                best.v = load_float(packet, wp.static(v_at) + k)
+                block = int(kdtree.first_block(node))
+                rest = int(kdtree.leaf_triangles(node))
+                while rest > 0:
+                    best = test_block(triangles, block, state, slabs, ray.t_min, best)
+                    block += 1
+                    rest -= wp.static(width)
+                if wp.static(any_hit):
+                    best.t = wp.where(best.primitive < 0, best.t, -INFINITY)
+                store_float(packet, wp.static(t_at) + k, best.t)
+                store_float(packet, wp.static(primitive_at) + k, wp.cast(best.primitive, wp.float32))
+                store_float(packet, wp.static(u_at) + k, best.u)
+                store_float(packet, wp.static(v_at) + k, best.v)
+
+    return test
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    layout = packet_layout(config)
+    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
+    enter, split = enter_cell(layout), split_cell(layout)
+    leaf_together, leaf_alone = leaf_step(config), leaf_by_ray(config)
+    counting, size_of_packet, P = config.counters, layout.size, config.packet
+    cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
+
+    def omnidirectional(
+        first: int,
+        tree: KdNodes,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+    ):
+        begin = (first + wp.tid()) * wp.static(P)
+        packet = wp.zeros(shape=(size_of_packet,), dtype=float)
+        cells = wp.zeros(shape=(cell_floats,), dtype=float)
+        bounds = PacketBounds()
+        load(rays, begin, tree.low, tree.high, packet, bounds)
+        work = Counters()
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
+        stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+        stack_low = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
+        stack_high = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
+        size = int(0)
+        at = int(0)
+        low = wp.vec3(tree.low)
+        high = wp.vec3(tree.high)
+        searching = bool(bounds.active > 0)
+        if searching:
+            searching = enter(packet, bounds, low, high, cells) > 0
+        while searching:
+            node = kdtree.load_node(tree.nodes, at)
+            axis = kdtree.split_axis(node)
+            if axis != LEAF:
+                if wp.static(counting):
+                    work.nodes += 1
+                position = kdtree.split_position(node)
+                sides = split(packet, bounds, axis, position, cells)
+                right = kdtree.right_child(node)
+                go_right = (sides & 1) != 0
+                if (sides & 2) != 0:
+                    store_int(stack_node, size, wp.where(go_right, at + 1, right))
+                    other_low = wp.vec3(low)
+                    other_high = wp.vec3(high)
+                    if go_right:
+                        other_high[axis] = position
+                    else:
+                        other_low[axis] = position
+                    stack_low[size] = other_low
+                    stack_high[size] = other_high
+                    size += 1
+                if go_right:
+                    low[axis] = position
+                else:
+                    high[axis] = position
+                at = wp.where(go_right, right, at + 1)
+            else:
+                count = kdtree.leaf_triangles(node)
+                if count > 0:
+                    arrived = int(0)
+                    for k in range(wp.static(P)):
+                        arrived += wp.where(load_float(cells, k) <= load_float(cells, wp.static(P) + k), 1, 0)
+                    if arrived > wp.static(FEW):
+                        leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
+                    else:
+                        leaf_alone(tree, triangles, node, rays, begin, packet, cells, work)
+                searching = bool(False)
+                while size > 0 and not searching:
+                    size -= 1
+                    at = load_int(stack_node, size)
+                    low = stack_low[size]
+                    high = stack_high[size]
+                    searching = enter(packet, bounds, low, high, cells) > 0
+        store(packet, rays.count, begin, hits)
+        if wp.static(counting):
+            counters[begin] = work
+
+    return wp.kernel(omnidirectional, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,175 @@
+"""What packets have in common whatever the tree: the kernel around a walk, and the step through a leaf.
+
+An item of the kernel is a packet. It is loaded, walked together, and stored; a packet that cannot stay together (directions
+with both signs along too many axes, or a walk that gave up) is taken apart, and its rays go one by one.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.lanes import count_bits
+from wrt.kernels.mailbox import MAILBOXES
+from wrt.kernels.packet import CULLINGS
+from wrt.kernels.packet.block import test_block
+from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.packet.load import load_packet
+from wrt.kernels.packet.store import store_packet
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Counters, start, store_best
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+def packet_layout(config: TraversalConfig) -> PacketLayout:
+    """Where the packet's numbers are."""
+    return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
+
+
+def rays_per_item(config: TraversalConfig) -> int:
+    """An item of the kernel is a packet."""
+    return config.packet
+
+
+@cache
+def leaf_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: the `count` triangles of a leaf, from a block on."""
+    cull_triangles = CULLINGS[config.culling].triangles(config.width)
+    test_triangles = test_block(packet_layout(config), config.query == ANY)
+    forget = MAILBOXES[config.mailbox].filter(config.width)
+    width, counting = config.width, config.counters
+
+    @wp.func
+    def step(
+        triangles: TriangleBlocks,
+        first: int,
+        count: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        mailbox: wp.array(dtype=int),
+        work: wp.ref[Counters],
+    ):
+        if wp.static(counting):
+            work.leaves += 1
+            work.triangles += count
+        block = int(first)
+        rest = int(count)
+        while rest > 0:
+            kept = cull_triangles(triangles.records, block, bounds)
+            mask = forget(triangles.primitive, block, kept, mailbox)
+            if wp.static(counting):
+                work.triangles -= count_bits(kept ^ mask)
+                work.avoided += count_bits(kept ^ mask)
+            if mask != wp.uint32(0):
+                test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
+            block += 1
+            rest -= wp.static(width)
+
+    return step
+
+
+@cache
+def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
+    """`wp.func(tree, triangles, rays, begin, end, hits, counters, work)`: the rays begin .. end - 1, one by one.
+
+    walk_ray: `wp.func(tree, triangles, ray, work) -> best`. `work` is what was done for them before, and then charged
+    to the first.
+    """
+    store, counting = store_best(config), config.counters
+
+    @wp.func
+    def trace(
+        tree: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        begin: int,
+        end: int,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+        work: wp.ref[Counters],
+    ):
+        for i in range(begin, end):
+            ray = load_ray(rays, i)
+            best = start(ray.t_max)
+            if ray.valid:
+                best = walk_ray(tree, triangles, ray, work)
+            store(hits, i, best)
+            if wp.static(counting):
+                counters[i] = work
+                work = Counters()
+
+    return trace
+
+
+@cache
+def packet_step(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+) -> wp.Function:
+    """`wp.func(tree, below, triangles, rays, begin, hits, counters, work)`: the packet whose first ray is `begin`.
+
+    below: the tree, or the part of it where all hits of the packet are. `work` is what was done for it before.
+
+    Args:
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk_packet: `wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
+        walk_ray: `wp.func(tree, triangles, ray, work) -> best`: traces one valid ray.
+        mixed_axes: axes with both signs with which a packet is still walked together.
+    """
+    layout = packet_layout(config)
+    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
+    alone = trace_alone(config, Tree, walk_ray)
+    counting, size, packet_rays = config.counters, layout.size, config.packet
+
+    @wp.func
+    def step(
+        tree: Tree,
+        below: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        begin: int,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+        work: wp.ref[Counters],
+    ):
+        packet = wp.zeros(shape=(size,), dtype=float)
+        bounds = PacketBounds()
+        load(rays, begin, tree.low, tree.high, packet, bounds)
+        together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
+        if together and bounds.active > 0:
+            together = walk_packet(below, triangles, packet, bounds, work)
+        if together:
+            store(packet, rays.count, begin, hits)
+            if wp.static(counting):
+                counters[begin] = work
+                work = Counters()
+        else:
+            end = wp.min(begin + wp.static(packet_rays), rays.count)
+            alone(tree, triangles, rays, begin, end, hits, counters, work)
+
+    return step
+
+
+@cache
+def make_packet_kernel(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+) -> wp.Kernel:
+    """The kernel for one specialisation; arguments as those of `packet_step`."""
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
+    packet_rays = config.packet
+
+    def packet_traversal(
+        first: int,
+        tree: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+    ):
+        work = Counters()
+        step(tree, tree, triangles, rays, (first + wp.tid()) * wp.static(packet_rays), hits, counters, work)
+
+    return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})
