@@ -149,7 +149,7 @@ def test_counters():
     origins, directions = mixed_rays(mesh, 300)
     hits = scene.intersect(origins, directions, counters=True)
     work = hits.counters
-    assert set(work) == {"nodes", "leaves", "triangles"}
+    assert set(work) == {"nodes", "leaves", "triangles", "boxes", "culled", "lanes", "active"}
     assert work["nodes"].shape == (300,)
     assert (work["triangles"][hits.is_hit] > 0).all()
     assert (work["leaves"][hits.is_hit] > 0).all()

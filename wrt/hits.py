@@ -41,7 +41,8 @@ class Hits:
         normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
             0 for a miss and for a triangle without area.
         plan: how the query was answered (`wrt.plan.Plan`).
-        counters: {"nodes", "leaves", "triangles": (...) int32}, the work done for each ray, if it was asked for.
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work done for each ray, if it was asked for; that of
+            a packet stands at its first ray (`wrt.kernels.traversal.leaf.Counters` explains each).
     """
 
     def __init__(

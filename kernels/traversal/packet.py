@@ -28,10 +28,12 @@ import warp as wp
 from wrt.kernels import bvh
 from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.bvh import WideNodes
+from wrt.kernels.lanes import count_bits
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.block import test_block
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.counting import active_lanes, lanes_a_triangle
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
@@ -53,8 +55,10 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
     layout = packet_layout(config)
     culling = CULLINGS[config.culling]
-    cull_boxes = culling.boxes(config.width)
-    cull_triangles = culling.triangles(config.width)
+    cull_boxes, cull_triangles = culling.boxes(layout), culling.triangles(layout)
+    start_packet, start_leaf = culling.start(layout), culling.leaf(layout)
+    active_in, lanes_each = active_lanes(layout), lanes_a_triangle(layout)
+    box_tests = config.width * (config.packet if culling.every_ray else 1)
     test_triangles = test_block(layout, config.query == ANY)
     nearest = nearest_child(config.width)
     width, counting = config.width, config.counters
@@ -72,29 +76,42 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         path = wp.zeros(shape=(levels,), dtype=int)
         level = int(0)
         steps = int(0)
-        key = cull_boxes(tree.bounds, 0, bounds, keys, 0)
+        start_packet(tree.low, tree.high, packet, bounds)
+        key = cull_boxes(tree.bounds, 0, packet, bounds, keys, 0)
         if wp.static(counting):
             work.nodes += 1
+            work.boxes += wp.static(box_tests)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= bounds.t_max:
                 steps += 1
                 lane = key & wp.static(width - 1)
                 store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                child = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                node = load_int(path, level)
+                child = load_int(tree.child, node * wp.static(width) + lane)
                 if child >= 0:
                     level += 1
                     store_int(path, level, child)
-                    key = cull_boxes(tree.bounds, child, bounds, keys, level * wp.static(width))
+                    key = cull_boxes(tree.bounds, child, packet, bounds, keys, level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
+                        work.boxes += wp.static(box_tests)
                 else:
                     count = bvh.leaf_triangles(child)
                     block = bvh.first_block(child)
                     if wp.static(counting):
                         work.leaves += 1
-                        work.triangles += count
+                        work.culled += count
+                    if start_leaf(tree.bounds, node, lane, packet, bounds) == 0:
+                        count = 0
                     while count > 0:
                         mask = cull_triangles(triangles.records, block, bounds)
+                        if wp.static(counting):
+                            used = mask & ((wp.uint32(1) << wp.uint32(wp.min(count, wp.static(width)))) - wp.uint32(1))
+                            tested = count_bits(used)
+                            work.culled -= tested
+                            work.triangles += tested
+                            work.lanes += tested * lanes_each(bounds)
+                            work.active += active_in(triangles.records, block, used, packet, bounds)
                         if mask != wp.uint32(0):
                             test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
                         block += 1

@@ -57,6 +57,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         key = test_boxes(tree.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
         if wp.static(counting):
             work.nodes += 1
+            work.boxes += wp.static(width)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= best.t:
                 lane = key & wp.static(width - 1)
@@ -68,6 +69,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     key = test_boxes(tree.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
+                        work.boxes += wp.static(width)
                 else:
                     count = bvh.leaf_triangles(child)
                     block = bvh.first_block(child)
