@@ -10,6 +10,7 @@ from PIL import Image
 
 import wrt
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -30,7 +31,7 @@ def test_python_example(tmp_path, monkeypatch):
     assert Image.open("model.png").size == (640, 480)
 
 
-@pytest.mark.parametrize("name", [*KDTREE_BUILDERS, *TRAVERSALS, *TRIANGLE_TESTS])
+@pytest.mark.parametrize("name", [*KDTREE_BUILDERS, *TRAVERSALS, *CULLINGS, *TRIANGLE_TESTS])
 def test_every_algorithm_is_listed(name):
     assert f"`{name}`" in README
 

@@ -50,7 +50,8 @@ _TRIANGLES = f"""
     const int z = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
     const float* r = &records.data[(size_t)block * (RECORD * W)];
     const float ox = bounds.origin_low.c[x], oy = bounds.origin_low.c[y], oz = bounds.origin_low.c[z];
-    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0], t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
+    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
+    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
     const float wide = {MARGIN!r}f * bounds.slack;
     unsigned mask = 0;
     WRT_FOR_LANES(i) {{

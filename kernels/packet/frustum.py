@@ -83,7 +83,8 @@ SIDES = """
     const float rise_low_x = bounds.rise_low.c[0], rise_low_y = bounds.rise_low.c[1];
     const float rise_high_x = bounds.rise_high.c[0], rise_high_y = bounds.rise_high.c[1];
     const float in_z = bounds.origin_in.c[z], out_z = bounds.origin_out.c[z];
-    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z], t_min = bounds.t_min, t_max = bounds.t_max;
+    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z];
+    const float t_min = bounds.t_min, t_max = bounds.t_max;
     const bool back = forward < 0.0f;
 """
 """C++ that brings a frustum's numbers into registers."""

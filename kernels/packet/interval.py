@@ -42,8 +42,9 @@ _INTERVAL = """
 
 BOXES = f"""
     const float* box = &boxes.data[(size_t)node * (6 * W)];{_ENDS}
-    const float *x0 = box + (back_x ? 3 * W : 0), *y0 = box + W + (back_y ? 3 * W : 0), *z0 = box + 2 * W + (back_z ? 3 * W : 0);
-    const float *x1 = box + (back_x ? 0 : 3 * W), *y1 = box + W + (back_y ? 0 : 3 * W), *z1 = box + 2 * W + (back_z ? 0 : 3 * W);
+    const int sx = back_x ? 3 * W : 0, sy = back_y ? 3 * W : 0, sz = back_z ? 3 * W : 0;
+    const float *x0 = box + sx, *y0 = box + W + sy, *z0 = box + 2 * W + sz;
+    const float *x1 = box + 3 * W - sx, *y1 = box + 4 * W - sy, *z1 = box + 5 * W - sz;
     int* key = &keys.data[first];
     int least = NO_CHILD;
     WRT_FOR_LANES(i) {{
@@ -68,7 +69,8 @@ TRIANGLES = f"""
             low[a] = least < s ? least : s; high[a] = most > s ? most : s;
         }}
         const float near_x = back_x ? high[0] : low[0], near_y = back_y ? high[1] : low[1], near_z = back_z ? high[2] : low[2];
-        const float far_x = back_x ? low[0] : high[0], far_y = back_y ? low[1] : high[1], far_z = back_z ? low[2] : high[2];{_INTERVAL}
+        const float far_x = back_x ? low[0] : high[0], far_y = back_y ? low[1] : high[1], far_z = back_z ? low[2] : high[2];
+{_INTERVAL}
         // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
         mask |= ((enter <= leave) & (r[i] == r[i])) ? 1u << i : 0u;
     }}

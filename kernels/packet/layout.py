@@ -1,14 +1,14 @@
 """Where a packet's numbers are: P floats a component, one component after another, in one local array.
 
-    inverse_x, _y, _z    1 / direction
-    t_min                where the ray starts
-    t                    its best hit so far; before the first its t_max; -inf for a ray that needs no more tests
-    primitive            bits of an int: the best hit's triangle, -1 before the first
-    u, v                 the best hit's weights
-    slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along that
-    origin_x, _y, _z     relative to the scene's centre; left out where all rays share one (`PacketBounds.origin_low`)
-    slack                widening of boxes (`wrt.kernels.boxes`); left out likewise (`PacketBounds.slack`)
-    ...                  what the triangle test prepares per ray (`PacketForm.state`)
+inverse_x, _y, _z    1 / direction
+t_min                where the ray starts
+t                    its best hit so far; before the first its t_max; -inf for a ray that needs no more tests
+primitive            bits of an int: the best hit's triangle, -1 before the first
+u, v                 the best hit's weights
+slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along that
+origin_x, _y, _z     relative to the scene's centre; left out where all rays share one (`PacketBounds.origin_low`)
+slack                widening of boxes (`wrt.kernels.boxes`); left out likewise (`PacketBounds.slack`)
+...                  what the triangle test prepares per ray (`PacketForm.state`)
 """
 
 from dataclasses import dataclass

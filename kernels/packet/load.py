@@ -36,7 +36,8 @@ _LOAD = """
     };
     if (SHARED) {
         const wp::vec3 o = rays.origins.data[0];
-        ox0 = (float)((double)o.c[0] - center_x); oy0 = (float)((double)o.c[1] - center_y); oz0 = (float)((double)o.c[2] - center_z);
+        ox0 = (float)((double)o.c[0] - center_x); oy0 = (float)((double)o.c[1] - center_y);
+        oz0 = (float)((double)o.c[2] - center_z);
         slack0 = SLACK * reach(ox0, oy0, oz0);
     } else if (here == P && rays.origin_stride) {
         const float* o = (const float*)(rays.origins.data + first);
@@ -56,7 +57,8 @@ _LOAD = """
     if (here == P && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
     else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[(first + (k < here ? k : 0)) * rays.t_max_stride];
 
-    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz); WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
+    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz); WRT_INTERVAL(sx); WRT_INTERVAL(sy);
+    WRT_INTERVAL(start); WRT_INTERVAL(end);
     int active = 0, main_axes = 0;
     WRT_FOR(P, k) {
         const float x = dx[k], y = dy[k], z = dz[k];
@@ -104,7 +106,8 @@ _LOAD = """
     bounds.slack = slack0;
     bounds.slope_low = wp::vec2(wrt_value(sx_low), wrt_value(sy_low));
     bounds.slope_high = wp::vec2(wrt_value(sx_high), wrt_value(sy_high));
-    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2, next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
+    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
+    const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
     bounds.plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
     if (SHARED) {
         bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);

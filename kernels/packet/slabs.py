@@ -14,7 +14,7 @@ SLABS = """
                     s = ((back_y ? low[1] : high[1]) - (oy - step_y)) * iy; leave = s < leave ? s : leave;
                     s = ((back_z ? low[2] : high[2]) - (oz - step_z)) * iz; leave = s < leave ? s : leave;
 """
-"""Ray k against the box `low[3]`, `high[3]`: shrinks [`enter`, `leave`], the arithmetic of `wrt.kernels.boxes.slab_interval`."""
+"""Ray k against the box `low[3]`, `high[3]`: shrinks [`enter`, `leave`] as does `wrt.kernels.boxes.slab_interval`."""
 
 SHARED_ORIGIN = """
     const float slack0 = bounds.slack;

@@ -41,7 +41,8 @@ POINTS_ON_PLANES = """
     WRT_FOR(P, k) {
         const float o0 = SHARED ? x0 : origin_x[k], o1 = SHARED ? y0 : origin_y[k], o2 = SHARED ? z0 : origin_z[k];
         // chosen as numbers: a loop with pointers chosen at run time would not be vectorised
-        const float ox = z == 0 ? o1 : z == 1 ? o2 : o0, oy = z == 0 ? o2 : z == 1 ? o0 : o1, oz = z == 0 ? o0 : z == 1 ? o1 : o2;
+        const float ox = z == 0 ? o1 : z == 1 ? o2 : o0, oy = z == 0 ? o2 : z == 1 ? o0 : o1;
+        const float oz = z == 0 ? o0 : z == 1 ? o1 : o2;
         const bool counts = WRT_COUNTS;
         const float rise_x = slope_x[k] * forward, rise_y = slope_y[k] * forward, begin = (oz - near_plane) * forward;
         WRT_WIDEN(near_x, ox - rise_x * begin, counts) WRT_WIDEN(far_x, ox + rise_x * (depth - begin), counts)

@@ -30,9 +30,11 @@ _TRIANGLES = """
     const float* r = &records.data[(size_t)block * (RECORD * W)];
     const float plane = bounds.plane, x_low = bounds.through_low.c[0], y_low = bounds.through_low.c[1];
     const float x_high = bounds.through_high.c[0], y_high = bounds.through_high.c[1];
-    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0], t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
+    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
+    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
     const float in_z = bounds.origin_in.c[z], out_z = bounds.origin_out.c[z];
-    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z], t_min = bounds.t_min, t_max = bounds.t_max;
+    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z];
+    const float t_min = bounds.t_min, t_max = bounds.t_max;
     const bool back = bounds.backward.c[z];
     unsigned mask = 0;
     WRT_FOR_LANES(i) {
