@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from wrt.rays import shares_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
+    from wrt.kernels.triangle import TriangleTest
     from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
@@ -74,6 +76,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+    check_origins(test, rays)
     kind = scene.accelerator.kind
     if traversal == AUTO:
         way, reason = choose_traversal(scene, rays)
@@ -106,6 +109,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
 
     way = lookup(TRAVERSALS, plan.traversal, "plan.traversal")
     test = lookup(TRIANGLE_TESTS, plan.triangle_test, "plan.triangle_test")
+    check_origins(test, rays)
     if plan.accelerator not in way.trees:
         raise ValueError(f"plan.traversal {way.name!r} does not walk a {plan.accelerator}; it walks {', '.join(way.trees)}")
     if plan.accelerator not in ("none", scene.accelerator.kind):
@@ -122,6 +126,19 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         able = ", ".join(name for name, culling in CULLINGS.items() if culling.holds_for(test))
         raise ValueError(f"plan.culling {plan.culling!r} does not hold for {test.name}; choose from {able}")
     return plan
+
+
+def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
+    """Refuses rays that a test does not take.
+
+    Raises:
+        ValueError: the test needs a shared origin, and each ray has its own.
+    """
+    if test.needs_shared_origin and not shares_origin(rays):
+        raise ValueError(
+            f"triangle_test {test.name!r} needs rays that share their origin; pass a single point as origins, such as "
+            "(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose triangle_test='woop'"
+        )
 
 
 def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:

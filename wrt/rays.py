@@ -97,6 +97,19 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     return RayBuffers(batch, shape, is_warp, dtype, is_coherent(batch, device), [origins, directions, t_min, t_max])
 
 
+def shares_origin(rays: RayBuffers) -> bool:
+    """Whether all rays are known to start at one point; one ray does."""
+    return rays.batch.origin_stride == 0 or rays.count <= 1
+
+
+def shared_origin(rays: RayBuffers) -> tuple[float, float, float]:
+    """The point at which all rays start, relative to the scene's centre, rounded as `wrt.kernels.rays.load_ray` does."""
+    if len(rays.batch.origins) == 0:
+        return (0.0, 0.0, 0.0)
+    origin = rays.batch.origins[:1].numpy()[0].astype(np.float64) - np.array(rays.batch.center, dtype=np.float64)
+    return tuple(origin.astype(np.float32).tolist())
+
+
 def is_coherent(batch: RayBatch, device: wp.Device) -> bool:
     """Whether neighbouring rays look alike: from a sample of pairs on the CPU; on CUDA it would cost more than it gives.
 

@@ -38,9 +38,12 @@ class Record:
 
     Attributes:
         components: floats a triangle.
-        pack: `wp.func(records, slot, width, corners)` that writes the record of one triangle; slot = block * W + lane.
+        pack: `wp.func(records, slot, width, corners, origin)` that writes the record of one triangle; slot = block * W + lane.
         load: `wp.func(records, slot, width)` that reads one record back, as the struct that the test's scalar form takes.
         box_low, box_high: `wp.func(loaded)`: the corners of the triangle's exact bounding box.
+        per_origin: whether a record depends on `origin`, the point at which all rays start; if not, it is ignored.
+
+    The first nine components are the vertices, ax ay az bx by bz cx cy cz, which packets read for their cullings.
     """
 
     components: int
@@ -48,10 +51,11 @@ class Record:
     load: wp.Function
     box_low: wp.Function
     box_high: wp.Function
+    per_origin: bool = False
 
 
 @wp.func
-def pack_corners(records: wp.array(dtype=float), slot: int, width: int, corners: Corners):
+def pack_corners(records: wp.array(dtype=float), slot: int, width: int, corners: Corners, origin: wp.vec3):
     """Layout: ax ay az bx by bz cx cy cz."""
     first = (slot / width) * 9 * width + slot % width
     for axis in range(3):
