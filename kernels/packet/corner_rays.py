@@ -60,8 +60,8 @@ _TRIANGLES = f"""
             const float vx = r[(3 * k + x) * W + i] - ox, vy = r[(3 * k + y) * W + i] - oy, vz = r[(3 * k + z) * W + i] - oz;
             px[k] = vx - s0 * vz; qx[k] = vx - s1 * vz;
             py[k] = vy - t0 * vz; qy[k] = vy - t1 * vz;
-            const float ax = __builtin_fabsf(px[k]), bx = __builtin_fabsf(qx[k]);
-            const float ay = __builtin_fabsf(py[k]), by = __builtin_fabsf(qy[k]);
+            const float ax = WRT_ABS(px[k]), bx = WRT_ABS(qx[k]);
+            const float ay = WRT_ABS(py[k]), by = WRT_ABS(qy[k]);
             size[k] = (ax > bx ? ax : bx) + (ay > by ? ay : by);
         }}
         bool front = true, back = true;  // whether some ray may see all areas >= 0, or all <= 0

@@ -50,7 +50,7 @@ STEEPEST = 2.0**100
 FRAME = f"""
     const int common_axis = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : bounds.main_axes == 4 ? 2 : -1;
     // a main axis along which directions have both signs has NaN here
-    bounds.frame = common_axis >= 0 && __builtin_fabsf(bounds.inverse_large.c[common_axis]) <= {STEEPEST!r}f ? common_axis : -1;
+    bounds.frame = common_axis >= 0 && WRT_ABS(bounds.inverse_large.c[common_axis]) <= {STEEPEST!r}f ? common_axis : -1;
     if (bounds.frame < 0) return;
     const int z = common_axis, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
     const bool back = bounds.backward.c[z];

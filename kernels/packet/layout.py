@@ -53,7 +53,7 @@ class PacketLayout:
         record = TRIANGLE_TESTS[self.triangle_test].record.components
         sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
         shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
-        return FOR_LANES + sizes + shared + "    const float INF = __builtin_inff();\n"
+        return FOR_LANES + sizes + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
 
     @property
     def head(self) -> str:

@@ -26,12 +26,12 @@ _LOAD = """
     }
     float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f, slack0 = 0.0f;
     auto reach = [&](float x, float y, float z) {
-        float far = __builtin_fabsf(low.c[0] - x), f;
-        f = __builtin_fabsf(high.c[0] - x); far = f > far ? f : far;
-        f = __builtin_fabsf(low.c[1] - y); far = f > far ? f : far;
-        f = __builtin_fabsf(high.c[1] - y); far = f > far ? f : far;
-        f = __builtin_fabsf(low.c[2] - z); far = f > far ? f : far;
-        f = __builtin_fabsf(high.c[2] - z); far = f > far ? f : far;
+        float far = WRT_ABS(low.c[0] - x), f;
+        f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;
+        f = WRT_ABS(low.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(high.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(low.c[2] - z); far = f > far ? f : far;
+        f = WRT_ABS(high.c[2] - z); far = f > far ? f : far;
         return far;
     };
     if (SHARED) {
@@ -63,7 +63,7 @@ _LOAD = """
     WRT_FOR(P, k) {
         const float x = dx[k], y = dy[k], z = dz[k];
         const float ox = SHARED ? ox0 : origin_x[k], oy = SHARED ? oy0 : origin_y[k], oz = SHARED ? oz0 : origin_z[k];
-        const float size_x = __builtin_fabsf(x), size_y = __builtin_fabsf(y), size_z = __builtin_fabsf(z);
+        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
         float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
         const bool valid = (k < here) & (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
             & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
@@ -132,7 +132,7 @@ _LOAD = """
     bounds.mixed_axes = 0;
     for (int a = 0; a < 3; ++a) {
         const bool backward = inverse_high[a] < 0.0f, mixed = (inverse_low[a] < 0.0f) & !backward;
-        const float none = __builtin_nanf("");
+        const float none = __builtin_bit_cast(float, 0x7fc00000);
         bounds.mixed_axes += mixed ? 1 : 0;
         bounds.backward.c[a] = backward ? 1 : 0;
         bounds.inverse_large.c[a] = mixed ? none : backward ? inverse_low[a] : inverse_high[a];

@@ -10,8 +10,10 @@ each comparison is an exit, four in all.
 
 **Data.** A triangle and an origin make a record: the three vertices (for the triangle's box, and for packet cullings), the
 normals of the planes through the origin and the three edges, the triangle's normal N, and N . S: 88 bytes. They are made for
-a batch's origin and again when the next batch has another (`wrt.Scene` keeps the last ones), which takes about as long as
-packing did: worth it if far more rays are shot than there are triangles.
+a batch's origin and again when the next batch has another (`wrt.Scene` keeps the last ones), in 55-80 ns a triangle on one
+thread. (Measured with a million rays, bunny and dragon: a batch takes 0.85-0.99 of the time that the watertight test needs,
+more of it saved in packets than alone; as the records cost a third of such a batch, they pay only where several share an
+origin. Where leaves are few and small, the paper finds no more: 1.03 with a tree, up to 1.43 without.)
 
 **What we changed.**
 
@@ -25,10 +27,11 @@ packing did: worth it if far more rays are shot than there are triangles.
   their rounding would grow with the square of the distance over the length of an edge.
 * Planes and directions are scaled by powers of two, which rounds nothing, so that tiny triangles do not underflow.
 
-**Limits.** At a *vertex* the planes of several edges meet, each rounded on its own, in no common line: of rays aimed at the
-vertices of a mesh about one in 10^5 to 10^6 passes through, so the test is not `watertight`. Near the tip of a
-needle two planes are almost one, and a hit may lie beyond the tip by much more than the slack: it is not `accurate`.
-An origin in a triangle's own plane sees it, at t = 0, from one side only.
+**Limits.** At a *vertex* the planes of several edges meet, each rounded on its own, in no common line. Of 2.9 million rays
+aimed at vertices of closed convex bodies 1 in 2,800 passed through (Moeller and Trumbore: 1 in 10), of 1.7 million at points
+of edges none; so the test is not `watertight`. Near the tip of a needle two planes are almost one, and a hit may lie beyond
+the tip by much more than the slack: it is not `accurate`. An origin in a triangle's own plane sees it, at t = 0, from one
+side only.
 
 References:
     K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
@@ -75,14 +78,9 @@ class OriginTriangle:
     """Distance of the triangle's plane from the origin, in lengths of `normal`."""
 
 
-@wp.func_native("""
-    const float size_x = __builtin_fabsf(v.c[0]), size_y = __builtin_fabsf(v.c[1]), size_z = __builtin_fabsf(v.c[2]);
-    float size = size_x > size_y ? size_x : size_y;
-    size = size > size_z ? size : size_z;
-    return __builtin_bit_cast(float, __builtin_bit_cast(int, size) & 0x7f800000);
-""")
-def power_of_two(v: wp.vec3) -> float:
-    """The power of two below the largest component."""
+@wp.func_native("return __builtin_bit_cast(float, __builtin_bit_cast(int, size) & 0x7f800000);")
+def power_of_two(size: float) -> float:
+    """The power of two below a normal number."""
     ...
 
 
@@ -111,7 +109,8 @@ def cross(p: wp.vec3d, q: wp.vec3d):
 def prepare(origin: wp.vec3, direction: wp.vec3):
     """Scales the direction, finite and not zero; the origin is in the records."""
     ray = ScaledRay()
-    ray.power = power_of_two(direction)
+    size = wp.abs(direction)
+    ray.power = power_of_two(wp.max(size[0], wp.max(size[1], size[2])))
     ray.direction = wp.vec3(direction[0] / ray.power, direction[1] / ray.power, direction[2] / ray.power)
     return ray
 
