@@ -9,7 +9,7 @@ drops the triangles whose vertices all lie beyond the same side (`side_planes`).
 
 **What it costs.** A loop over the P rays at each leaf, which is what testing one triangle costs. Measured on bunny and dragon
 with blocks of 16 triangles: the same speed as `vertex` in packets of 16, 1.0 to 1.4 times as fast in packets of 64, 1.3 to
-2.9 times in packets of 256, most where origins differ. Of the triangles in the leaves it culls 55-88 % in views and 27-37 %
+2.9 times in packets of 256, most where origins differ. Of the triangles in the leaves it culls 49-88 % in views and 27-37 %
 for shadow rays, where the paper, with hundreds of triangles in a leaf, culls more than 90 %.
 
 **What we changed.** `vertex` is the same without the transient part, by the test's own numbers. Here the two planes are
