@@ -31,6 +31,11 @@ FOR_LANES = """
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)
 #endif
+#if defined(__CUDA_ARCH__)
+#define WRT_ABS(x) fabsf(x)
+#else
+#define WRT_ABS(x) __builtin_fabsf(x)
+#endif
 #endif
 """
 """Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it

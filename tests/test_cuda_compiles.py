@@ -10,6 +10,7 @@ import warp as wp
 
 import wrt.builders
 import wrt.kernels
+from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import QUERIES, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -49,6 +50,15 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text, "a fused multiply-add breaks watertightness and the equality of devices"
+
+
+@pytest.mark.parametrize("shared_origin", [False, True])
+@pytest.mark.parametrize("culling", CULLINGS)
+def test_culling(culling, shared_origin, tmp_path):
+    config = TraversalConfig("woop", 2, packet=4, shared_origin=shared_origin, culling=culling)
+    text = compile_to_ptx(TRAVERSALS["packet"].kernels["bvh"](config).module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text
 
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)

@@ -15,9 +15,16 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import Plan
 
-FITTING = [(c, t) for c, culling in CULLINGS.items() for t, test in TRIANGLE_TESTS.items() if culling.holds_for(test)]
+FITTING = [
+    (c, t, own)
+    for c, culling in CULLINGS.items()
+    for t, test in TRIANGLE_TESTS.items()
+    for own in (False, True)
+    if culling.holds_for(test) and (t == "woop" or c != "none") and not (own and test.needs_shared_origin)
+]
+"""Each culling with each test that it holds for (`none`, which does nothing, with one), origins shared or not."""
 
-OTHERS = [(tree, "vertex", "woop") for tree in TRAVERSALS["packet"].trees if tree != "bvh"]
+OTHERS = [(tree, "vertex", "woop", own) for tree in TRAVERSALS["packet"].trees if tree != "bvh" for own in (False, True)]
 """Leaves are leaves: what culling and test do there, one tree shows for all."""
 
 
@@ -59,8 +66,9 @@ def ragged(origins: np.ndarray, directions: np.ndarray) -> wrt.Rays:
     return wrt.Rays(origins if origins.ndim == 1 else origins[:-5], directions[:-5])
 
 
-@pytest.mark.parametrize("own_origins", [False, True])
-@pytest.mark.parametrize(("tree", "culling", "triangle_test"), [("bvh", *fitting) for fitting in FITTING] + OTHERS)
+@pytest.mark.parametrize(
+    ("tree", "culling", "triangle_test", "own_origins"), [("bvh", *fitting) for fitting in FITTING] + OTHERS
+)
 def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
     for make in SCENES.values():
         mesh = make()
@@ -72,6 +80,24 @@ def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
         assert plan.shared_origin != own_origins
         assert_same_hits(scene.intersect(rays, traversal=plan), expected)
         np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-35, 1e25])
+@pytest.mark.parametrize("culling", CULLINGS)
+def test_rays_that_meet_at_a_light(culling, scale, device):
+    """Frusta that narrow to a point, some at a vertex; directions so short or long that reciprocals overflow or vanish."""
+    mesh = SCENES["wood"]()
+    scene = wrt.Scene(mesh, "bvh", device=device)
+    rng = np.random.default_rng(4)
+    low, high = mesh.bounds
+    light = np.where(rng.random((100, 1, 1)) < 0.5, mesh.vertices[rng.integers(0, mesh.vertex_count, (100, 1))], high + 0.1)
+    origins = rng.uniform(low, high, (100, 1, 3)) + rng.normal(size=(100, 64, 3)) * 0.03 * (high - low)
+    directions = ((light - origins) * scale).astype(np.float32).reshape(-1, 3)
+    origins = origins.astype(np.float32).reshape(-1, 3)
+    expected = scene.intersect(origins, directions, traversal="single")
+    assert 0.2 < expected.is_hit.mean() < 1.0
+    plan = packet_plan(scene, wrt.Rays(origins, directions), "woop", culling=culling)
+    assert_same_hits(scene.intersect(origins, directions, traversal=plan), expected)
 
 
 @pytest.mark.parametrize(("tree", "vectors"), [("bvh", 1), ("bvh", 2), ("bvh", 16), ("kdtree", 1), ("kdtree", 8)])
@@ -118,6 +144,28 @@ def test_packets_do_less_work_than_rays(tree):
     many = scene.intersect(camera.rays(), traversal="packet", counters=True).counters
     assert many["nodes"].sum() < 0.25 * one["nodes"].sum()
     assert many["leaves"].sum() < 0.5 * one["leaves"].sum()
+
+
+def test_cullings_save_tests():
+    """Counted: what each culling leaves of the ray-triangle tests, and how many lanes of those are of use."""
+    mesh = wrt.scenes.build("teapot", level=5)
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    rays = wrt.PinholeCamera(128, 128, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0)).rays()
+    work = {}
+    chosen = ("none", "interval", "frustum", "transient_frustum")
+    for culling in chosen:
+        plan = packet_plan(scene, rays, "woop", culling=culling)
+        work[culling] = {k: int(v.sum()) for k, v in scene.intersect(rays, traversal=plan, counters=True).counters.items()}
+        assert 0 < work[culling]["active"] <= work[culling]["lanes"]
+    assert work["none"]["culled"] == 0
+    assert work["none"]["lanes"] == work["none"]["triangles"] * plan.packet
+    assert work["none"]["boxes"] == work["none"]["nodes"] * plan.width * plan.packet
+    assert work["interval"]["boxes"] == work["interval"]["nodes"] * plan.width
+    for culling in chosen[1:]:
+        assert work[culling]["culled"] > 0
+        assert work[culling]["lanes"] < work["none"]["lanes"]
+    assert work["transient_frustum"]["lanes"] < work["interval"]["lanes"]
+    assert work["frustum"]["leaves"] < work["interval"]["leaves"]
 
 
 def test_plans_that_do_not_fit():

@@ -81,7 +81,10 @@ def all_pairs(name: str, corners: np.ndarray, origins: np.ndarray, directions: n
     faces = wp.array(np.arange(3 * count, dtype=np.int32).reshape(-1, 3), dtype=wp.vec3i, device=place)
     ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
     ids[:count] = np.arange(count)
-    blocks = pack_blocks(TRIANGLE_TESTS[name].record, vertices, faces, wp.array(ids, dtype=int, device=place), width)
+    origin = origins[0].astype(np.float32).tolist()
+    assert (origins == origins[0]).all() or not TRIANGLE_TESTS[name].needs_shared_origin
+    primitive = wp.array(ids, dtype=int, device=place)
+    blocks = pack_blocks(TRIANGLE_TESTS[name].record, vertices, faces, primitive, width, origin)
     o = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=place)
     d = wp.array(directions.astype(np.float32), dtype=wp.vec3, device=place)
     out = wp.zeros(rays * count, dtype=wp.vec3, device=place)
@@ -90,6 +93,14 @@ def all_pairs(name: str, corners: np.ndarray, origins: np.ndarray, directions: n
     else:
         launch(lane_kernel(name, width), rays, [blocks.records, len(ids) // width, count, o, d, out], device=place)
     return out.numpy().reshape(rays, count, 3)
+
+
+def shared_if_needed(name: str, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rays; if the test needs it, all from the first one's origin, to where they aimed."""
+    if not TRIANGLE_TESTS[name].needs_shared_origin:
+        return origins, directions
+    first = np.broadcast_to(origins[0], origins.shape)
+    return first, origins + directions - first
 
 
 def solve(corners: np.ndarray, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
@@ -111,7 +122,10 @@ def test_closed_form(name, device):
     got = all_pairs(name, corners, np.zeros_like(rays), rays / 2, 8, "scalar", device)[:, 0]
     np.testing.assert_allclose(got[:3], [[2, 0.25, 0.25], [2, 0.5, 0.125], [2, 0.125, 0.75]], rtol=1e-6)
     assert np.isnan(got[3:6, 0]).all()  # beside each of the three edges
-    np.testing.assert_allclose(got[6], [-2, 0.25, 0.25], rtol=1e-6)  # behind: a test sees the line, the traversal the range
+    if TRIANGLE_TESTS[name].needs_shared_origin:
+        assert np.isnan(got[6, 0])  # behind the origin
+    else:  # a test sees the line, the traversal the range
+        np.testing.assert_allclose(got[6], [-2, 0.25, 0.25], rtol=1e-6)
     assert np.isnan(got[7, 0])  # parallel to the plane
 
 
@@ -121,10 +135,12 @@ def test_against_float64(name, device):
     rng = np.random.default_rng(1)
     corners = rng.normal(size=(150, 3, 3))
     origins = 4 * rng.normal(size=(200, 3))
-    directions = rng.normal(size=(200, 3)) - origins
+    origins, directions = shared_if_needed(name, origins, rng.normal(size=(200, 3)) - origins)
     got = all_pairs(name, corners, origins, directions, 8, "scalar", device).astype(np.float64)
     t, u, v = np.moveaxis(solve(corners, origins, directions), -1, 0)
     clearance = np.minimum(np.minimum(u, v), 1 - u - v)
+    if TRIANGLE_TESTS[name].needs_shared_origin:
+        clearance[t < 0.0] = -1.0  # sees only what lies ahead
     hit = ~np.isnan(got[..., 0])
     assert hit[clearance > 1e-3].all()
     assert not hit[clearance < -1e-3].any()
@@ -146,7 +162,7 @@ def test_lanes_equal_scalar(name, width, device):
     corners = mesh.vertices[mesh.faces][: 16 * 12 + 5]
     origins, directions = mixed_rays(mesh, 400)
     finite = np.isfinite(origins).all(1) & np.isfinite(directions).all(1) & directions.any(1)
-    origins, directions = origins[finite], directions[finite]
+    origins, directions = shared_if_needed(name, origins[finite], directions[finite])
     scalar = all_pairs(name, corners, origins, directions, width, "scalar", device)
     block = all_pairs(name, corners, origins, directions, width, "lanes", device)
     np.testing.assert_array_equal(np.isnan(scalar[..., 0]), np.isnan(block[..., 0]))
@@ -163,13 +179,38 @@ def test_degenerate_triangles_miss(name, device):
     corners = np.concatenate([np.stack([a, a, a], axis=1), np.stack([a, b, b], axis=1), np.stack([a, a, b], axis=1)])
     origins = rng.normal(size=(60, 3)) * 5
     directions = corners[rng.integers(0, 150, 60)].mean(axis=1) - origins
+    origins, directions = shared_if_needed(name, origins, directions)
     got = all_pairs(name, corners, origins, directions, 8, "scalar", device)
     assert np.isnan(got[:, :50, 0]).all()
     scene = wrt.Scene(wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(450).reshape(-1, 3)), device=device)
-    hits = scene.intersect(origins.astype(np.float32), directions.astype(np.float32), triangle_test=name)
+    start = origins[0] if TRIANGLE_TESTS[name].needs_shared_origin else origins
+    hits = scene.intersect(start.astype(np.float32), directions.astype(np.float32), triangle_test=name)
     assert not np.isnan(hits.t).any()
     if TRIANGLE_TESTS[name].watertight:  # others may take the rounded area of a needle for a real one
         assert not hits.is_hit.any()
+
+
+def test_a_shared_origin_is_asked_for(device):
+    """Komatsu's records are made for a point: other rays are refused by every way in, and a new point gets new records."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, device=device)
+    origins, directions = mixed_rays(mesh, 300)
+    for ask in (scene.intersect, scene.occluded, scene.explain):
+        with pytest.raises(ValueError, match=r"share their origin.*woop"):
+            ask(origins, directions, triangle_test="komatsu")
+    scene.intersect(origins[0], directions, triangle_test="komatsu")
+    held = scene.record_bytes
+    for origin in ((0.0, -9.0, 4.0), (0.5, 8.0, 3.0), (0.0, -9.0, 4.0)):
+        towards = (np.random.default_rng(0).normal(size=(4000, 3)) - origin).astype(np.float32)
+        hits = scene.intersect(origin, towards, triangle_test="komatsu")
+        expected = scene.intersect(origin, towards, triangle_test="woop")
+        assert expected.is_hit.mean() > 0.2
+        assert (hits.primitive_id != expected.primitive_id).mean() < 1e-3
+        both = hits.is_hit & expected.is_hit
+        np.testing.assert_allclose(hits.t[both], expected.t[both], rtol=1e-3)
+        alone = scene.intersect(origin, towards[7], triangle_test="komatsu")
+        assert alone.primitive_id == hits.primitive_id[7]
+    assert scene.record_bytes <= held + 36 * len(scene.tree.primitive)  # woop's; those of one origin are kept
 
 
 def test_table_is_complete():

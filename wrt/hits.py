@@ -42,9 +42,10 @@ class Hits:
         normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
             0 for a miss and for a triangle without area.
         plan: how the query was answered (`wrt.plan.Plan`).
-        counters: {"nodes", "leaves", "triangles", "avoided": (...) int32}, the work done for each ray, if it was asked for; for a packet
-            or a stream, the work done for all of it, at its first ray. Streams also count the lanes of their vectors, and
-            those in use (`wrt.kernels.traversal.stream.StreamCounters`).
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work done for each ray, if it was asked for
+            (`wrt.kernels.traversal.leaf.Counters` explains each); for a packet or a stream, the work done for all of it, at
+            its first ray. Streams count the lanes of their vectors, and those in use
+            (`wrt.kernels.traversal.stream.StreamCounters`).
     """
 
     def __init__(

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import get_num_threads
+from wrt.rays import shares_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.kernels.packet import Culling
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
     from wrt.kernels.triangle import TriangleTest
@@ -108,6 +110,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+    check_origins(test, rays)
     name, reason = choose_traversal(scene, rays) if traversal == AUTO else (traversal, "as asked")
     way = lookup(TRAVERSALS, name, "traversal")
     options: dict[str, object] = {}
@@ -189,6 +192,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
 
     way = lookup(TRAVERSALS, plan.traversal, "plan.traversal")
     test = lookup(TRIANGLE_TESTS, plan.triangle_test, "plan.triangle_test")
+    check_origins(test, rays)
     if plan.accelerator not in way.trees:
         raise ValueError(f"plan.traversal {way.name!r} does not walk a {plan.accelerator}; it walks {', '.join(way.trees)}")
     if plan.accelerator not in ("none", scene.accelerator.kind):
@@ -207,10 +211,31 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
         raise ValueError(f"plan.packet is {plan.packet}; it must be a multiple of {plan.width}, at most {MAX_PACKET}")
-    if not lookup(CULLINGS, plan.culling, "plan.culling").holds_for(test):
-        able = ", ".join(name for name, culling in CULLINGS.items() if culling.holds_for(test))
-        raise ValueError(f"plan.culling {plan.culling!r} does not hold for {test.name}; choose from {able}")
+    fitting = {name: c for name, c in CULLINGS.items() if c.holds_for(test) and fits(c, plan.accelerator)}
+    if lookup(CULLINGS, plan.culling, "plan.culling").name not in fitting:
+        able = ", ".join(fitting)
+        raise ValueError(
+            f"plan.culling {plan.culling!r} does not hold for {test.name} on a {plan.accelerator}; choose from {able}"
+        )
     return plan
+
+
+def fits(culling: Culling, tree: str) -> bool:
+    """Whether a culling has what it needs in a kind of tree."""
+    return tree == "bvh" or not culling.needs_boxes
+
+
+def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
+    """Refuses rays that a test does not take.
+
+    Raises:
+        ValueError: the test needs a shared origin, and each ray has its own.
+    """
+    if test.needs_shared_origin and not shares_origin(rays.batch):
+        raise ValueError(
+            f"triangle_test {test.name!r} needs rays that share their origin; pass a single point as origins, such as "
+            "(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose triangle_test='woop'"
+        )
 
 
 def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> TraversalConfig:

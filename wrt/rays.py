@@ -100,6 +100,19 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     return RayBuffers(batch, shape, is_warp, dtype, coherent, scattered, [origins, directions, t_min, t_max])
 
 
+def shares_origin(batch: RayBatch) -> bool:
+    """Whether all rays are known to start at one point; one ray does."""
+    return batch.origin_stride == 0 or batch.count <= 1
+
+
+def shared_origin(batch: RayBatch) -> tuple[float, float, float]:
+    """The point at which all rays start, relative to the scene's centre, rounded as `wrt.kernels.rays.load_ray` does."""
+    if len(batch.origins) == 0:
+        return (0.0, 0.0, 0.0)
+    origin = batch.origins[:1].numpy()[0].astype(np.float64) - np.array(batch.center, dtype=np.float64)
+    return tuple(origin.astype(np.float32).tolist())
+
+
 def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
     """(coherent, scattered): whether neighbouring rays look alike, and whether they start far apart.
 

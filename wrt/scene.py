@@ -14,12 +14,15 @@ from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import ANY, AUTO, CLOSEST, Plan, make_plan
-from wrt.rays import Rays, to_device
+from wrt.rays import Rays, shared_origin, to_device
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
+
+Origin = tuple[float, float, float]
+"""A point relative to the scene's centre."""
 
 
 class Scene:
@@ -75,7 +78,7 @@ class Scene:
         self.device_mesh.faces = host_faces.to(self.device)
         self.device_mesh.center = wp.vec3d(*map(float, self.center))
         self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
-        self._blocks: dict[tuple[str, Record], TriangleBlocks] = {}
+        self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
 
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
@@ -165,7 +168,7 @@ class Scene:
     @property
     def record_bytes(self) -> int:
         """Memory of the triangle records made so far: queries make those that their triangle test needs."""
-        return sum(blocks.records.capacity for blocks in self._blocks.values())
+        return sum(blocks.records.capacity for _, blocks in self._blocks.values())
 
     def statistics(self) -> SceneStatistics:
         """Counts, histograms, costs and times of the mesh, the tree and its build."""
@@ -173,24 +176,28 @@ class Scene:
 
         return scene_statistics(self)
 
-    def triangles(self, triangle_test: str, tree: str) -> TriangleBlocks:
-        """The triangles in the order of the tree's leaves ("none": of their ids), as the test stores them; made once."""
+    def triangles(self, plan: Plan, rays: RayBatch) -> TriangleBlocks:
+        """The triangles in the order of the tree's leaves ("none": of their ids), as the plan's triangle test stores them.
+
+        Made once; records that depend on the rays' shared origin are made again when it has changed.
+        """
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks
 
-        record = TRIANGLE_TESTS[triangle_test].record
-        key = (tree, record)
-        if key not in self._blocks:
+        tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
+        origin = shared_origin(rays) if record.per_origin else None
+        made_for, blocks = self._blocks.get((tree, record), (None, None))
+        if blocks is None or made_for != origin:
             primitive = self.tree.primitive
             if tree == "none":
                 count, width = self.triangle_count, self.tree.width
                 ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
-            self._blocks[key] = pack_blocks(
-                record, self.device_mesh.vertices, self.device_mesh.faces, primitive, self.tree.width
-            )
-        return self._blocks[key]
+            mesh, width = self.device_mesh, self.tree.width
+            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0))
+            self._blocks[tree, record] = origin, blocks
+        return blocks
 
 
 def _as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:

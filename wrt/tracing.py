@@ -69,7 +69,7 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
     launch(
         way.kernels[plan.accelerator](config),
         -(-rays.count // grain),
-        [tree, scene.triangles(plan.triangle_test, plan.accelerator), rays, hits, work],
+        [tree, scene.triangles(plan, rays), rays, hits, work],
         device=scene.device,
         chunk=max(1, 1024 // grain),
         longest=max(1, longest // grain),

@@ -4,10 +4,14 @@ A packet of P rays lives in one local array, component by component (`layout`), 
 (`bounds`). `load` and `store` bring rays in and hits out, `block` tests the rays against the triangles of a leaf, W rays at
 a time, and a *culling* decides for all rays at once which child boxes and which triangles none of them can hit.
 
-**Contract of a culling.** `boxes(width)` makes a function of W child boxes, `triangles(width)` one of W
-triangles; both take the packet's bounds and must keep whatever any of its rays may hit: what they compute is a lower bound
-of every ray's computed entry, an upper bound of its exit (rounding is monotone, so the same expressions on the ends of
-intervals bound the rounded values too). So culling never shows in the hits (`wrt.kernels.boxes`, the consistency rule).
+**Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` looks at W child boxes, `triangles` at
+the W triangles of a block, `start` gets a packet ready for its walk, `leaf` looks at its rays again before a leaf is
+tested. They must keep whatever any ray may hit, and the keys of boxes must not be later than any ray's computed entry.
+`interval` and `vertex` compute lower and upper bounds of the rays' own numbers (rounding is monotone, so the same
+expressions on the ends of intervals bound the rounded values too); those that work with planes are widened by more than
+rounding can move a hit. So culling never shows in the hits (`wrt.kernels.boxes`, the consistency rule).
+
+To add a culling: write its file, add one line to `CULLINGS`; tests, command line and benchmarks pick it up.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -21,27 +25,41 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.packet import interval, vertices
+from wrt.kernels.packet import corner_rays, every_ray, frustum, interval, side_planes, transient, two_plane, vertices
+from wrt.kernels.packet.hooks import no_leaf, no_start
+from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.triangle import TriangleTest
 
 
 @dataclass(frozen=True)
 class Culling:
-    """A way to cull for a whole packet.
+    """A way to cull for a whole packet; its functions are made for a layout.
 
     Attributes:
         name: key in `CULLINGS`.
         paper: authors, title, year.
-        boxes: width -> `wp.func(bounds, node, packet bounds, keys, first) -> key of the nearest child`.
-        triangles: width -> `wp.func(records, block, packet bounds) -> mask` of the triangles to be tested.
+        boxes: `wp.func(boxes, node, packet, bounds, keys, first) -> key of the nearest child`.
+        triangles: `wp.func(records, block, bounds) -> mask` of the triangles to be tested.
         accurate: whether `triangles` looks at the vertices, so that it holds only for tests that find no hits beside them.
+        every_ray: whether `boxes` tests each ray on its own, rather than the packet as a whole.
+        start: `wp.func(low, high, packet, bounds)`, once a packet; low, high: the scene.
+        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node; 0 if
+            no ray meets it.
     """
 
     name: str
     paper: str
-    boxes: Callable[[int], wp.Function]
-    triangles: Callable[[int], wp.Function]
+    boxes: Callable[[PacketLayout], wp.Function]
+    triangles: Callable[[PacketLayout], wp.Function]
     accurate: bool = False
+    every_ray: bool = False
+    start: Callable[[PacketLayout], wp.Function] = no_start
+    leaf: Callable[[PacketLayout], wp.Function] = no_leaf
+
+    @property
+    def needs_boxes(self) -> bool:
+        """Whether it looks at the boxes of leaves, which only a bounding volume hierarchy has."""
+        return self.leaf is not no_leaf
 
     def holds_for(self, test: TriangleTest) -> bool:
         """Whether it keeps whatever the test may find."""
@@ -52,10 +70,31 @@ CULLINGS: dict[str, Culling] = {
     culling.name: culling
     for culling in (
         Culling(
+            "none",
+            "Wald, Slusallek, Benthin, Wagner: Interactive rendering with coherent ray tracing (2001)",
+            every_ray.cull_boxes,
+            every_ray.cull_triangles,
+            every_ray=True,
+        ),
+        Culling(
             "interval",
             "Boulos, Wald, Shirley: Geometric and arithmetic culling methods for entire ray packets (2006)",
             interval.cull_boxes,
             interval.cull_triangles,
+        ),
+        Culling(
+            "corner_rays",
+            "Dmitriev, Havran, Seidel: Faster ray tracing with SIMD shaft culling (2004), boxes as interval",
+            interval.cull_boxes,
+            corner_rays.cull_triangles,
+            accurate=True,
+        ),
+        Culling(
+            "frustum",
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), inverse frustum culling",
+            frustum.cull_boxes,
+            frustum.cull_triangles,
+            start=frustum.start,
         ),
         Culling(
             "vertex",
@@ -63,6 +102,23 @@ CULLINGS: dict[str, Culling] = {
             interval.cull_boxes,
             vertices.cull_triangles,
             accurate=True,
+        ),
+        Culling(
+            "transient_frustum",
+            "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007), a frustum a leaf",
+            interval.cull_boxes,
+            side_planes.cull_triangles,
+            accurate=True,
+            start=transient.start,
+            leaf=transient.leaf,
+        ),
+        Culling(
+            "two_plane",
+            "Overbeck, Ramamoorthi, Mark: Large ray packets for real-time Whitted ray tracing (2008)",
+            frustum.cull_boxes,
+            side_planes.cull_triangles,
+            accurate=True,
+            start=two_plane.start,
         ),
     )
 }

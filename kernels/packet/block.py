@@ -6,17 +6,16 @@ import warp as wp
 
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.packet.slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _BLOCK = """
     int* found = (int*)primitive;
-    const float slack0 = bounds.slack;
-    const float origin0[3] = {bounds.origin_low.c[0], bounds.origin_low.c[1], bounds.origin_low.c[2]};
     for (; mask; mask &= mask - 1u) {
         const int lane = wrt_lowest_bit(mask), id = ids.data[block * W + lane];
-        const float* corner = &records.data[(size_t)block * (9 * W) + lane];
+        const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
         float low[3], high[3];
         for (int a = 0; a < 3; ++a) {
             const float p = corner[a * W], q = corner[(3 + a) * W], r = corner[(6 + a) * W];
@@ -33,18 +32,8 @@ _BLOCK = """
                     float at, hit_u, hit_v;
                     WRT_HIT
                     // the consistency rule: t is that of a meeting with the triangle's own widened box
-                    const float ix = inverse_x[k], iy = inverse_y[k], iz = inverse_z[k], wide = SHARED ? slack0 : slack[k];
-                    const float ox = SHARED ? origin0[0] : origin_x[k], oy = SHARED ? origin0[1] : origin_y[k],
-                                oz = SHARED ? origin0[2] : origin_z[k];
-                    const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
-                    const float step_x = back_x ? -wide : wide, step_y = back_y ? -wide : wide, step_z = back_z ? -wide : wide;
-                    float enter = -INF, leave = INF, s;
-                    s = ((back_x ? high[0] : low[0]) - (ox + step_x)) * ix; enter = s > enter ? s : enter;
-                    s = ((back_y ? high[1] : low[1]) - (oy + step_y)) * iy; enter = s > enter ? s : enter;
-                    s = ((back_z ? high[2] : low[2]) - (oz + step_z)) * iz; enter = s > enter ? s : enter;
-                    s = ((back_x ? low[0] : high[0]) - (ox - step_x)) * ix; leave = s < leave ? s : leave;
-                    s = ((back_y ? low[1] : high[1]) - (oy - step_y)) * iy; leave = s < leave ? s : leave;
-                    s = ((back_z ? low[2] : high[2]) - (oz - step_z)) * iz; leave = s < leave ? s : leave;
+                    float enter = -INF, leave = INF;
+                    WRT_SLABS
                     at = at > enter ? at : enter;
                     at = at < leave ? at : leave;
                     // no hit so far is -1, the greatest number without a sign
@@ -64,7 +53,7 @@ _BLOCK = """
     bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
 """
 
-_LOWEST_BIT = """
+LOWEST_BIT = """
 #if defined(__CUDA_ARCH__)
     auto wrt_lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
 #else
@@ -81,9 +70,12 @@ def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"
-    body = _BLOCK.replace("WRT_TRIANGLE", form.triangle).replace("WRT_INSIDE", form.inside).replace("WRT_HIT", form.hit)
+    pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
+    body = _BLOCK
+    for name, piece in pieces.items():
+        body = body.replace(name, piece)
 
-    @wp.func_native(layout.head + constants + _LOWEST_BIT + body)
+    @wp.func_native(layout.head + constants + SHARED_ORIGIN + LOWEST_BIT + body)
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),

@@ -1,4 +1,4 @@
-"""Intervals over the rays of a packet: all that culling knows of it."""
+"""Intervals over the rays of a packet, and a frustum around them: what culling knows of it."""
 
 import warp as wp
 
@@ -51,3 +51,19 @@ class PacketBounds:
     through_high: wp.vec2
     main_axes: int
     """Main axes that occur, one bit each."""
+    frame: int
+    """Axis along which the frustum below is set up, the main axis of all rays; -1 if there is none."""
+    forward: float
+    """1 or -1: the sign of the directions along it."""
+    near_plane: float
+    """Where the frustum begins; a position p on the axis has the depth (p - near_plane) forward."""
+    depth: float
+    """Where it ends."""
+    side_low: wp.vec2
+    """Along the next two axes, in cyclic order: at depth d, a ray is between side_low + rise_low d ..."""
+    side_high: wp.vec2
+    """... and side_high + rise_high d."""
+    rise_low: wp.vec2
+    rise_high: wp.vec2
+    margin: float
+    """What these four planes may err by, and a hit may lie beside its triangle (`wrt.kernels.packet.frustum`)."""

@@ -16,18 +16,18 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
-from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.layout import PacketLayout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _ENDS = """
-    const float in_x = packet.origin_in.c[0], in_y = packet.origin_in.c[1], in_z = packet.origin_in.c[2];
-    const float out_x = packet.origin_out.c[0], out_y = packet.origin_out.c[1], out_z = packet.origin_out.c[2];
-    const float large_x = packet.inverse_large.c[0], large_y = packet.inverse_large.c[1], large_z = packet.inverse_large.c[2];
-    const float small_x = packet.inverse_small.c[0], small_y = packet.inverse_small.c[1], small_z = packet.inverse_small.c[2];
-    const float t_min = packet.t_min, t_max = packet.t_max;
-    const int back_x = packet.backward.c[0], back_y = packet.backward.c[1], back_z = packet.backward.c[2];
+    const float in_x = bounds.origin_in.c[0], in_y = bounds.origin_in.c[1], in_z = bounds.origin_in.c[2];
+    const float out_x = bounds.origin_out.c[0], out_y = bounds.origin_out.c[1], out_z = bounds.origin_out.c[2];
+    const float large_x = bounds.inverse_large.c[0], large_y = bounds.inverse_large.c[1], large_z = bounds.inverse_large.c[2];
+    const float small_x = bounds.inverse_small.c[0], small_y = bounds.inverse_small.c[1], small_z = bounds.inverse_small.c[2];
+    const float t_min = bounds.t_min, t_max = bounds.t_max;
+    const int back_x = bounds.backward.c[0], back_y = bounds.backward.c[1], back_z = bounds.backward.c[2];
 """
 
 _INTERVAL = """
@@ -40,8 +40,8 @@ _INTERVAL = """
         d = far_z - out_z; p = d * large_z; q = d * small_z; q = q > p ? q : p; leave = q < leave ? q : leave;
 """
 
-_BOXES = f"""
-    const float* box = &bounds.data[(size_t)node * (6 * W)];{_ENDS}
+BOXES = f"""
+    const float* box = &boxes.data[(size_t)node * (6 * W)];{_ENDS}
     const float *x0 = box + (back_x ? 3 * W : 0), *x1 = box + (back_x ? 0 : 3 * W);
     const float *y0 = box + (back_y ? 4 * W : W), *y1 = box + (back_y ? W : 4 * W);
     const float *z0 = box + (back_z ? 5 * W : 2 * W), *z1 = box + (back_z ? 2 * W : 5 * W);
@@ -56,9 +56,10 @@ _BOXES = f"""
     }}
     return least;
 """
+"""C++ of `cull_boxes`, for cullings that fall back on it."""
 
-_TRIANGLES = f"""
-    const float* r = &records.data[(size_t)block * (9 * W)];{_ENDS}
+TRIANGLES = f"""
+    const float* r = &records.data[(size_t)block * (RECORD * W)];{_ENDS}
     unsigned mask = 0;
     WRT_FOR_LANES(i) {{
         float low[3], high[3];
@@ -75,25 +76,31 @@ _TRIANGLES = f"""
     }}
     return mask;
 """
+"""C++ of `cull_triangles`."""
 
 
 @cache
-def cull_boxes(width: int) -> wp.Function:
+def cull_boxes(layout: PacketLayout) -> wp.Function:
     """Packet x W child boxes; keys as `wrt.kernels.box_lanes.ray_boxes` writes them."""
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width}, NO_CHILD = {NO_CHILD_CONSTANT};{_BOXES}")
+    @wp.func_native(f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{BOXES}")
     def interval_boxes(
-        bounds: wp.array(dtype=float), node: int, packet: wp.ref[PacketBounds], keys: wp.array(dtype=int), first: int
+        boxes: wp.array(dtype=float),
+        node: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        keys: wp.array(dtype=int),
+        first: int,
     ) -> int: ...
 
     return interval_boxes
 
 
 @cache
-def cull_triangles(width: int) -> wp.Function:
+def cull_triangles(layout: PacketLayout) -> wp.Function:
     """Packet x the boxes of the W triangles of a block."""
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};{_TRIANGLES}")
-    def interval_triangles(records: wp.array(dtype=float), block: int, packet: wp.ref[PacketBounds]) -> wp.uint32: ...
+    @wp.func_native(f"{layout.constants}{TRIANGLES}")
+    def interval_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return interval_triangles

@@ -48,12 +48,17 @@ class PacketLayout:
         return len(self.components) * self.rays
 
     @property
+    def constants(self) -> str:
+        """C++ that opens a native function: the lane loop, W, P, floats a triangle's record has, SHARED, INF."""
+        record = TRIANGLE_TESTS[self.triangle_test].record.components
+        sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
+        shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
+        return FOR_LANES + sizes + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
+
+    @property
     def head(self) -> str:
-        """C++ that opens a native function with a parameter `packet`: constants, and a pointer for each component."""
+        """The same for a function with a parameter `packet`: a pointer for each component follows."""
         pointers = "".join(f"    float* {name} = packet.data + {k} * P;\n" for k, name in enumerate(self.components))
         if self.shared_origin:
             pointers += "    float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr, *slack = nullptr;\n"
-        constants = f"    constexpr int W = {self.width}, P = {self.rays};\n"
-        shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
-        infinity = "    const float INF = WRT_INFINITY;\n"
-        return FOR_LANES + constants + shared + infinity + pointers
+        return self.constants + pointers

@@ -6,24 +6,12 @@ import warp as wp
 
 from wrt.kernels.boxes import SLACK
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.rays import TINY, RayBatch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-# Minima and maxima are taken of integers in the order of the floats: a compiler must keep the order of floating-point
-# comparisons, so it would not take W of them at a time.
-INTERVALS = """
-    constexpr int LEAST = (int)0x80000000, MOST = 0x7fffffff;
-    #define WRT_ORDERED(value) wrt_ordered(value)
-    auto wrt_ordered = [](float value) { int bits = __builtin_bit_cast(int, value); return bits ^ ((bits >> 31) & MOST); };
-    auto wrt_value = [](int key) { return __builtin_bit_cast(float, key ^ ((key >> 31) & MOST)); };
-    #define WRT_WIDEN(name, value, counts) { int key_ = wrt_ordered(value), low_ = counts ? key_ : MOST, \\
-        high_ = counts ? key_ : LEAST; name##_low = low_ < name##_low ? low_ : name##_low; \\
-        name##_high = high_ > name##_high ? high_ : name##_high; }
-    #define WRT_INTERVAL(name) int name##_low = MOST, name##_high = LEAST
-"""
 
 _LOAD = """
     const int rest = rays.count - first, here = rest < P ? rest : P;

@@ -23,23 +23,23 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.layout import PacketLayout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _TRIANGLES = """
-    if (packet.main_axes & (packet.main_axes - 1)) return (1u << W) - 1u;
-    const int z = packet.main_axes == 1 ? 0 : packet.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-    const float* r = &records.data[(size_t)block * (9 * W)];
-    const float plane = packet.plane, x_low = packet.through_low.c[0], y_low = packet.through_low.c[1];
-    const float x_high = packet.through_high.c[0], y_high = packet.through_high.c[1];
-    const float s0 = packet.slope_low.c[0], s1 = packet.slope_high.c[0];
-    const float t0 = packet.slope_low.c[1], t1 = packet.slope_high.c[1];
-    const float in_z = packet.origin_in.c[z], out_z = packet.origin_out.c[z];
-    const float large = packet.inverse_large.c[z], small = packet.inverse_small.c[z];
-    const float t_min = packet.t_min, t_max = packet.t_max;
-    const bool back = packet.backward.c[z];
+    if (bounds.main_axes & (bounds.main_axes - 1)) return (1u << W) - 1u;
+    const int z = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
+    const float* r = &records.data[(size_t)block * (RECORD * W)];
+    const float plane = bounds.plane, x_low = bounds.through_low.c[0], y_low = bounds.through_low.c[1];
+    const float x_high = bounds.through_high.c[0], y_high = bounds.through_high.c[1];
+    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
+    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
+    const float in_z = bounds.origin_in.c[z], out_z = bounds.origin_out.c[z];
+    const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z];
+    const float t_min = bounds.t_min, t_max = bounds.t_max;
+    const bool back = bounds.backward.c[z];
     unsigned mask = 0;
     WRT_FOR_LANES(i) {
         const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
@@ -68,10 +68,10 @@ _TRIANGLES = """
 
 
 @cache
-def cull_triangles(width: int) -> wp.Function:
+def cull_triangles(layout: PacketLayout) -> wp.Function:
     """Packet x the vertices of the W triangles of a block."""
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};{_TRIANGLES}")
-    def vertex_culling(records: wp.array(dtype=float), block: int, packet: wp.ref[PacketBounds]) -> wp.uint32: ...
+    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    def vertex_culling(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return vertex_culling

@@ -57,8 +57,8 @@ from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, start, store_best
 from wrt.kernels.traversal.packet_kdtree import MIXED_AXES, make_walk_packet
-from wrt.kernels.traversal.packet_kernel import packet_step
-from wrt.kernels.traversal.single import Cell, make_walk, step_guessing
+from wrt.kernels.traversal.packet_kernel import packet_layout, packet_step
+from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -78,7 +78,9 @@ def rays_per_item(config: TraversalConfig) -> int:
 @cache
 def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
     """`wp.func(triangles, node, bounds) -> bool`: whether a leaf may have a hit of a ray of the tile."""
-    cull_triangles = CULLINGS[config.culling].triangles(config.width)
+    vertex = CULLINGS["vertex"]  # one that knows a tile by its bounds alone
+    holds = vertex.holds_for(TRIANGLE_TESTS[config.triangle_test])
+    cull_triangles = (vertex if holds else CULLINGS["interval"]).triangles(packet_layout(config))
     width = config.width
 
     @wp.func

@@ -31,14 +31,22 @@ class Candidate:
 
 @wp.struct
 class Counters:
-    """Work done for one ray."""
+    """Work done for one ray; that of a packet stands at its first ray."""
 
     nodes: int
     """Inner nodes visited."""
     leaves: int
     """Leaves visited, empty ones included."""
     triangles: int
-    """Triangles tested; the unused lanes of a block do not count."""
+    """Triangles that the ray, or at least one vector of a packet, was tested against; unused lanes of a block do not count."""
+    boxes: int
+    """Wide trees: tests of a ray, or of a packet as a whole, against a child's box."""
+    culled: int
+    """Packets: triangles of the leaves visited that no ray was tested against."""
+    lanes: int
+    """Packets: pairs of a ray and a triangle that were tested, idle lanes included."""
+    active: int
+    """Packets: those of them whose ray meets the triangle's box, before its best hit so far."""
     avoided: int
     """Triangles not tested again, because a mailbox remembered them."""
 

@@ -34,7 +34,7 @@ from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import Counters
-from wrt.kernels.traversal.packet_kernel import leaf_step, make_packet_kernel
+from wrt.kernels.traversal.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.single_bvh import make_walk
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -47,7 +47,9 @@ PATIENCE = 1
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
-    cull_boxes = CULLINGS[config.culling].boxes(config.width)
+    culling, layout = CULLINGS[config.culling], packet_layout(config)
+    cull_boxes, start_leaf = culling.boxes(layout), culling.leaf(layout)
+    box_tests = config.width * (config.packet if culling.every_ray else 1)
     test_leaf = leaf_step(config)
     memory = MAILBOXES[config.mailbox].size
     nearest = nearest_child(config.width)
@@ -67,23 +69,31 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         mailbox = wp.zeros(shape=(memory,), dtype=int)
         level = int(0)
         steps = int(0)
-        key = cull_boxes(tree.bounds, 0, bounds, keys, 0)
+        key = cull_boxes(tree.bounds, 0, packet, bounds, keys, 0)
         if wp.static(counting):
             work.nodes += 1
+            work.boxes += wp.static(box_tests)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= bounds.t_max:
                 steps += 1
                 lane = key & wp.static(width - 1)
                 store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                child = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                node = load_int(path, level)
+                child = load_int(tree.child, node * wp.static(width) + lane)
                 if child >= 0:
                     level += 1
                     store_int(path, level, child)
-                    key = cull_boxes(tree.bounds, child, bounds, keys, level * wp.static(width))
+                    key = cull_boxes(tree.bounds, child, packet, bounds, keys, level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
+                        work.boxes += wp.static(box_tests)
                 else:
-                    test_leaf(triangles, bvh.first_block(child), bvh.leaf_triangles(child), packet, bounds, mailbox, work)
+                    count = bvh.leaf_triangles(child)
+                    if start_leaf(tree.bounds, node, lane, packet, bounds) != 0:
+                        test_leaf(triangles, bvh.first_block(child), count, packet, bounds, mailbox, work)
+                    elif wp.static(counting):
+                        work.leaves += 1
+                        work.culled += count
                     key = nearest(keys, level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:

@@ -13,6 +13,7 @@ from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.block import test_block
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.counting import active_lanes, lanes_a_triangle
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
@@ -37,8 +38,10 @@ def rays_per_item(config: TraversalConfig) -> int:
 @cache
 def leaf_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: the `count` triangles of a leaf, from a block on."""
-    cull_triangles = CULLINGS[config.culling].triangles(config.width)
-    test_triangles = test_block(packet_layout(config), config.query == ANY)
+    layout = packet_layout(config)
+    cull_triangles = CULLINGS[config.culling].triangles(layout)
+    test_triangles = test_block(layout, config.query == ANY)
+    active_in, lanes_each = active_lanes(layout), lanes_a_triangle(layout)
     forget = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
 
@@ -54,15 +57,21 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     ):
         if wp.static(counting):
             work.leaves += 1
-            work.triangles += count
+            work.culled += count
         block = int(first)
         rest = int(count)
         while rest > 0:
             kept = cull_triangles(triangles.records, block, bounds)
             mask = forget(triangles.primitive, block, kept, mailbox)
             if wp.static(counting):
-                work.triangles -= count_bits(kept ^ mask)
-                work.avoided += count_bits(kept ^ mask)
+                used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))
+                tested = count_bits(mask & used)
+                avoided = count_bits(kept & used) - tested
+                work.culled -= tested + avoided
+                work.avoided += avoided
+                work.triangles += tested
+                work.lanes += tested * lanes_each(bounds)
+                work.active += active_in(triangles.records, block, mask & used, packet, bounds)
             if mask != wp.uint32(0):
                 test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
             block += 1
@@ -121,6 +130,7 @@ def packet_step(
     """
     layout = packet_layout(config)
     load, store = load_packet(layout), store_packet(layout, config.query == ANY)
+    start_packet = CULLINGS[config.culling].start(layout)
     alone = trace_alone(config, Tree, walk_ray)
     counting, size, packet_rays = config.counters, layout.size, config.packet
 
@@ -140,6 +150,7 @@ def packet_step(
         load(rays, begin, tree.low, tree.high, packet, bounds)
         together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
         if together and bounds.active > 0:
+            start_packet(tree.low, tree.high, packet, bounds)
             together = walk_packet(below, triangles, packet, bounds, work)
         if together:
             store(packet, rays.count, begin, hits)

@@ -155,6 +155,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
         key = test_boxes(tree.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
         if wp.static(counting):
             work.nodes += 1
+            work.boxes += wp.static(width)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= best.t:
                 lane = key & wp.static(width - 1)
@@ -166,6 +167,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
                     key = test_boxes(tree.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
+                        work.boxes += wp.static(width)
                 else:
                     best = test_leaf(triangles, child, state, slabs, ray.t_min, best, work)
                     key = nearest(keys, level * wp.static(width))

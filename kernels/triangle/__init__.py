@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.triangle import moeller_trumbore, woop
+from wrt.kernels.triangle import komatsu, moeller_trumbore, woop
 from wrt.kernels.triangle.records import CORNERS, PacketForm, Record
 
 
@@ -29,7 +29,8 @@ class TriangleTest:
         accurate: whether every hit lies within `wrt.kernels.boxes.SLACK` times the ray's reach of the triangle; others may
             report hits beside needles and beside triangles that they see edge-on.
         two_sided: whether both sides of a triangle are hit.
-        needs_shared_origin: whether all rays of a batch must have the same origin.
+        needs_shared_origin: whether all rays of a batch must have the same origin, for which records are made; such a test
+            sees only what lies ahead.
         record: how a triangle is stored.
         ray_state: struct that `prepare` returns.
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
@@ -82,6 +83,20 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
             intersect=moeller_trumbore.intersect,
             block_test=moeller_trumbore.block_test,
             packet_form=moeller_trumbore.PACKET,
+        ),
+        TriangleTest(
+            name="komatsu",
+            paper="Komatsu, Kaeriyama, Suzuki, Takizawa, Kobayashi: A fast ray frustum-triangle intersection algorithm (2008)",
+            watertight=False,
+            accurate=False,
+            two_sided=True,
+            needs_shared_origin=True,
+            record=komatsu.RECORD,
+            ray_state=komatsu.ScaledRay,
+            prepare=komatsu.prepare,
+            intersect=komatsu.intersect,
+            block_test=komatsu.block_test,
+            packet_form=komatsu.PACKET,
         ),
     )
 }

@@ -21,6 +21,7 @@ def make_kernel(record: Record) -> wp.Kernel:
         faces: wp.array(dtype=wp.vec3i),
         primitive: wp.array(dtype=int),
         width: int,
+        origin: wp.vec3,
         records: wp.array(dtype=float),
     ):
         slot = first + wp.tid()
@@ -34,12 +35,19 @@ def make_kernel(record: Record) -> wp.Kernel:
             corners.a = vertices[face[0]]
             corners.b = vertices[face[1]]
             corners.c = vertices[face[2]]
-        pack(records, slot, width, corners)
+        pack(records, slot, width, corners, origin)
 
     return wp.kernel(pack_records, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
-def pack_blocks(record: Record, vertices: wp.array, faces: wp.array, primitive: wp.array, width: int) -> TriangleBlocks:
+def pack_blocks(
+    record: Record,
+    vertices: wp.array,
+    faces: wp.array,
+    primitive: wp.array,
+    width: int,
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> TriangleBlocks:
     """Packs triangles into blocks.
 
     Args:
@@ -48,10 +56,11 @@ def pack_blocks(record: Record, vertices: wp.array, faces: wp.array, primitive: 
         faces: (F,) vec3i.
         primitive: (blocks * width,) int32 triangle ids, -1 in unused lanes.
         width: triangles a block.
+        origin: where all rays start, relative to the scene's centre, for a record that depends on it.
     """
     blocks = TriangleBlocks()
     blocks.primitive = primitive
     blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)
-    inputs = [vertices, faces, primitive, width, blocks.records]
+    inputs = [vertices, faces, primitive, width, wp.vec3(*origin), blocks.records]
     launch(make_kernel(record), len(primitive), inputs, device=vertices.device, chunk=4096)
     return blocks

@@ -38,10 +38,13 @@ class Record:
 
     Attributes:
         components: floats a triangle.
-        pack: `wp.func(records, slot, width, corners)` that writes the record of one triangle; slot = block * W + lane.
+        pack: `wp.func(records, slot, width, corners, origin)` that writes the record of one triangle; slot = block * W + lane.
         load: `wp.func(records, slot, width)` that reads one record back, as the struct that the test's scalar form takes.
         box_low, box_high: `wp.func(loaded)`: the corners of the triangle's exact bounding box.
         lane_box: C++ that sets `low[3]`, `high[3]` to that box for lane i of the block that begins at `r`.
+        per_origin: whether a record depends on `origin`, the point at which all rays start; if not, it is ignored.
+
+    The first nine components are the vertices, ax ay az bx by bz cx cy cz, which packets read for their cullings.
     """
 
     components: int
@@ -50,10 +53,11 @@ class Record:
     box_low: wp.Function
     box_high: wp.Function
     lane_box: str
+    per_origin: bool = False
 
 
 @wp.func
-def pack_corners(records: wp.array(dtype=float), slot: int, width: int, corners: Corners):
+def pack_corners(records: wp.array(dtype=float), slot: int, width: int, corners: Corners, origin: wp.vec3):
     """Layout: ax ay az bx by bz cx cy cz."""
     first = (slot / width) * 9 * width + slot % width
     for axis in range(3):
@@ -91,7 +95,7 @@ def corners_high(corners: Corners):
     return greatest(corners.a, greatest(corners.b, corners.c))
 
 
-_LANE_BOX = """
+CORNER_BOX = """
         for (int a = 0; a < 3; ++a) {
             const float p = r[a * W + i], q = r[(3 + a) * W + i], s = r[(6 + a) * W + i];
             const float least = q < s ? q : s, most = q > s ? q : s;
@@ -99,7 +103,7 @@ _LANE_BOX = """
         }
 """
 
-CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high, _LANE_BOX)
+CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high, CORNER_BOX)
 """The three vertices as they are: 36 bytes a triangle, nothing precomputed."""
 
 
