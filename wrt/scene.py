@@ -18,6 +18,7 @@ from wrt.rays import Rays, shared_origin, to_device
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
+    from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
 

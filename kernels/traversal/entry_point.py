@@ -58,6 +58,7 @@ from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, start, store_best
 from wrt.kernels.traversal.packet_kdtree import MIXED_AXES, make_walk_packet
 from wrt.kernels.traversal.packet_kernel import packet_layout, packet_step
+from wrt.kernels.traversal.single import Cell, make_walk, step_guessing
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
