@@ -216,11 +216,11 @@ def test_reordering_never_shows(traversal, device):
     for rays in (wrt.Rays(origins, directions, 0.0, t_max), wrt.Rays(origins[:1], directions, t_max / 2)):
         plan = scene.explain(rays, traversal=traversal)
         expected = scene.intersect(rays, traversal=plan, counters=True)
-        hits = scene.intersect(rays, traversal=replace(plan, reorder=True), counters=True)
+        hits = scene.intersect(rays, traversal=replace(plan, reorder="cells"), counters=True)
         assert_same_hits(hits, expected)
         if traversal == "single":  # the work of a stream stands at its first ray
             np.testing.assert_array_equal(hits.counters["nodes"], expected.counters["nodes"])
-        dark = scene.occluded(rays, traversal=replace(plan, reorder=True))
+        dark = scene.occluded(rays, traversal=replace(plan, reorder="cells"))
         np.testing.assert_array_equal(dark, expected.is_hit)
 
 
@@ -229,7 +229,23 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     scene = wrt.Scene(mesh, "bvh", device="cpu")
     rng = np.random.default_rng(0)
     origins, directions = rng.normal(size=(2, 70_000, 3)).astype(np.float32)
-    assert not scene.explain(origins, directions).reorder
+    assert scene.explain(origins, directions).reorder == "none"
     monkeypatch.setattr(wrt.plan, "CACHED_BYTES", 1)
-    assert scene.explain(origins, directions).reorder
-    assert not scene.explain(origins[:1], directions).reorder
+    assert scene.explain(origins, directions).reorder == "cells"
+    assert scene.explain(origins[:1], directions).reorder == "none"
+
+
+@pytest.mark.parametrize("size", [(8, 8), (33, 70), (64, 31), (9, 200)])
+def test_pictures_are_traced_in_tiles(size, device):
+    """Every pixel once and in its place, whatever the tiles at the edges; work stands at the first ray of each tile."""
+    mesh = wrt.scenes.build("teapot", level=4)
+    scene = wrt.Scene(mesh, "bvh", device=device)
+    camera = wrt.PinholeCamera(*size, position=(0.0, -9.0, 4.0), look_at=(0.0, 0.0, 1.0))
+    expected = scene.intersect(camera.rays(), traversal="single")
+    plan = replace(scene.explain(camera.rays(), traversal="packet"), reorder="tiles")
+    hits = scene.intersect(camera.rays(), traversal=plan, counters=True)
+    assert_same_hits(hits, expected)
+    assert hits.counters["nodes"].shape == size[::-1]
+    np.testing.assert_array_equal(scene.occluded(camera.rays(), traversal=plan), expected.is_hit)
+    with pytest.raises(ValueError, match="no rows and columns"):
+        scene.intersect(np.zeros(3), np.ones((64, 3)), traversal=plan)

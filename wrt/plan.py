@@ -48,6 +48,11 @@ MAX_STREAM = 4096
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
 
+LEAST_PICTURE = 8
+"""Rows and columns from which on a batch is taken for a picture."""
+
+ORDERS = ("none", "cells", "tiles")
+
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
 
@@ -68,7 +73,8 @@ class Plan:
         culling: key in `wrt.kernels.packet.CULLINGS`; empty without packets.
         stream: rays of a stream; 1 without streams.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
-        reorder: whether rays are traced by cell of the origin and octant of the direction (`wrt.kernels.reorder`).
+        reorder: order in which rays are traced (`wrt.kernels.reorder`): "none", their own; "cells", by cell of the origin
+            and octant of the direction; "tiles", the rows and columns of a picture tile by tile.
     """
 
     accelerator: str
@@ -82,7 +88,7 @@ class Plan:
     culling: str = ""
     stream: int = 1
     mailbox: str = "none"
-    reorder: bool = False
+    reorder: str = "none"
 
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
@@ -92,8 +98,8 @@ class Plan:
             parts.append(f"streams of {self.stream}")
         if self.mailbox != "none":
             parts.append(f"{self.mailbox} mailbox")
-        if self.reorder:
-            parts.append("reordered")
+        if self.reorder != "none":
+            parts.append(f"in {self.reorder}")
         return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
 
 
@@ -105,7 +111,6 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     """
     if isinstance(traversal, Plan):
         return check_plan(traversal, scene, rays)
-    from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -116,11 +121,11 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     options: dict[str, object] = {}
     if way.packets:
         options["packet"] = PACKET_VECTORS * scene.tree.width
-        options["culling"] = "vertex" if CULLINGS["vertex"].holds_for(test) else "interval"
+        options["culling"] = choose_culling(scene, rays, test)
     if way.streams:
         options["stream"] = stream_size(scene, rays)
-    if traversal == AUTO and not way.packets:
-        options["reorder"] = rays.scattered and is_large(scene, rays, test)
+    if traversal == AUTO:
+        options["reorder"] = choose_order(scene, rays, way, test)
     return Plan(
         accelerator=tree_for(way, scene),
         traversal=way.name,
@@ -174,6 +179,20 @@ def stream_size(scene: Scene, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
+def choose_culling(scene: Scene, rays: RayBuffers, test: TriangleTest) -> str:
+    """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide."""
+    if not test.accurate:
+        return "interval"
+    return "transient_frustum" if rays.batch.origin_stride != 0 and scene.accelerator.kind == "bvh" else "vertex"
+
+
+def choose_order(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
+    """Order of tracing."""
+    if way.packets:
+        return "tiles" if len(rays.shape) == 2 and min(rays.shape) >= LEAST_PICTURE else "none"
+    return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
+
+
 def is_large(scene: Scene, rays: RayBuffers, test: TriangleTest) -> bool:
     """Whether so many rays meet so many triangles that it pays to sort the rays first."""
     return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
@@ -205,6 +224,9 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     if plan.mailbox != "none" and not (way.mailbox and plan.accelerator == "kdtree"):
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
         raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
+    lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
+    if plan.reorder == "tiles" and len(rays.shape) != 2:
+        raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns")
     if way.streams and not 1 <= plan.stream <= MAX_STREAM:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
     if not way.packets:

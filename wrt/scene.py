@@ -127,7 +127,7 @@ class Scene:
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test)
-            batch, work = trace(self, plan, buffers.batch, CLOSEST, counters)
+            batch, work = trace(self, plan, buffers, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
     def occluded(
@@ -148,7 +148,7 @@ class Scene:
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test)
-            batch, _ = trace(self, plan, buffers.batch, ANY)
+            batch, _ = trace(self, plan, buffers, ANY)
         return shaped(batch.occluded, buffers)
 
     def explain(

@@ -13,24 +13,31 @@ from wrt.plan import ANY, Plan, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
+    from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
 
-def trace(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool = False) -> tuple[HitBatch, wp.array | None]:
+def trace(
+    scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
+) -> tuple[HitBatch, wp.array | None]:
     """Hits of the rays, and each ray's work if it is to be counted."""
-    device = scene.device
+    device, rays, shape = scene.device, buffers.batch, buffers.shape
     hits = new_hits(rays.count, query, device)
     work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
-    if not plan.reorder:
+    if plan.reorder == "none":
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None
 
-    from wrt.kernels.reorder import find_order, sort_rays, unsort_hits
+    from wrt.kernels.reorder import find_order, sort_rays, tile_order, unsort_hits
 
-    order = find_order(rays, scene.tree.low, scene.tree.high, device)
+    if plan.reorder == "tiles":
+        rows, columns = shape
+        order = tile_order(columns, rows, plan.packet, device)
+    else:
+        order = find_order(rays, scene.tree.low, scene.tree.high, device)
     sorted_hits, sorted_work = new_hits(rays.count, query, device), wp.zeros_like(work)
     run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
     unsort_hits(order, sorted_hits, hits, query == ANY)
