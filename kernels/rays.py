@@ -28,6 +28,8 @@ class RayBatch:
     direction_stride: int
     t_min_stride: int
     t_max_stride: int
+    columns: int
+    """Of the picture whose pixels the rays are, row by row; 0 if they are to be taken as they come. For packets only."""
     center: wp.vec3d
     """Subtracted from the origins in float64: the scene's geometry is stored relative to this point."""
 

@@ -1,4 +1,4 @@
-"""Rays in an order in which neighbours look alike: by cell of the origin and octant of the direction, or tile by tile.
+"""Rays in an order in which neighbours look alike: by cell of the origin and octant of the direction.
 
 **Problem.** Rays with scattered origins touch another part of the tree each time; if tree and triangles do not fit into the
 nearest caches, tracing waits for memory.
@@ -14,9 +14,6 @@ the dragon of 810,000 triangles, where unsorted streams are slower than single r
 rays and hits to and fro costs 50 to 100 ns a ray, one read or write of memory out of reach after the other, so that only
 large scenes are worth it. Sorting runs of 2^14 to 2^18 rays each for itself made the copies cheaper and the
 order worse: nothing gained.
-
-**Tiles.** Rays in the rows and columns of a picture make narrow packets if they are taken as tiles of 8 columns, not as
-runs of a row (measured: 1.3 to 1.7 times as fast with the copying counted).
 
 References:
     M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
@@ -37,8 +34,6 @@ CELLS = wp.constant(8)
 """Cells an axis."""
 
 BUCKETS = 8 * 8 * 8 * 8
-
-TILE_COLUMNS = 8
 
 LEAST_CHUNK = 1 << 14
 """Rays that are worth a row of counts."""
@@ -139,28 +134,6 @@ def scatter_occlusion(first: int, order: wp.array(dtype=int), sorted_hits: HitBa
     """Item: a place in the order."""
     place = first + wp.tid()
     hits.occluded[order[place]] = sorted_hits.occluded[place]
-
-
-@wp.kernel
-def fill_tile_order(first: int, columns: int, rows: int, tile_columns: int, tile_rows: int, order: wp.array(dtype=int)):
-    """Item: a place in the order. Tiles from left to right, then down; those at the far edges may be smaller."""
-    place = first + wp.tid()
-    band = place / (tile_rows * columns)
-    height = wp.min(tile_rows, rows - band * tile_rows)
-    within = place - band * tile_rows * columns
-    tile = within / (tile_columns * height)
-    width = wp.min(tile_columns, columns - tile * tile_columns)
-    within -= tile * tile_columns * height
-    order[place] = (band * tile_rows + within / width) * columns + tile * tile_columns + within % width
-
-
-def tile_order(columns: int, rows: int, rays_a_tile: int, device: wp.Device) -> wp.array:
-    """The order of a picture's rays tile by tile, (rows * columns,) int32; rays_a_tile: a multiple of 8, or less than 8."""
-    order = wp.empty(rows * columns, dtype=int, device=device)
-    tile_columns = min(TILE_COLUMNS, rays_a_tile)
-    inputs = [columns, rows, tile_columns, max(1, rays_a_tile // tile_columns), order]
-    launch(fill_tile_order, rows * columns, inputs, device=device, chunk=4096)
-    return order
 
 
 def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -> wp.array:

@@ -74,7 +74,7 @@ class Plan:
         stream: rays of a stream; 1 without streams.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
         reorder: order in which rays are traced (`wrt.kernels.reorder`): "none", their own; "cells", by cell of the origin
-            and octant of the direction; "tiles", the rows and columns of a picture tile by tile.
+            and octant of the direction; "tiles", the rows and columns of a picture tile by tile, in packets.
     """
 
     accelerator: str
@@ -225,6 +225,10 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
         raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
     lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
+    if plan.reorder == "tiles" and plan.traversal != "packet":
+        raise ValueError(f"plan.reorder is 'tiles', which goes with the traversal 'packet', not {plan.traversal!r}")
+    if plan.reorder == "cells" and way.packets:
+        raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
     if plan.reorder == "tiles" and len(rays.shape) != 2:
         raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns")
     if way.streams and not 1 <= plan.stream <= MAX_STREAM:

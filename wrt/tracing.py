@@ -24,20 +24,17 @@ def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
     """Hits of the rays, and each ray's work if it is to be counted."""
-    device, rays, shape = scene.device, buffers.batch, buffers.shape
+    device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
     work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
-    if plan.reorder == "none":
+    rays.columns = buffers.shape[1] if plan.reorder == "tiles" else 0
+    if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None
 
-    from wrt.kernels.reorder import find_order, sort_rays, tile_order, unsort_hits
+    from wrt.kernels.reorder import find_order, sort_rays, unsort_hits
 
-    if plan.reorder == "tiles":
-        rows, columns = shape
-        order = tile_order(columns, rows, plan.packet, device)
-    else:
-        order = find_order(rays, scene.tree.low, scene.tree.high, device)
+    order = find_order(rays, scene.tree.low, scene.tree.high, device)
     sorted_hits, sorted_work = new_hits(rays.count, query, device), wp.zeros_like(work)
     run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
     unsort_hits(order, sorted_hits, hits, query == ANY)

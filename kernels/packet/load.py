@@ -8,20 +8,21 @@ from wrt.kernels.boxes import SLACK
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.packet.numbers import NUMBERS
 from wrt.kernels.rays import TINY, RayBatch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _LOAD = """
-    const int rest = rays.count - first, here = rest < P ? rest : P;
+    const bool consecutive = here == P && !picture;
     const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];
     float dx[P], dy[P], dz[P];
-    if (here == P && rays.direction_stride) {
+    if (consecutive && rays.direction_stride) {
         const float* d = (const float*)(rays.directions.data + first);
         WRT_FOR(P, k) { dx[k] = d[3 * k]; dy[k] = d[3 * k + 1]; dz[k] = d[3 * k + 2]; }
     } else for (int k = 0; k < P; ++k) {
-        const wp::vec3 d = rays.directions.data[(first + (k < here ? k : 0)) * rays.direction_stride];
+        const wp::vec3 d = rays.directions.data[number[k] * rays.direction_stride];
         dx[k] = d.c[0]; dy[k] = d.c[1]; dz[k] = d.c[2];
     }
     float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f, slack0 = 0.0f;
@@ -40,7 +41,7 @@ _LOAD = """
         oy0 = (float)((double)o.c[1] - center_y);
         oz0 = (float)((double)o.c[2] - center_z);
         slack0 = SLACK * reach(ox0, oy0, oz0);
-    } else if (here == P && rays.origin_stride) {
+    } else if (consecutive && rays.origin_stride) {
         const float* o = (const float*)(rays.origins.data + first);
         WRT_FOR(P, k) {
             origin_x[k] = (float)((double)o[3 * k] - center_x);
@@ -48,15 +49,15 @@ _LOAD = """
             origin_z[k] = (float)((double)o[3 * k + 2] - center_z);
         }
     } else for (int k = 0; k < P; ++k) {
-        const wp::vec3 o = rays.origins.data[(first + (k < here ? k : 0)) * rays.origin_stride];
+        const wp::vec3 o = rays.origins.data[number[k] * rays.origin_stride];
         origin_x[k] = (float)((double)o.c[0] - center_x);
         origin_y[k] = (float)((double)o.c[1] - center_y);
         origin_z[k] = (float)((double)o.c[2] - center_z);
     }
-    if (here == P && rays.t_min_stride) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[(first + (k < here ? k : 0)) * rays.t_min_stride];
-    if (here == P && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[(first + (k < here ? k : 0)) * rays.t_max_stride];
+    if (consecutive && rays.t_min_stride) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k] * rays.t_min_stride];
+    if (consecutive && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k] * rays.t_max_stride];
 
     WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz);
     WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
@@ -156,14 +157,14 @@ _LOAD = """
 
 @cache
 def load_packet(layout: PacketLayout) -> wp.Function:
-    """`wp.func(rays, first, low, high, packet, bounds)`: the rays first .. first + P - 1 of a batch; low, high: the scene.
+    """`wp.func(rays, first, low, high, packet, bounds)`: P rays of a batch (`numbers`); low, high: the scene.
 
     Rays that are bad or beyond the end of the batch are not active: no hit improves on their t of -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
 
-    @wp.func_native(layout.head + constants + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
+    @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
     def load_packet_native(
         rays: RayBatch,
         first: int,

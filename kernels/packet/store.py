@@ -5,15 +5,23 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.rays import HitBatch
+from wrt.kernels.packet.numbers import NUMBERS
+from wrt.kernels.rays import HitBatch, RayBatch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _STORE = """
-    const int rest = count - first, here = rest < P ? rest : P;
     const int* found = (const int*)primitive;
     if (ANY_HIT) {
-        for (int k = 0; k < here; ++k) hits.occluded.data[first + k] = found[k] >= 0;
+        for (int k = 0; k < here; ++k) hits.occluded.data[number[k]] = found[k] >= 0;
+        return;
+    }
+    if (picture) {
+        for (int k = 0; k < here; ++k) {
+            hits.t.data[number[k]] = found[k] < 0 ? INF : t[k];
+            hits.primitive.data[number[k]] = found[k];
+            hits.uv.data[number[k]] = wp::vec2(u[k], v[k]);
+        }
         return;
     }
     float* t_out = hits.t.data + first;
@@ -26,10 +34,10 @@ _STORE = """
 
 @cache
 def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(packet, count, first, hits)`: writes the hits of the rays first .. first + P - 1, but none from count on."""
+    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loads."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(layout.head + constant + _STORE)
-    def store_packet_native(packet: wp.array(dtype=float), count: int, first: int, hits: HitBatch): ...
+    @wp.func_native(layout.head + constant + NUMBERS + _STORE)
+    def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
 
     return store_packet_native

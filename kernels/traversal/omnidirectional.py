@@ -182,7 +182,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                     low = stack_low[size]
                     high = stack_high[size]
                     searching = enter(packet, bounds, low, high, cells) > 0
-        store(packet, rays.count, begin, hits)
+        store(packet, rays, begin, hits)
         if wp.static(counting):
             counters[begin] = work
 

@@ -16,6 +16,7 @@ from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.counting import active_lanes, lanes_a_triangle
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.load import load_packet
+from wrt.kernels.packet.numbers import ray_at
 from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
@@ -82,12 +83,12 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
-    """`wp.func(tree, triangles, rays, begin, end, hits, counters, work)`: the rays begin .. end - 1, one by one.
+    """`wp.func(tree, triangles, rays, begin, end, hits, counters, work)`: the rays at the places begin .. end - 1, one by one.
 
     walk_ray: `wp.func(tree, triangles, ray, work) -> best`. `work` is what was done for them before, and then charged
     to the first.
     """
-    store, counting = store_best(config), config.counters
+    store, counting, packet_rays = store_best(config), config.counters, config.packet
 
     @wp.func
     def trace(
@@ -100,14 +101,15 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
         counters: wp.array(dtype=Counters),
         work: wp.ref[Counters],
     ):
-        for i in range(begin, end):
+        for place in range(begin, end):
+            i = ray_at(rays, place, wp.static(packet_rays))
             ray = load_ray(rays, i)
             best = start(ray.t_max)
             if ray.valid:
                 best = walk_ray(tree, triangles, ray, work)
             store(hits, i, best)
             if wp.static(counting):
-                counters[i] = work
+                counters[place] = work
                 work = Counters()
 
     return trace
@@ -153,7 +155,7 @@ def packet_step(
             start_packet(tree.low, tree.high, packet, bounds)
             together = walk_packet(below, triangles, packet, bounds, work)
         if together:
-            store(packet, rays.count, begin, hits)
+            store(packet, rays, begin, hits)
             if wp.static(counting):
                 counters[begin] = work
                 work = Counters()

@@ -1,0 +1,57 @@
+"""Which rays a packet has: consecutive ones, or, of a picture, the pixels of a tile.
+
+Neighbours in a row of a picture see the same thing for a while, neighbours in a tile for longer: packets of 8 columns and
+P / 8 rows descend into far fewer nodes than runs of P pixels (measured, packets of 32: camera rays 1.6 times as fast on the
+bunny, twice as fast on the dragon). Tiles go from left to right, then down; where the picture ends, they are smaller, and
+a packet may have rays of two of them. The rays of a packet are those at the places first .. first + P - 1 of that order.
+"""
+
+import warp as wp
+
+from wrt.kernels.rays import RayBatch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+TILE_COLUMNS = wp.constant(8)
+
+NUMBERS = """
+    // the number of ray k is number[k] if the rays are a picture's, else first + k; `here` of them exist
+    const int rest = rays.count - first, here = rest < P ? rest : P;
+    const bool picture = rays.columns > 0;
+    int number[P];
+    if (picture) {
+        constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
+        const int columns = rays.columns, rows = rays.count / columns;
+        auto band_of = [&](int place) { return place / (DOWN * columns); };
+        auto height_of = [&](int band) { return rows - band * DOWN < DOWN ? rows - band * DOWN : DOWN; };
+        const int band = band_of(first), height = height_of(band), within = first - band * DOWN * columns;
+        const int left = within / (ACROSS * height) * ACROSS, begin = band * DOWN * columns + left;
+        if (here == P && height == DOWN && left + ACROSS <= columns && within == left * height) {
+            for (int y = 0; y < DOWN; ++y) for (int x = 0; x < ACROSS; ++x) number[y * ACROSS + x] = begin + y * columns + x;
+        } else for (int k = 0; k < P; ++k) {
+            const int place = first + (k < here ? k : 0), b = band_of(place), h = height_of(b);
+            int offset = place - b * DOWN * columns;
+            const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
+            offset -= l * h;
+            number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
+        }
+    } else for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
+"""
+"""C++ for the head of a native function with parameters `rays` and `first`, and the constant P."""
+
+
+@wp.func
+def ray_at(rays: RayBatch, place: int, packet: int):
+    """Number of the ray at a place in the order of packets of so many rays."""
+    if rays.columns == 0:
+        return place
+    across = wp.min(packet, TILE_COLUMNS)
+    down = packet / across
+    rows = rays.count / rays.columns
+    band = place / (down * rays.columns)
+    height = wp.min(down, rows - band * down)
+    offset = place - band * down * rays.columns
+    left = offset / (across * height) * across
+    width = wp.min(across, rays.columns - left)
+    offset -= left * height
+    return (band * down + offset / width) * rays.columns + left + offset % width
