@@ -124,7 +124,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
         options["culling"] = choose_culling(scene, rays, test)
     if way.streams:
         options["stream"] = stream_size(scene, rays)
-    if traversal == AUTO:
+    if traversal == AUTO or way.name == "packet":
         options["reorder"] = choose_order(scene, rays, way, test)
     return Plan(
         accelerator=tree_for(way, scene),
@@ -188,7 +188,7 @@ def choose_culling(scene: Scene, rays: RayBuffers, test: TriangleTest) -> str:
 
 def choose_order(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
     """Order of tracing."""
-    if way.packets:
+    if way.name == "packet":
         return "tiles" if len(rays.shape) == 2 and min(rays.shape) >= LEAST_PICTURE else "none"
     return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
 

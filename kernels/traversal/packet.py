@@ -8,7 +8,7 @@ time, and only then are rays tested, W at a time against each triangle that is l
 Reshetov et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of
 the rays' best hits.
 
-**Any rays.** Rays of a packet need not share an origin or signs. Where two axes or more have both signs, boxes bound
+**Any rays.** Rays of a packet need not share an origin or signs. Where all three axes have both signs, boxes bound
 nothing worth having, and a packet whose rays have parted company (one in a hundred does, where neighbouring pixels see
 different surfaces) may meet half of the scene: it gives up after `PATIENCE` steps a ray. Such packets are taken apart and
 their rays go one by one (`single_bvh`).
@@ -39,6 +39,9 @@ from wrt.kernels.traversal.single_bvh import make_walk
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MIXED_AXES = 2
+"""Axes with both signs with which a packet is still walked together."""
 
 PATIENCE = 1
 """Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone."""
@@ -108,4 +111,4 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), mixed_axes=1)
+    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
