@@ -165,7 +165,8 @@ def test_cullings_save_tests():
         assert work[culling]["culled"] > 0
         assert work[culling]["lanes"] < work["none"]["lanes"]
     assert work["transient_frustum"]["lanes"] < work["interval"]["lanes"]
-    assert work["frustum"]["leaves"] < work["interval"]["leaves"]
+    # what every ray decides for itself visits the fewest leaves; what is decided for all of them visits more
+    assert all(work["none"]["leaves"] <= work[culling]["leaves"] for culling in chosen[1:])
 
 
 def test_plans_that_do_not_fit():
