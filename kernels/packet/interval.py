@@ -7,7 +7,7 @@ written so that the NaN, which only the farther end of the inverses can give fir
 
 **Both signs along an axis.** The slab as such bounds nothing then. But a box in front of all origins is reached by forward
 rays only, no sooner than by the fastest of them, whose 1 / direction is the least; likewise one behind them by backward rays.
-Without this, the packets along the two lines of a picture where a component changes its sign took most of the time.
+Without this, the packets along the two lines of a picture where a component changes its sign took a third of a view's nodes.
 
 References:
     S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
