@@ -7,12 +7,12 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import RaySlabs, slab_interval
+from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.lanes import FOR_LANES, lanes, lowest_bit
 from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import Record, TriangleBlocks
+from wrt.kernels.triangle.records import Record, TriangleBlocks, corners_high, corners_low, load_corners, vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -97,7 +97,7 @@ _CLAMP = """
     unsigned kept = 0;
     WRT_FOR_LANES(i) {
         float low[3], high[3];
-        LANE_BOX
+        VERTEX_BOX
         float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i, at = t.c[i];
         s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
         s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
@@ -123,7 +123,7 @@ def clamp_block(record: Record, width: int) -> wp.Function:
     Lanes = lanes(width)
     constants = f"    constexpr int W = {width}, COMPONENTS = {record.components};"
 
-    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("LANE_BOX", record.lane_box))
+    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")))
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,
@@ -135,6 +135,23 @@ def clamp_block(record: Record, width: int) -> wp.Function:
     ) -> wp.uint32: ...
 
     return clamp_block_native
+
+
+@cache
+def triangle_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate by the test's scalar form; t NaN for none."""
+    test = TRIANGLE_TESTS[config.triangle_test]
+    RayState, intersect, width = test.ray_state, test.intersect, config.width
+    load, load_vertices = test.record.load, load_corners(test.record.components)
+
+    @wp.func
+    def step(records: wp.array(dtype=float), slot: int, state: RayState, slabs: RaySlabs):
+        corners = load_vertices(records, slot, wp.static(width))
+        hit = intersect(state, load(records, slot, wp.static(width)))
+        t = clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0])
+        return wp.vec3(wp.where(hit[0] == hit[0], t, wp.nan), hit[1], hit[2])
+
+    return step
 
 
 @cache

@@ -40,12 +40,12 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import bvh
-from wrt.kernels.boxes import INFINITY, RaySlabs, clamp_to_box, ray_slabs, reach
+from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, improves, start
+from wrt.kernels.traversal.leaf import Candidate, improves, start, triangle_step
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -190,8 +190,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, intersect_block, intersect = get_ray(config.triangle_test), test.block_test(width), test.intersect
-    load_record, box_low, box_high = test.record.load, test.record.box_low, test.record.box_high
+    get, intersect_block, candidate = get_ray(config.triangle_test), test.block_test(width), triangle_step(config)
     counting, any_hit = config.counters, config.query == ANY
 
     @wp.func_native(f"""
@@ -258,12 +257,10 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         while mask != wp.uint32(0):
             slot = block * wp.static(width) + lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
-            corners = load_record(triangles.records, slot, wp.static(width))
-            hit = intersect(state, corners)
-            t = clamp_to_box(slabs, box_low(corners), box_high(corners), hit[0])
+            hit = candidate(triangles.records, slot, state, slabs)
             primitive = load_int(triangles.primitive, slot)
-            better = improves(t, primitive, t_min, best)
-            best.t = wp.where(better, t, best.t)
+            better = improves(hit[0], primitive, t_min, best)
+            best.t = wp.where(better, hit[0], best.t)
             best.primitive = wp.where(better, primitive, best.primitive)
             best.u = wp.where(better, hit[1], best.u)
             best.v = wp.where(better, hit[2], best.v)

@@ -25,7 +25,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
-from wrt.kernels.triangle.records import Corners, PacketForm
+from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
+from wrt.kernels.triangle.records import Corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -229,3 +231,14 @@ PACKET = PacketForm(
     """,
 )
 """W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
+
+TEST = TriangleTest(
+    name="woop",
+    paper="Woop, Benthin, Wald: Watertight ray/triangle intersection (2013)",
+    watertight=True,
+    accurate=True,
+    ray_state=ShearedRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=HandWritten(block_test, PACKET),
+)

@@ -1,0 +1,53 @@
+"""What a ray-triangle test is to the rest of the engine."""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.triangle.lane_form import HandWritten, LaneForm, PacketForm
+from wrt.kernels.triangle.records import VERTICES, Record
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleTest:
+    """A published ray-triangle test.
+
+    Attributes:
+        name: key in `TRIANGLE_TESTS`.
+        paper: authors, title, year.
+        watertight: whether no ray can pass between two triangles that share an edge or a vertex.
+        accurate: whether every hit lies within `wrt.kernels.boxes.SLACK` times the ray's reach of the triangle; others may
+            report hits beside needles and beside triangles that they see edge-on.
+        two_sided: whether both sides of a triangle are hit.
+        record: what it reads of a triangle; `record.per_origin`: all rays of a batch must have the same origin, for which
+            records are made. Such a test sees only what lies ahead.
+        ray_state: struct that `prepare` returns.
+        prepare: `wp.func(origin, direction) -> ray`, once per ray.
+        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
+        lanes: the same as lane loops.
+    """
+
+    name: str
+    paper: str
+    watertight: bool = False
+    accurate: bool = False
+    two_sided: bool = True
+    record: Record = VERTICES
+    ray_state: type
+    prepare: wp.Function
+    intersect: wp.Function
+    lanes: LaneForm | HandWritten
+
+    @property
+    def needs_shared_origin(self) -> bool:
+        """Whether all rays of a batch must start at the same point."""
+        return self.record.per_origin
+
+    def block_test(self, width: int) -> wp.Function:
+        """`wp.func(records, block, ray, t, u, v) -> uint32` mask of the W triangles of a block that the ray's line meets."""
+        return self.lanes.block_test(self.record, self.ray_state, width)
+
+    @property
+    def packet_form(self) -> PacketForm:
+        """W rays x one triangle."""
+        return self.lanes.packet_form
