@@ -14,7 +14,7 @@ rays lie in a local array (`stream_ray`), everything else is lists of their numb
   that the tests follow one another without a decision between them, and that the children's lists are compacted 16 rays
   at a time.
 * In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
-* At leaves, pairs (ray, leaf) are filtered by `pair_tester`: first all of them by whether the ray's line meets any triangle
+* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): first all of them by whether the ray's line meets any triangle
   of the block, without a branch; then those that are left are worked out. One ray x W triangles: lists are too short at
   leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437 leaves), and blocks are full.
 
@@ -39,15 +39,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels import bvh
 from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
-from wrt.kernels.lanes import lanes, lowest_bit
-from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, improves, start, triangle_step
+from wrt.kernels.traversal.leaf import Candidate, start
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -56,11 +52,6 @@ LIST_LANES = 16
 
 RAY_BITS = 16
 """Bits of a ray's number in a list of the BVH; the children's bits are above."""
-
-PAIRS = 256
-"""Pairs (ray, leaf) that wait at most before they are tested; `PAIR_ROOM` with those of the ray that fills them up."""
-
-PAIR_ROOM = PAIRS + 2 * LIST_LANES
 
 
 @wp.struct
@@ -177,116 +168,3 @@ def store_stream(config: TraversalConfig) -> wp.Function:
                 store_hit(hits, begin + k, best.t, best.primitive, best.u, best.v)
 
     return store
-
-
-@cache
-def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, number, work)`: tests pairs.
-
-    A leaf is a child word of `wrt.kernels.bvh`. Round by round, a block of each leaf: a pair whose ray's line meets some
-    triangle of the block is kept, with the mask of these triangles; of those that are kept, hits are worked out one by one
-    and selected rather than branched for. Each comparison ends a long chain of arithmetic, and a wrong guess would throw away
-    what has been done for the next pairs meanwhile: with a branch, random rays took 1.6 times as long altogether.
-    """
-    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
-    StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, intersect_block, candidate = get_ray(config.triangle_test), test.block_test(width), triangle_step(config)
-    counting, any_hit = config.counters, config.query == ANY
-
-    @wp.func_native(f"""
-        rays.data[k].best = best;
-        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
-    """)
-    def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
-
-    @wp.func
-    def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
-        t = Lanes()  # where nothing reads t, u and v, the compiler leaves out what makes them
-        u = Lanes()
-        v = Lanes()
-        return intersect_block(triangles.records, block, state, t, u, v)
-
-    @wp.func
-    def keep_pairs(
-        triangles: TriangleBlocks,
-        stream: wp.array(dtype=StreamRay),
-        pair_rays: wp.array(dtype=int),
-        pair_leaves: wp.array(dtype=int),
-        hit_rays: wp.array(dtype=int),
-        hit_blocks: wp.array(dtype=int),
-        hit_masks: wp.array(dtype=int),
-        pairs: wp.ref[int],
-        work: wp.ref[StreamCounters],
-    ):
-        kept = int(0)
-        left = int(0)
-        p = int(0)
-        while p < pairs:
-            k = load_int(pair_rays, p)
-            leaf = load_int(pair_leaves, p)
-            slabs = RaySlabs()
-            state = RayState()
-            best = Candidate()
-            get(stream, k, slabs, state, best)
-            block = bvh.first_block(leaf)
-            count = bvh.leaf_triangles(leaf)
-            mask = lines_meet(triangles, block, state)
-            store_int(hit_rays, kept, k)
-            store_int(hit_blocks, kept, block)
-            store_int(hit_masks, kept, int(mask))
-            kept += wp.where(mask != wp.uint32(0), 1, 0)
-            store_int(pair_rays, left, k)
-            store_int(pair_leaves, left, bvh.leaf_child(block + 1, count - wp.static(width)))
-            left += wp.where(count > wp.static(width), 1, 0)
-            if wp.static(counting):
-                there = wp.min(count, wp.static(width))
-                work.triangles += there
-                work.intersection_slots += wp.static(width)
-                work.intersection_active += there
-            p += 1
-        pairs = left
-        return kept
-
-    @wp.func
-    def work_out(triangles: TriangleBlocks, stream: wp.array(dtype=StreamRay), k: int, block: int, triangle_mask: wp.uint32):
-        mask = wp.uint32(triangle_mask)
-        slabs = RaySlabs()
-        state = RayState()
-        best = Candidate()
-        t_min = get(stream, k, slabs, state, best)
-        while mask != wp.uint32(0):
-            slot = block * wp.static(width) + lowest_bit(mask)
-            mask = mask & (mask - wp.uint32(1))
-            hit = candidate(triangles.records, slot, state, slabs)
-            primitive = load_int(triangles.primitive, slot)
-            better = improves(hit[0], primitive, t_min, best)
-            best.t = wp.where(better, hit[0], best.t)
-            best.primitive = wp.where(better, primitive, best.primitive)
-            best.u = wp.where(better, hit[1], best.u)
-            best.v = wp.where(better, hit[2], best.v)
-        put_best(stream, k, best)
-
-    @wp.func
-    def test_pairs(
-        triangles: TriangleBlocks,
-        stream: wp.array(dtype=StreamRay),
-        pair_rays: wp.array(dtype=int),
-        pair_leaves: wp.array(dtype=int),
-        hit_rays: wp.array(dtype=int),
-        hit_blocks: wp.array(dtype=int),
-        hit_masks: wp.array(dtype=int),
-        number: int,
-        work: wp.ref[StreamCounters],
-    ):
-        pairs = int(number)
-        if wp.static(counting):
-            work.leaves += pairs
-        while pairs > 0:
-            kept = keep_pairs(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, pairs, work)
-            p = int(0)
-            while p < kept:
-                k = load_int(hit_rays, p)
-                work_out(triangles, stream, k, load_int(hit_blocks, p), wp.uint32(load_int(hit_masks, p)))
-                p += 1
-
-    return test_pairs

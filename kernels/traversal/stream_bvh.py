@@ -34,17 +34,9 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import (
-    LIST_LANES,
-    PAIR_ROOM,
-    StreamCounters,
-    load_stream,
-    pair_tester,
-    round_up,
-    store_stream,
-    stream_ray,
-)
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, load_stream, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, next_child
+from wrt.kernels.traversal.stream_pairs import Pairs, pair_tester
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -74,11 +66,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         begins = wp.zeros(shape=(levels,), dtype=int)
         sizes = wp.zeros(shape=(levels,), dtype=int)
         lasts = wp.zeros(shape=(levels,), dtype=int)
-        pair_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        pair_leaves = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_blocks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_masks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
+        pairs = Pairs()
         level = int(-1)
         node = int(0)
         begin = int(0)
@@ -94,23 +82,11 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                 size = int(0)
                 tested = int(0)
                 while tested < incoming:
-                    pairs = filter_list(
-                        tree.bounds,
-                        tree.child,
-                        node,
-                        stream,
-                        words,
-                        begin,
-                        incoming,
-                        keys,
-                        first_key,
-                        pair_rays,
-                        pair_leaves,
-                        tested,
-                        size,
+                    paired = filter_list(
+                        tree.bounds, tree.child, node, stream, words, begin, incoming, keys, first_key, pairs, tested, size
                     )
-                    if pairs > 0:
-                        test_pairs(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, pairs, work)
+                    if paired > 0:
+                        test_pairs(triangles, stream, pairs, paired, work)
                 if wp.static(counting):
                     work.nodes += incoming
                 store_int(path, level, node)
