@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from wrt.kernels.launch import get_num_threads
+from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
 from wrt.rays import shares_origin
 from wrt.tables import lookup
 
@@ -274,17 +274,14 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
     if way.streams:
         options["stream"] = plan.stream
     if plan.accelerator == "bvh":
-        options["levels"] = scene.tree.depth if scene.device.is_cuda else stack_levels(scene.tree.depth)
+        options["levels"] = stack_levels(scene.tree.depth)
+        options["block"] = CUDA_BLOCK if scene.device.is_cuda else 0
     test, mailbox = plan.triangle_test, plan.mailbox
     return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, **options)
 
 
 def stack_levels(depth: int) -> int:
-    """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees.
-
-    On CUDA a stack is cleared in memory before each ray, which took a third of a camera ray's time with 24 levels: there it
-    is no deeper than it must be.
-    """
+    """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees."""
     return -(-depth // 8) * 8
 
 

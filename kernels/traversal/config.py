@@ -26,6 +26,7 @@ class TraversalConfig:
         culling: key in `wrt.kernels.packet.CULLINGS`.
         stream: rays of a stream, 1 to 4096.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
+        block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
     """
 
     triangle_test: str
@@ -39,3 +40,4 @@ class TraversalConfig:
     culling: str = "interval"
     stream: int = 1024
     mailbox: str = NONE
+    block: int = 0
