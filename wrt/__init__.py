@@ -17,6 +17,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
+    "AllHits": "wrt.all_hits",
     "Bvh": "wrt.accelerator",
     "Hits": "wrt.hits",
     "KdTree": "wrt.accelerator",

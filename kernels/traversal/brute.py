@@ -7,6 +7,7 @@ import warp as wp
 from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.crossings import take_crossing
 from wrt.kernels.traversal.leaf import Counters, improves, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -28,8 +29,8 @@ class AllTriangles:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    prepare, intersect, load = test.prepare, test.intersect, test.record.load
-    store = store_best(config)
+    prepare, intersect, load = test.prepare, test.forms(config.crossing).intersect, test.record.load
+    store, take, crossing = store_best(config), take_crossing(config), config.crossing
     box_low, box_high = test.record.box_low, test.record.box_high
     width, counting, any_hit = config.width, config.counters, config.query == ANY
 
@@ -53,7 +54,10 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 hit = intersect(state, corners)
                 if not wp.isnan(hit[0]):
                     t = clamp_to_box(slabs, box_low(corners), box_high(corners), hit[0])
-                    if improves(t, triangles.primitive[tested], ray.t_min, best):
+                    if wp.static(crossing):
+                        if t >= ray.t_min and t <= ray.t_max:
+                            best = take(hits, i, best, t, triangles.primitive[tested], hit[1], hit[2])
+                    elif improves(t, triangles.primitive[tested], ray.t_min, best):
                         best.t = t
                         best.primitive = triangles.primitive[tested]
                         best.u = hit[1]

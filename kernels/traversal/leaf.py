@@ -27,6 +27,8 @@ class Candidate:
     """-1 before the first hit."""
     u: float
     v: float
+    count: int
+    """Crossings so far, in queries that count them; there t stays the ray's t_max."""
 
 
 @wp.struct
@@ -76,12 +78,14 @@ def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: flo
 @cache
 def store_best(config: TraversalConfig) -> wp.Function:
     """`wp.func(hits, i, best)` that writes the answer to the query for ray number i."""
-    any_hit = config.query == ANY
+    any_hit, crossing = config.query == ANY, config.crossing
 
     @wp.func
     def store(hits: HitBatch, i: int, best: Candidate):
         if wp.static(any_hit):
             hits.occluded[i] = best.primitive >= 0
+        elif wp.static(crossing):
+            hits.counts[i] = best.count
         else:
             store_hit(hits, i, best.t, best.primitive, best.u, best.v)
 

@@ -43,9 +43,10 @@ from wrt.kernels import bvh
 from wrt.kernels.boxes import INFINITY, RaySlabs, clamp_to_box, ray_slabs, reach
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.memory import load_int, store_int
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, improves, start
+from wrt.kernels.traversal.crossings import take_crossing
+from wrt.kernels.traversal.leaf import Candidate, improves, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -161,7 +162,7 @@ def get_ray(triangle_test: str) -> wp.Function:
 def store_stream(config: TraversalConfig) -> wp.Function:
     """`wp.func(stream, begin, count, hits)`: writes the answers of the rays begin .. begin + count - 1."""
     StreamRay = stream_ray(config.triangle_test)
-    any_hit = config.query == ANY
+    store_one = store_best(config)
 
     @wp.func_native("best = rays.data[k].best;")
     def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
@@ -171,17 +172,14 @@ def store_stream(config: TraversalConfig) -> wp.Function:
         for k in range(count):
             best = Candidate()
             get_best(stream, k, best)
-            if wp.static(any_hit):
-                hits.occluded[begin + k] = best.primitive >= 0
-            else:
-                store_hit(hits, begin + k, best.t, best.primitive, best.u, best.v)
+            store_one(hits, begin + k, best)
 
     return store
 
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, number, work)`: tests pairs.
+    """`wp.func(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, number, hits, begin, work)`: tests pairs.
 
     A leaf is a child word of `wrt.kernels.bvh`. Round by round, a block of each leaf: a pair whose ray's line meets some
     triangle of the block is kept, with the mask of these triangles; of those that are kept, hits are worked out one by one
@@ -190,9 +188,10 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, intersect_block, intersect = get_ray(config.triangle_test), test.block_test(width), test.intersect
+    get, forms = get_ray(config.triangle_test), test.forms(config.crossing)
+    intersect_block, intersect = forms.block_test(width), forms.intersect
     load_record, box_low, box_high = test.record.load, test.record.box_low, test.record.box_high
-    counting, any_hit = config.counters, config.query == ANY
+    counting, any_hit, crossing, take = config.counters, config.query == ANY, config.crossing, take_crossing(config)
 
     @wp.func_native(f"""
         rays.data[k].best = best;
@@ -249,7 +248,15 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         return kept
 
     @wp.func
-    def work_out(triangles: TriangleBlocks, stream: wp.array(dtype=StreamRay), k: int, block: int, triangle_mask: wp.uint32):
+    def work_out(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        k: int,
+        block: int,
+        triangle_mask: wp.uint32,
+        hits: HitBatch,
+        i: int,
+    ):
         mask = wp.uint32(triangle_mask)
         slabs = RaySlabs()
         state = RayState()
@@ -262,11 +269,15 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
             hit = intersect(state, corners)
             t = clamp_to_box(slabs, box_low(corners), box_high(corners), hit[0])
             primitive = load_int(triangles.primitive, slot)
-            better = improves(t, primitive, t_min, best)
-            best.t = wp.where(better, t, best.t)
-            best.primitive = wp.where(better, primitive, best.primitive)
-            best.u = wp.where(better, hit[1], best.u)
-            best.v = wp.where(better, hit[2], best.v)
+            if wp.static(crossing):
+                if t >= t_min and t <= best.t:
+                    best = take(hits, i, best, t, primitive, hit[1], hit[2])
+            else:
+                better = improves(t, primitive, t_min, best)
+                best.t = wp.where(better, t, best.t)
+                best.primitive = wp.where(better, primitive, best.primitive)
+                best.u = wp.where(better, hit[1], best.u)
+                best.v = wp.where(better, hit[2], best.v)
         put_best(stream, k, best)
 
     @wp.func
@@ -279,6 +290,8 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         hit_blocks: wp.array(dtype=int),
         hit_masks: wp.array(dtype=int),
         number: int,
+        hits: HitBatch,
+        begin: int,
         work: wp.ref[StreamCounters],
     ):
         pairs = int(number)
@@ -289,7 +302,8 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
             p = int(0)
             while p < kept:
                 k = load_int(hit_rays, p)
-                work_out(triangles, stream, k, load_int(hit_blocks, p), wp.uint32(load_int(hit_masks, p)))
+                mask = wp.uint32(load_int(hit_masks, p))
+                work_out(triangles, stream, k, load_int(hit_blocks, p), mask, hits, begin + k)
                 p += 1
 
     return test_pairs

@@ -54,7 +54,7 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, rays, work)`: traces the rays of a list, words[0 .. rays - 1]."""
+    """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays of a list, words[0 .. rays - 1]."""
     StreamRay = stream_ray(config.triangle_test)
     filter_list, following = filter_boxes(config.width, config.triangle_test), next_child(config.width)
     test_pairs = pair_tester(config)
@@ -67,6 +67,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
         rays: int,
+        hits: HitBatch,
+        first_ray: int,
         work: wp.ref[StreamCounters],
     ):
         keys = wp.zeros(shape=(row,), dtype=int)
@@ -110,7 +112,19 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                         size,
                     )
                     if pairs > 0:
-                        test_pairs(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, pairs, work)
+                        test_pairs(
+                            triangles,
+                            stream,
+                            pair_rays,
+                            pair_leaves,
+                            hit_rays,
+                            hit_blocks,
+                            hit_masks,
+                            pairs,
+                            hits,
+                            first_ray,
+                            work,
+                        )
                 if wp.static(counting):
                     work.nodes += incoming
                 store_int(path, level, node)
@@ -166,7 +180,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         words = wp.zeros(shape=(room,), dtype=int)
         work = StreamCounters()
         load(rays, begin, count, tree.low, tree.high, stream)
-        trace(tree, triangles, stream, words, list_valid(stream, count, words), work)
+        trace(tree, triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
         store(stream, begin, count, hits)
         if wp.static(counting):
             counters[begin] = work

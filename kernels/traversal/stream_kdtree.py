@@ -141,6 +141,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         far_rays: wp.array(dtype=int),
         far_entry: wp.array(dtype=float),
         far_leave: wp.array(dtype=float),
+        hits: HitBatch,
+        first_ray: int,
         work: wp.ref[StreamCounters],
     ):
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
@@ -186,7 +188,19 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                     while first < size:
                         pairs = wp.min(size - first, PAIRS)
                         pair_up(list, first, pairs, leaf, pair_rays, pair_leaves)
-                        test_pairs(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, pairs, work)
+                        test_pairs(
+                            triangles,
+                            stream,
+                            pair_rays,
+                            pair_leaves,
+                            hit_rays,
+                            hit_blocks,
+                            hit_masks,
+                            pairs,
+                            hits,
+                            first_ray,
+                            work,
+                        )
                         first += PAIRS
                     triangle += wp.static(most_triangles)
                 size = int(0)
@@ -241,7 +255,23 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             end = load_int(ends, octant)
             upto = wp.min(end, done + wp.static(piece))
             if done < upto:
-                trace(tree, triangles, stream, order, done, upto, list, entry, leave, far_rays, far_entry, far_leave, work)
+                trace(
+                    tree,
+                    triangles,
+                    stream,
+                    order,
+                    done,
+                    upto,
+                    list,
+                    entry,
+                    leave,
+                    far_rays,
+                    far_entry,
+                    far_leave,
+                    hits,
+                    begin,
+                    work,
+                )
             done = upto
             octant += wp.where(done == end, 1, 0)
         store(stream, begin, count, hits)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.kernels.triangle import komatsu, moeller_trumbore, woop
-from wrt.kernels.triangle.records import CORNERS, PacketForm, Record
+from wrt.kernels.triangle.records import CORNERS, CrossingForms, PacketForm, Record
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ class TriangleTest:
         intersect: `wp.func(ray, loaded record) -> vec3 (t, u, v)`; t is NaN for a miss.
         block_test: width W -> `wp.func(records, block, ray, t, u, v) -> uint32` mask of lanes hit.
         packet_form: W rays x one triangle.
+        crossing: the forms that count crossings exactly; None if it has none.
     """
 
     name: str
@@ -51,6 +52,11 @@ class TriangleTest:
     intersect: wp.Function
     block_test: Callable[[int], wp.Function]
     packet_form: PacketForm
+    crossing: CrossingForms | None = None
+
+    def forms(self, crossing: bool) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)
 
 
 TRIANGLE_TESTS: dict[str, TriangleTest] = {
@@ -69,6 +75,7 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
             intersect=woop.intersect,
             block_test=woop.block_test,
             packet_form=woop.PACKET,
+            crossing=woop.CROSSING,
         ),
         TriangleTest(
             name="moeller_trumbore",

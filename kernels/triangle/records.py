@@ -4,6 +4,7 @@ A block is `components * W` floats: `records[(block * components + component) * 
 block hold NaN, which every test turns into a miss, and primitive -1.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
@@ -105,6 +106,19 @@ CORNER_BOX = """
 
 CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high, CORNER_BOX)
 """The three vertices as they are: 36 bytes a triangle, nothing precomputed."""
+
+
+@dataclass(frozen=True)
+class CrossingForms:
+    """The forms of a test by which a ray that meets an edge or a vertex of a surface crosses exactly one of the triangles there.
+
+    Attributes:
+        intersect: as `TriangleTest.intersect`.
+        block_test: as `TriangleTest.block_test`.
+    """
+
+    intersect: wp.Function
+    block_test: Callable[[int], wp.Function]
 
 
 @dataclass(frozen=True)
