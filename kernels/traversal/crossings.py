@@ -38,7 +38,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.func
-def place_of(hits: HitBatch, i: int, number: int):
+def place_of(hits: wp.ref[HitBatch], i: int, number: int):
     """Where a hit of ray i goes; -1 if there is no room."""
     place = i * hits.room + number
     if hits.room == 0:
@@ -54,14 +54,14 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
     storing = config.query == ALL
 
     @wp.func
-    def take(hits: HitBatch, i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+    def take(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+        best.primitive += 1
         if wp.static(storing):
-            place = place_of(hits, i, best.count)
+            place = place_of(hits, i, best.primitive)
             if place >= 0:
                 hits.t[place] = t
                 hits.primitive[place] = primitive
                 hits.uv[place] = wp.vec2(u, v)
-        best.count += 1
         return best
 
     return take
@@ -87,7 +87,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
         block: int,
         state: RayState,
         slabs: wp.ref[RaySlabs],
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         i: int,
         best: Candidate,
     ):

@@ -24,11 +24,9 @@ class Candidate:
     t: float
     """Its t; before the first hit, the ray's t_max."""
     primitive: int
-    """-1 before the first hit."""
+    """-1 before the first hit. In queries that count crossings, their number so far less one; there t stays the ray's t_max."""
     u: float
     v: float
-    count: int
-    """Crossings so far, in queries that count them; there t stays the ray's t_max."""
 
 
 @wp.struct
@@ -85,7 +83,7 @@ def store_best(config: TraversalConfig) -> wp.Function:
         if wp.static(any_hit):
             hits.occluded[i] = best.primitive >= 0
         elif wp.static(crossing):
-            hits.counts[i] = best.count
+            hits.counts[i] = best.primitive + 1
         else:
             store_hit(hits, i, best.t, best.primitive, best.u, best.v)
 

@@ -124,7 +124,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     remembering = config.mailbox != NONE
 
     @wp.func
-    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: HitBatch, i: int, work: wp.ref[Counters]):
+    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)

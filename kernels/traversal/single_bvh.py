@@ -64,7 +64,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         state: RayState,
         slabs: wp.ref[RaySlabs],
         t_min: float,
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         i: int,
         best: Candidate,
         work: wp.ref[Counters],
@@ -96,7 +96,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     size = config.levels * (config.width - 1) + 1
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: HitBatch, i: int, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -154,7 +154,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     levels, row = config.levels, config.levels * config.width
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: HitBatch, i: int, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)

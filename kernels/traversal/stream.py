@@ -254,7 +254,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         k: int,
         block: int,
         triangle_mask: wp.uint32,
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         i: int,
     ):
         mask = wp.uint32(triangle_mask)
@@ -290,7 +290,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         hit_blocks: wp.array(dtype=int),
         hit_masks: wp.array(dtype=int),
         number: int,
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         begin: int,
         work: wp.ref[StreamCounters],
     ):

@@ -54,7 +54,7 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays of a list, words[0 .. rays - 1]."""
+    """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays words[0 .. rays - 1]."""
     StreamRay = stream_ray(config.triangle_test)
     filter_list, following = filter_boxes(config.width, config.triangle_test), next_child(config.width)
     test_pairs = pair_tester(config)
@@ -67,7 +67,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
         rays: int,
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         first_ray: int,
         work: wp.ref[StreamCounters],
     ):

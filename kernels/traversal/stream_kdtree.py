@@ -141,7 +141,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         far_rays: wp.array(dtype=int),
         far_entry: wp.array(dtype=float),
         far_leave: wp.array(dtype=float),
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         first_ray: int,
         work: wp.ref[StreamCounters],
     ):

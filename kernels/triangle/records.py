@@ -110,7 +110,7 @@ CORNERS = Record(9, pack_corners, load_corners, corners_low, corners_high, CORNE
 
 @dataclass(frozen=True)
 class CrossingForms:
-    """The forms of a test by which a ray that meets an edge or a vertex of a surface crosses exactly one of the triangles there.
+    """The forms of a test by which a ray crosses a surface once at an edge or a vertex: it hits one of the triangles there.
 
     Attributes:
         intersect: as `TriangleTest.intersect`.
