@@ -238,7 +238,9 @@ def join_blocks(blocks: list[tuple[HitBatch, np.ndarray]], device: wp.Device) ->
 
 
 def part_of(rays: RayBatch, begin: int, end: int) -> RayBatch:
-    """The rays begin .. end - 1 of a batch, where they are."""
+    """The rays begin .. end - 1 of a batch, where they are; all of them are the batch itself."""
+    if end - begin == rays.count:
+        return rays
     part = RayBatch()
     part.count, part.center = end - begin, rays.center
     for name, field in (("origin", "origins"), ("direction", "directions"), ("t_min", "t_min"), ("t_max", "t_max")):

@@ -179,9 +179,10 @@ def store_stream(config: TraversalConfig) -> wp.Function:
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, number, hits, begin, work)`: tests pairs.
+    """`wp.func(triangles, stream, pair_rays, pair_leaves, hit_rays, hit_blocks, hit_masks, number, hits, begin, work)`.
 
-    A leaf is a child word of `wrt.kernels.bvh`. Round by round, a block of each leaf: a pair whose ray's line meets some
+    Tests pairs of a ray, the stream's first being number `begin`, and a leaf, a child word of `wrt.kernels.bvh`; `hits` is
+    where all of them go, if that is the query. Round by round, a block of each leaf: a pair whose ray's line meets some
     triangle of the block is kept, with the mask of these triangles; of those that are kept, hits are worked out one by one
     and selected rather than branched for. Each comparison ends a long chain of arithmetic, and a wrong guess would throw away
     what has been done for the next pairs meanwhile: with a branch, random rays took 1.6 times as long altogether.
