@@ -6,7 +6,7 @@ triangle, which no tree, traversal or number of threads can change, and copied t
 
 import warp as wp
 
-from wrt.kernels.rays import HitBatch
+from wrt.kernels.rays import HitBatch, RayBatch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -118,13 +118,8 @@ def is_odd(first: int, counts: wp.array(dtype=int), odd: wp.array(dtype=wp.bool)
 
 
 @wp.kernel
-def vote(
-    first: int,
-    one: wp.array(dtype=wp.bool),
-    two: wp.array(dtype=wp.bool),
-    three: wp.array(dtype=wp.bool),
-    most: wp.array(dtype=wp.bool),
-):
-    """Item: a point. What at least two of three say."""
+def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
+    """Item: a ray. Along the direction or against it, whichever leads away from the scene's centre."""
     i = first + wp.tid()
-    most[i] = (one[i] and two[i]) or (one[i] and three[i]) or (two[i] and three[i])
+    offset = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
+    directions[i] = wp.where(wp.dot(offset, direction) < 0.0, -direction, direction)

@@ -2,7 +2,7 @@
 
 A ray from inside a closed surface to infinity crosses it an odd number of times, whichever way it goes. Every crossing is
 counted once, at edges and vertices too (`wrt.kernels.triangle.woop`), and a whole line crosses a closed surface an even
-number of times to the bit: one direction is enough.
+number of times to the bit: one direction is enough, and it may be followed either way.
 
 Through the holes of a surface that is not closed, rays of different directions disagree. There three directions vote: of the
 first two, where they agree, and of a third where they do not.
@@ -15,6 +15,7 @@ References:
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +23,9 @@ import warp as wp
 
 from wrt.hits import shaped
 from wrt.kernels.launch import launch, use_threads
+from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import AUTO, COUNT, Plan, make_plan
+from wrt.plan import ANY, AUTO, COUNT, Plan, make_plan
 from wrt.rays import Rays, to_device
 from wrt.tracing import trace
 
@@ -37,33 +39,34 @@ DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8
 
 def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
     """Which points are inside the scene's meshes; see `wrt.Scene.contains`."""
+    from wrt.kernels.reorder import sort_rays, unsort_hits
+
     with use_threads(scene.num_threads):
-        one, rays = odd_crossings(scene, points, DIRECTIONS[0], traversal)
+        buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
+        plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
+        inside = odd_crossings(scene, plan, buffers, DIRECTIONS[0])
         if not scene.is_closed:
-            two, _ = odd_crossings(scene, points, DIRECTIONS[1], traversal)
-            if not np.array_equal(one.numpy(), two.numpy()):
-                three, _ = odd_crossings(scene, points, DIRECTIONS[2], traversal)
-                one = majority(one, two, three)
-    return shaped(one, rays)
+            other = odd_crossings(scene, plan, buffers, DIRECTIONS[1])
+            undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
+            if len(undecided):
+                order = wp.array(undecided, dtype=int, device=scene.device)
+                few = replace(buffers, batch=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
+                unsort_hits(order, odd_crossings(scene, plan, few, DIRECTIONS[2]), inside, ANY)
+    return shaped(inside.occluded, buffers)
 
 
-def odd_crossings(
-    scene: Scene, points: Any, direction: tuple[float, ...], traversal: str | Plan
-) -> tuple[wp.array, RayBuffers]:
-    """(N,) bool: whether the ray from each point crosses the surface an odd number of times; and the rays."""
-    from wrt.kernels.all_hits import is_odd
+def odd_crossings(scene: Scene, plan: Plan, points: RayBuffers, direction: tuple[float, ...]) -> HitBatch:
+    """Whether the ray from each point crosses the surface an odd number of times, as `occluded`.
 
-    buffers = to_device(Rays(points, np.array(direction, dtype=np.float32)), scene.device, scene.center)
-    batch, _ = trace(scene, make_plan(scene, buffers, traversal, AUTO, COUNT), buffers, COUNT)
-    odd = empty(buffers.count, wp.bool, scene.device)
-    launch(is_odd, buffers.count, [batch.counts, odd], device=scene.device, chunk=4096)
-    return odd, buffers
+    A ray goes along the direction or against it, whichever is the shorter way out of the scene.
+    """
+    from wrt.kernels.all_hits import aim_outwards, is_odd
 
-
-def majority(one: wp.array, two: wp.array, three: wp.array) -> wp.array:
-    """What at least two of three say, point by point."""
-    from wrt.kernels.all_hits import vote
-
-    most = wp.empty_like(one)
-    launch(vote, len(one), [one, two, three, most], device=one.device, chunk=4096)
-    return most
+    count, device, batch = points.batch.count, scene.device, points.batch
+    batch.directions, batch.direction_stride = empty(count, wp.vec3, device), 1
+    launch(aim_outwards, count, [batch, wp.vec3(*direction), batch.directions], device=device, chunk=4096)
+    crossings, _ = trace(scene, plan, points, COUNT)
+    odd = HitBatch()
+    odd.occluded = empty(count, wp.bool, device)
+    launch(is_odd, count, [crossings.counts, odd.occluded], device=device, chunk=4096)
+    return odd
