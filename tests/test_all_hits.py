@@ -379,11 +379,11 @@ def test_warp_arrays_stay_on_the_device(device):
 
 
 def test_too_many_hits_for_one_answer(wood, wood_rays, monkeypatch):
-    monkeypatch.setattr(all_hits, "MAX_HITS", 100)
+    monkeypatch.setattr(all_hits, "MAX_TOTAL", 100)
     with pytest.raises(ValueError, match=r"these rays have [\d,]+ hits or more, and one answer holds 100; pass fewer rays"):
         wood.intersect_all(*wood_rays)
     assert all_hits.sum_up(np.zeros(3, dtype=np.int32)).tolist() == [0, 0, 0, 0]
-    monkeypatch.setattr(all_hits, "MAX_HITS", (1 << 31) - 1)
+    monkeypatch.setattr(all_hits, "MAX_TOTAL", (1 << 31) - 1)
     with pytest.raises(ValueError, match=r"4,294,967,294 hits"):
         all_hits.sum_up(np.full(2, (1 << 31) - 1, dtype=np.int32))
 

@@ -5,7 +5,16 @@ depends on no other ray, thread or chunk where a hit goes. The numbers are summe
 copied to their places. Rays with more hits are traced once more, when their numbers are known: there is no bound on the hits
 of a ray. Batches go through this in blocks, whose room is used again.
 
-**Measured** against counting all rays first and then tracing all of them again: see `ROOM`.
+**Measured** (one thread of a Zen 5, 1024 x 1024 rays in streams; nanoseconds a ray):
+
+                                   counts alone    two passes    room for 2    4    8    16 hits, then those with more again
+    bunny, near view (1.5 hits)             138           300           184  167  171   183
+    bunny, random (0.7)                     117           279           180  184  173   209
+    dragon, near view (1.6)                 161           351           237  208  198   209
+    dragon, random (0.9)                    171           393           337  289  249   304
+
+Two passes count the hits of all rays first and trace them again into lists of just that length. Blocks of a million rays
+instead of 262,144 are 5 % faster and take 128 MB instead of 32.
 """
 
 from __future__ import annotations
@@ -30,12 +39,12 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 ROOM = 8
-"""Hits of a ray for which there is room at first."""
+"""Hits of a ray for which there is room at first, 16 bytes each."""
 
 BLOCK = 1 << 18
 """Rays of a block."""
 
-MAX_HITS = (1 << 31) - 1
+MAX_TOTAL = (1 << 31) - 1
 """Hits that one answer can hold: the longest array there is."""
 
 
@@ -134,26 +143,26 @@ class AllHits:
 
 
 def check_max_hits(max_hits: int | None) -> int:
-    """The bound on the hits of a ray, `MAX_HITS` for None.
+    """The bound on the hits of a ray, `MAX_TOTAL` for None.
 
     Raises:
         TypeError: not an int.
         ValueError: not positive.
     """
     if max_hits is None:
-        return MAX_HITS
+        return MAX_TOTAL
     if isinstance(max_hits, (bool, np.bool_)) or not isinstance(max_hits, (int, np.integer)):
         raise TypeError(f"max_hits must be an int or None, not {type(max_hits).__name__}")
     if max_hits < 1:
         raise ValueError(f"max_hits is {max_hits}; it must be at least 1, or None for all hits")
-    return min(int(max_hits), MAX_HITS)
+    return min(int(max_hits), MAX_TOTAL)
 
 
 def find_all(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[HitBatch, wp.array]:
     """All hits of the rays, at most so many of the nearest of each: (hits, (N + 1,) int64 offsets).
 
     Raises:
-        ValueError: more than `MAX_HITS` hits.
+        ValueError: more than `MAX_TOTAL` hits.
     """
     begins = range(0, max(rays.count, 1), BLOCK)
     blocks = [find_block(scene, plan, part_of(rays, begin, min(begin + BLOCK, rays.count)), max_hits) for begin in begins]
@@ -208,21 +217,16 @@ def sum_up(counts: np.ndarray) -> np.ndarray:
     """(N + 1,) int64: where each of N lists begins, and where the last ends.
 
     Raises:
-        ValueError: more than `MAX_HITS` elements.
+        ValueError: more than `MAX_TOTAL` elements.
     """
     offsets = np.zeros(len(counts) + 1, dtype=np.int64)
     np.cumsum(counts, dtype=np.int64, out=offsets[1:])
-    check_total(int(offsets[-1]))
-    return offsets
-
-
-def check_total(hits: int) -> None:
-    """Refuses more hits than an array can hold."""
-    if hits > MAX_HITS:
+    if offsets[-1] > MAX_TOTAL:
         raise ValueError(
-            f"these rays have {hits:,} hits or more, and one answer holds {MAX_HITS:,}; pass fewer rays at a time, "
-            "or bound the hits of each by max_hits"
+            f"these rays have {int(offsets[-1]):,} hits or more, and one answer holds {MAX_TOTAL:,}; pass fewer rays at a "
+            "time, or bound the hits of each by max_hits"
         )
+    return offsets
 
 
 def join_blocks(blocks: list[tuple[HitBatch, np.ndarray]], device: wp.Device) -> tuple[HitBatch, wp.array]:

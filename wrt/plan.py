@@ -148,7 +148,11 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, s
     if rays.count < LEAST_FOR_PACKETS:
         return "single", "few rays"
     if query in (COUNT, ALL):
-        return ("stream", "many rays") if scene.accelerator.kind == "bvh" else ("single", "counts on a kd-tree")
+        return (
+            ("stream", "all hits of many rays")
+            if scene.accelerator.kind == "bvh"
+            else ("single", "what finds all hits on a kd-tree")
+        )
     if scene.accelerator.kind == "kdtree":
         return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
     if not rays.coherent:

@@ -174,7 +174,8 @@ class Scene:
         Args:
             origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`; not every traversal and triangle
                 test answers this.
-            max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all.
+            max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
+                time: all are found.
 
         Raises:
             TypeError: an argument is of a wrong type.

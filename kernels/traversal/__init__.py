@@ -3,8 +3,9 @@
 **Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
 `(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind of tree for which it is made, `triangles`
 the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.rays`, `counters` is written only where the config
-asks for it. One skeleton serves every query through `wp.static` switches. Every traversal gives the same hits to the bit
-(`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+asks for it. One skeleton serves every query that it answers through `wp.static` switches; closest and any hits are answered
+by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits
+to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
 
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
