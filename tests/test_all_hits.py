@@ -74,6 +74,15 @@ def test_lists_and_counts_equal_brute_force(scene_mesh, device):
             np.testing.assert_array_equal(scene.count(origins, directions, t_min, t_max, traversal=traversal), bounded.count)
 
 
+def test_narrow_trees():
+    """Up to four children a node, a walk keeps what waits on a stack: so on CUDA."""
+    origins, directions = mixed_rays(SOUP, 2000, seed=5)
+    expected = wrt.Scene(SOUP, device="cpu").intersect_all(origins, directions)
+    scene = wrt.Scene(SOUP, wrt.Bvh(width=2), device="cpu")
+    assert_same_lists(scene.intersect_all(origins, directions, traversal="single"), expected)
+    np.testing.assert_array_equal(scene.count(origins, directions, traversal="single"), expected.count)
+
+
 @pytest.mark.parametrize("mesh", [SMOOTH, SOUP], ids=["smooth", "soup"])
 def test_lists_equal_float64(mesh):
     """Where float64 leaves no doubt: the same triangles in the same order, at the same t; the first is the closest hit."""
