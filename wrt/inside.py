@@ -23,10 +23,10 @@ import warp as wp
 
 from wrt.hits import shaped
 from wrt.kernels.launch import launch, use_threads
-from wrt.kernels.rays import HitBatch
+from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty
 from wrt.plan import ANY, AUTO, COUNT, Plan, make_plan
-from wrt.rays import Rays, to_device
+from wrt.rays import Rays, sample_coherence, to_device
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
@@ -43,30 +43,36 @@ def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
 
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
+        aim(buffers.batch, DIRECTIONS[0], scene.device)
+        _, buffers.scattered = sample_coherence(buffers.batch, scene.device)
         plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
-        inside = odd_crossings(scene, plan, buffers, DIRECTIONS[0])
+        inside = odd_crossings(scene, plan, buffers)
         if not scene.is_closed:
-            other = odd_crossings(scene, plan, buffers, DIRECTIONS[1])
+            aim(buffers.batch, DIRECTIONS[1], scene.device)
+            other = odd_crossings(scene, plan, buffers)
             undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
             if len(undecided):
                 order = wp.array(undecided, dtype=int, device=scene.device)
                 few = replace(buffers, batch=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
-                unsort_hits(order, odd_crossings(scene, plan, few, DIRECTIONS[2]), inside, ANY)
+                aim(few.batch, DIRECTIONS[2], scene.device)
+                unsort_hits(order, odd_crossings(scene, plan, few), inside, ANY)
     return shaped(inside.occluded, buffers)
 
 
-def odd_crossings(scene: Scene, plan: Plan, points: RayBuffers, direction: tuple[float, ...]) -> HitBatch:
-    """Whether the ray from each point crosses the surface an odd number of times, as `occluded`.
+def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:
+    """Sends rays along the direction or against it, whichever is likely to be the shorter way out of the scene."""
+    from wrt.kernels.all_hits import aim_outwards
 
-    A ray goes along the direction or against it, whichever is the shorter way out of the scene.
-    """
-    from wrt.kernels.all_hits import aim_outwards, is_odd
+    points.directions, points.direction_stride = empty(points.count, wp.vec3, device), 1
+    launch(aim_outwards, points.count, [points, wp.vec3(*direction), points.directions], device=device, chunk=4096)
 
-    count, device, batch = points.batch.count, scene.device, points.batch
-    batch.directions, batch.direction_stride = empty(count, wp.vec3, device), 1
-    launch(aim_outwards, count, [batch, wp.vec3(*direction), batch.directions], device=device, chunk=4096)
-    crossings, _ = trace(scene, plan, points, COUNT)
+
+def odd_crossings(scene: Scene, plan: Plan, rays: RayBuffers) -> HitBatch:
+    """Whether each ray crosses the surface an odd number of times, as `occluded`."""
+    from wrt.kernels.all_hits import is_odd
+
+    crossings, _ = trace(scene, plan, rays, COUNT)
     odd = HitBatch()
-    odd.occluded = empty(count, wp.bool, device)
-    launch(is_odd, count, [crossings.counts, odd.occluded], device=device, chunk=4096)
+    odd.occluded = empty(rays.count, wp.bool, scene.device)
+    launch(is_odd, rays.count, [crossings.counts, odd.occluded], device=scene.device, chunk=4096)
     return odd
