@@ -50,7 +50,11 @@ class Ray:
 
 @wp.struct
 class HitBatch:
-    """Results of N rays. A closest-hit query writes the first three, an any-hit query only the last."""
+    """Results of N rays. A closest-hit query writes the first three, an any-hit query only `occluded`, a count only `counts`.
+
+    A query for all hits writes the first three, for many hits a ray, and `counts`: hits of ray i, in no order, go to the
+    elements from i * room on, at most `room` of them; with a room of 0 to those from begins[i] on, all of them.
+    """
 
     t: wp.array(dtype=float)
     """inf for a miss."""
@@ -59,6 +63,10 @@ class HitBatch:
     uv: wp.array(dtype=wp.vec2)
     """Weights of the triangle's second and third vertex; 0 for a miss."""
     occluded: wp.array(dtype=wp.bool)
+    counts: wp.array(dtype=int)
+    """Hits of each ray, those for which there was no room included."""
+    room: int
+    begins: wp.array(dtype=int)
 
 
 @wp.func

@@ -27,6 +27,7 @@ import warp as wp
 
 from wrt.kernels.launch import get_num_threads, launch
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.config import ALL, ANY, CLOSEST, COUNT
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -136,6 +137,13 @@ def scatter_occlusion(first: int, order: wp.array(dtype=int), sorted_hits: HitBa
     hits.occluded[order[place]] = sorted_hits.occluded[place]
 
 
+@wp.kernel
+def scatter_counts(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
+    """Item: a place in the order."""
+    place = first + wp.tid()
+    hits.counts[order[place]] = sorted_hits.counts[place]
+
+
 def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -> wp.array:
     """The order in which to trace the rays, (rays,) int32, the same for any number of threads.
 
@@ -158,8 +166,8 @@ def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -
 
 
 def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.Device], wp.array]) -> RayBatch:
-    """The rays in the order given; `empty(count, dtype, device)` makes their arrays."""
-    device, count = order.device, rays.count
+    """The rays whose numbers are given, in that order; `empty(count, dtype, device)` makes their arrays."""
+    device, count = order.device, len(order)
     result = RayBatch()
     result.count, result.center = count, rays.center
     for name, dtype in (("origin", wp.vec3), ("direction", wp.vec3), ("t_min", wp.float32), ("t_max", wp.float32)):
@@ -171,7 +179,10 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
     return result
 
 
-def unsort_hits(order: wp.array, sorted_hits: HitBatch, hits: HitBatch, any_hit: bool) -> None:
-    """Writes the hits of sorted rays to the rays' own places."""
-    kernel = scatter_occlusion if any_hit else scatter_hits
-    launch(kernel, len(order), [order, sorted_hits, hits], device=order.device, chunk=4096)
+SCATTER = {CLOSEST: scatter_hits, ANY: scatter_occlusion, COUNT: scatter_counts, ALL: scatter_counts}
+"""What moves the results of each query; all hits stay where they are."""
+
+
+def unsort_hits(order: wp.array, sorted_hits: HitBatch, hits: HitBatch, query: str) -> None:
+    """Writes the results of sorted rays to the rays' own places."""
+    launch(SCATTER[query], len(order), [order, sorted_hits, hits], device=order.device, chunk=4096)

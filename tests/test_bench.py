@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 import wrt
 from wrt.bench.contract import Answer, Peer, Query, device_rays
@@ -10,6 +11,7 @@ from wrt.bench.measure import (
     Contender,
     Timing,
     closest_agreement,
+    lists_agreement,
     occlusion_agreement,
     share,
     take_turns,
@@ -24,6 +26,7 @@ from wrt.scenes import teapot
 
 SIZE = 16
 MESH = teapot(level=2, ground=False)
+SPHERE = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(subdivisions=2))
 
 
 def made(name, **options):
@@ -224,6 +227,10 @@ def test_agreement_counts_rays():
     occluded = occlusion_agreement(np.array([True, False, True]), np.array([True, True, True]))
     assert (occluded.hits, occluded.same_hit, occluded.same_primitive) == (2, pytest.approx(2 / 3), None)
     assert share(np.zeros(0, bool)) == 1.0
+    # five rays: the same, one hit less, another triangle, none by both, the same in another order
+    rays, triangles = np.array([0, 1, 1, 2, 4, 4]), np.array([7, 1, 2, 3, 5, 6])
+    found = lists_agreement(5, np.array([4, 4, 0, 1, 2]), np.array([6, 5, 7, 1, 4]), rays, triangles)
+    assert (found.hits, found.same_hit, found.same_primitive) == (5, 0.8, 0.6)
 
 
 # -- peers -------------------------------------------------------------------------------------------------------------
@@ -234,14 +241,17 @@ def test_every_peer_agrees_with_wrt(peer_name):
     peers, missing = make_peers([peer_name], 2, "cpu")
     if missing:
         pytest.skip(str(missing))
-    for question in ask(peers, MESH, WorkloadMaker(MESH, size=SIZE).make(WORKLOADS), 1):
+    open_mesh = [name for name in WORKLOADS if name != "inside"]  # what is inside it is a matter of taste
+    questions = ask(peers, MESH, WorkloadMaker(MESH, size=SIZE).make(open_mesh), 1)
+    for question in questions + ask(peers, SPHERE, WorkloadMaker(SPHERE, size=SIZE).make(["inside"]), 1):
         assert question.reference == "wrt"
         for row in question.rows:
             assert row.error is None, row
             assert row.agreement.same_hit >= 0.99, row
             assert row.agreement.hits > 0 or question.workload == "ao"
-            if question.kind == "closest":
+            if question.kind in ("closest", "all"):
                 assert row.agreement.same_primitive >= 0.99, row
+            if question.kind == "closest":
                 assert row.agreement.same_t >= 0.99, row
 
 

@@ -12,7 +12,7 @@ import wrt.builders
 import wrt.kernels
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.config import QUERIES, TraversalConfig
+from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
@@ -41,9 +41,17 @@ def test_module(name, tmp_path):
     assert ".entry" in compile_to_ptx(importlib.import_module(name), tmp_path)
 
 
-@pytest.mark.parametrize("query", QUERIES)
-@pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
-@pytest.mark.parametrize(("traversal", "tree"), [(name, tree) for name, way in TRAVERSALS.items() for tree in way.trees])
+ANSWERS = [
+    (name, tree, test.name, query)
+    for name, way in TRAVERSALS.items()
+    for tree in way.trees
+    for test in TRIANGLE_TESTS.values()
+    for query in QUERIES
+    if way.answers(query, tree) and (query in NEAREST_QUERIES or test.crossing is not None)
+]
+
+
+@pytest.mark.parametrize(("traversal", "tree", "triangle_test", "query"), ANSWERS)
 def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=4)
     kernel = TRAVERSALS[traversal].kernels[tree](config)

@@ -20,16 +20,20 @@ ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_python_example(tmp_path, monkeypatch):
-    """Ten lines that work on any model."""
-    (code,) = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
-    assert len(code.splitlines()) <= 12
+def test_python_examples(tmp_path, monkeypatch):
+    """Ten lines that work on any model, and what goes on from there."""
+    first, *more = re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL)
+    assert len(first.splitlines()) <= 12
     wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")
     monkeypatch.chdir(tmp_path)
     names: dict = {}
-    exec(compile(code, "README.md", "exec"), names)
+    for code in (first, *more):
+        exec(compile(code, "README.md", "exec"), names)
     assert names["hits"].is_hit.mean() > 0.3
     assert names["dark"].shape == (1_000_000,)
+    assert (names["number"] == names["lists"].count).all()
+    assert names["three"].count.max() <= 3 < names["number"].max()
+    assert 0.01 < names["inside"].mean() < 0.9
     assert Image.open("model.png").size == (640, 480)
 
 

@@ -4,6 +4,7 @@
     scene = wrt.Scene(mesh)
     hits = scene.intersect(origins, directions)     # hits.t, hits.primitive_id, hits.uv, hits.position, hits.normal
     dark = scene.occluded(origins, directions)      # bool
+    lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
 Names are loaded when they are first used, so that `import wrt` costs little more than `import warp`.
@@ -17,6 +18,7 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
+    "AllHits": "wrt.all_hits",
     "Bvh": "wrt.accelerator",
     "Hits": "wrt.hits",
     "KdTree": "wrt.accelerator",

@@ -202,13 +202,9 @@ class TriangleMesh:
             a point by it have no part in `is_closed`.
         """
         normals, areas = _normals_and_areas(self._vertices, self._faces)
-        faces = _first_of_equal_points(self._vertices)[self._faces]
-        corners = np.sort(faces, axis=1).astype(np.int64)
+        corners = self._sorted_corners
         order = np.lexsort(corners.T)
         repeats = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
-        proper = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
-        edges = np.concatenate([proper[:, [0, 1]], proper[:, [1, 2]], proper[:, [0, 2]]])
-        _, faces_per_edge = np.unique(edges[:, 0] * self.vertex_count + edges[:, 1], return_counts=True)
         return {
             "name": self.name,
             "triangles": self.triangle_count,
@@ -217,8 +213,23 @@ class TriangleMesh:
             "surface_area": float(areas.sum()),
             "degenerate_triangles": int((~normals.any(axis=1)).sum()),
             "duplicate_triangles": int(repeats.sum()),
-            "is_closed": bool(len(edges) and (faces_per_edge == 2).all()),
+            "is_closed": self.is_closed,
         }
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every edge belongs to exactly two triangles, by positions as in `summary`."""
+        corners = self._sorted_corners
+        proper = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
+        edges = np.concatenate([proper[:, [0, 1]], proper[:, [1, 2]], proper[:, [0, 2]]])
+        keys = np.sort(edges[:, 0] * self.vertex_count + edges[:, 1])
+        pairs = len(keys) > 0 and len(keys) % 2 == 0 and (keys[0::2] == keys[1::2]).all()
+        return bool(pairs and (keys[1:-1:2] != keys[2::2]).all())
+
+    @property
+    def _sorted_corners(self) -> np.ndarray:
+        """(F, 3) int64 corners of every triangle in ascending order; coincident vertices count as the first of them."""
+        return np.sort(_first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
 
     def __repr__(self) -> str:
         label = f"'{self.name}', " if self.name else ""

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 AUTO = "auto"
-CLOSEST, ANY = "closest", "any"
+CLOSEST, ANY, COUNT, ALL = "closest", "any", "count", "all"
 
 ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
 
@@ -103,21 +103,24 @@ class Plan:
         return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
 
 
-def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str) -> Plan:
+def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_test: str, query: str = CLOSEST) -> Plan:
     """Chooses what the caller left on "auto"; a plan that is given is checked.
 
     Raises:
-        ValueError: an unknown name, a traversal that does not walk the scene's tree, or a plan that does not fit.
+        ValueError: an unknown name, a traversal that does not walk the scene's tree or answer the query, or a plan that does
+            not fit.
     """
     if isinstance(traversal, Plan):
-        return check_plan(traversal, scene, rays)
+        return check_plan(traversal, scene, rays, query)
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
     check_origins(test, rays)
-    name, reason = choose_traversal(scene, rays) if traversal == AUTO else (traversal, "as asked")
+    name, reason = choose_traversal(scene, rays, query) if traversal == AUTO else (traversal, "as asked")
     way = lookup(TRAVERSALS, name, "traversal")
+    accelerator = tree_for(way, scene)
+    check_query(query, way, accelerator, test)
     options: dict[str, object] = {}
     if way.packets:
         options["packet"] = PACKET_VECTORS * scene.tree.width
@@ -127,7 +130,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     if traversal == AUTO or way.name == "packet":
         options["reorder"] = choose_order(scene, rays, way, test)
     return Plan(
-        accelerator=tree_for(way, scene),
+        accelerator=accelerator,
         traversal=way.name,
         triangle_test=test.name,
         width=scene.tree.width,
@@ -138,12 +141,18 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     )
 
 
-def choose_traversal(scene: Scene, rays: RayBuffers) -> tuple[str, str]:
+def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, str]:
     """Name of the traversal, and the reason."""
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
     if rays.count < LEAST_FOR_PACKETS:
         return "single", "few rays"
+    if query in (COUNT, ALL):
+        return (
+            ("stream", "all hits of many rays")
+            if scene.accelerator.kind == "bvh"
+            else ("single", "what finds all hits on a kd-tree")
+        )
     if scene.accelerator.kind == "kdtree":
         return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
     if not rays.coherent:
@@ -198,7 +207,7 @@ def is_large(scene: Scene, rays: RayBuffers, test: TriangleTest) -> bool:
     return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
 
 
-def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
+def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
     """Returns a plan that suits the scene and the rays.
 
     Raises:
@@ -216,6 +225,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError(f"plan.traversal {way.name!r} does not walk a {plan.accelerator}; it walks {', '.join(way.trees)}")
     if plan.accelerator not in ("none", scene.accelerator.kind):
         raise ValueError(f"plan.accelerator is {plan.accelerator!r}, but the scene has a {scene.accelerator.kind}")
+    check_query(query, way, plan.accelerator, test)
     if plan.width != scene.tree.width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.tree.width}")
     if plan.shared_origin and rays.batch.origin_stride != 0:
@@ -224,6 +234,10 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
     if plan.mailbox != "none" and not (way.mailbox and plan.accelerator == "kdtree"):
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
         raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
+    if plan.mailbox != "none" and query in (COUNT, ALL):
+        raise ValueError(
+            f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to meet a triangle in every leaf; use 'none'"
+        )
     lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
     if plan.reorder == "tiles" and plan.traversal != "packet":
         raise ValueError(f"plan.reorder is 'tiles', which goes with the traversal 'packet', not {plan.traversal!r}")
@@ -249,6 +263,30 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
 def fits(culling: Culling, tree: str) -> bool:
     """Whether a culling has what it needs in a kind of tree."""
     return tree == "bvh" or not culling.needs_boxes
+
+
+def check_query(query: str, way: Traversal, tree: str, test: TriangleTest) -> None:
+    """Refuses a traversal or a triangle test that cannot answer a query.
+
+    Raises:
+        ValueError: it cannot; the message names those that can.
+    """
+    from wrt.kernels.traversal import TRAVERSALS
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    if not way.answers(query, tree):
+        able = ", ".join(
+            name
+            for name, entry in TRAVERSALS.items()
+            for kind in (tree, "none")
+            if kind in entry.trees and entry.answers(query, kind)
+        )
+        raise ValueError(f"traversal {way.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}")
+    if query in (COUNT, ALL) and test.crossing is None:
+        able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
+        raise ValueError(
+            f"triangle_test {test.name!r} may count a crossing at an edge twice or never; choose from auto, {able}"
+        )
 
 
 def check_origins(test: TriangleTest, rays: RayBuffers) -> None:

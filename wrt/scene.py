@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,11 +14,13 @@ from wrt.hits import Hits, shaped
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
-from wrt.plan import ANY, AUTO, CLOSEST, Plan, make_plan
+from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
 from wrt.rays import Rays, shared_origin, to_device
+from wrt.tables import lookup
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
+    from wrt.all_hits import AllHits
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
@@ -151,7 +154,43 @@ class Scene:
             batch, _ = trace(self, plan, buffers, ANY)
         return shaped(batch.occluded, buffers)
 
-    def explain(
+    def intersect_all(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        max_hits: int | None = None,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> AllHits:
+        """All hits of each ray, sorted by t, then geometry, then triangle.
+
+        Each crossing of a surface is one hit: a ray that meets an edge or a vertex hits exactly one of the triangles that it
+        passes into there, so that the line through a closed surface has an even number of hits. Coincident triangles are hit
+        each; a triangle that is seen edge-on is not. (`intersect` may name another of the triangles at an edge.)
+
+        Args:
+            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`; not every traversal and triangle
+                test answers this.
+            max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
+                time: all are found.
+
+        Raises:
+            TypeError: an argument is of a wrong type.
+            ValueError: as `intersect`; a traversal or triangle test that does not answer this; more than 2^31 - 1 hits.
+        """
+        from wrt.all_hits import AllHits, check_max_hits, find_all
+
+        bound, rays = check_max_hits(max_hits), _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test, ALL)
+            batch, offsets = find_all(self, plan, buffers.batch, bound)
+        return AllHits(batch, offsets, buffers, self.device_mesh, plan, self.num_threads)
+
+    def count(
         self,
         origins: Any,
         directions: Any = None,
@@ -160,11 +199,65 @@ class Scene:
         *,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
-    ) -> Plan:
-        """How `intersect` or `occluded` would answer these rays, and why; nothing is traced. Arguments as theirs."""
+    ) -> Any:
+        """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
+
+        What `intersect_all` would list, counted; arguments and errors as there.
+        """
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test)
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
+            batch, _ = trace(self, plan, buffers, COUNT)
+        return shaped(batch.counts, buffers)
+
+    def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
+        """Which points are inside: (...) bool, a NumPy array if the points were, else a Warp array.
+
+        By parity: inside are those from which a ray crosses the surface an odd number of times. If every mesh is closed
+        (`TriangleMesh.is_closed`), that does not depend on the ray's direction. If one is not, two of three directions
+        decide, which is a guess near its holes. Of several meshes, or shells within each other, a point is inside if it is
+        inside an odd number of them. Points nearer to the surface than float32 tells, relative to the scene's centre, may
+        count as either; a point with a NaN or an infinity is outside.
+
+        Args:
+            points: (..., 3).
+            traversal: as in `count`.
+
+        Raises:
+            TypeError: points are no array of real numbers.
+            ValueError: wrong shape, an array on another device, a traversal that does not count.
+        """
+        from wrt.inside import contains
+
+        return contains(self, points, traversal)
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every mesh is closed."""
+        return all(mesh.is_closed for mesh in self.meshes)
+
+    def explain(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        query: str = CLOSEST,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Plan:
+        """How these rays would be answered, and why; nothing is traced.
+
+        Args:
+            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
+        with use_threads(self.num_threads):
+            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
 
     @property
     def record_bytes(self) -> int:

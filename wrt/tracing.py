@@ -9,7 +9,7 @@ import warp as wp
 from wrt.kernels.launch import MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ANY, Plan, traversal_config, way_of
+from wrt.plan import ALL, ANY, COUNT, Plan, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -28,7 +28,7 @@ ITEMS_PER_THREAD = 8
 def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
-    """Hits of the rays, and each ray's work if it is to be counted."""
+    """Results of any query but "all", and each ray's work if it is to be counted."""
     device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
     work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
@@ -42,7 +42,7 @@ def trace(
     order = find_order(rays, scene.tree.low, scene.tree.high, device)
     sorted_hits, sorted_work = new_hits(rays.count, query, device), wp.zeros_like(work)
     run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
-    unsort_hits(order, sorted_hits, hits, query == ANY)
+    unsort_hits(order, sorted_hits, hits, query)
     if not counters:
         return hits, None
     values = work.numpy()
@@ -55,11 +55,20 @@ def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:
     hits = HitBatch()
     if query == ANY:
         hits.occluded = empty(count, wp.bool, device)
+    elif query == COUNT:
+        hits.counts = empty(count, wp.int32, device)
     else:
         hits.t = empty(count, wp.float32, device)
         hits.primitive = empty(count, wp.int32, device)
         hits.uv = empty(count, wp.vec2, device)
     return hits
+
+
+def new_lists(count: int, hits: int, device: wp.Device) -> HitBatch:
+    """Memory for all hits of `count` rays: so many hits together."""
+    lists = new_hits(hits, ALL, device)
+    lists.counts = empty(count, wp.int32, device)
+    return lists
 
 
 def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:

@@ -3,14 +3,15 @@
 **Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
 `(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind of tree for which it is made, `triangles`
 the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.rays`, `counters` is written only where the config
-asks for it. One skeleton serves every query through `wp.static` switches. Every traversal gives the same hits to the bit
-(`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+asks for it. One skeleton serves every query that it answers through `wp.static` switches; closest and any hits are answered
+by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits
+to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
 
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import warp as wp
 
@@ -28,7 +29,7 @@ from wrt.kernels.traversal import (
     stream_bvh,
     stream_kdtree,
 )
-from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters
 
 
@@ -50,6 +51,7 @@ class Traversal:
         mailbox: whether `mailbox` of the config matters, on a kd-tree.
         streams: whether rays go in streams: `stream` of the config matters.
         counters: struct of the work that its kernels count, at the first ray of an item.
+        queries: for each kind of tree that answers more than the nearest queries, what it answers.
     """
 
     name: str
@@ -60,6 +62,11 @@ class Traversal:
     mailbox: bool = False
     streams: bool = False
     counters: type = Counters
+    queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def answers(self, query: str, tree: str) -> bool:
+        """Whether it answers a query on a kind of tree."""
+        return query in self.queries.get(tree, NEAREST_QUERIES)
 
     @property
     def trees(self) -> tuple[str, ...]:
@@ -70,12 +77,13 @@ class Traversal:
 TRAVERSALS: dict[str, Traversal] = {
     traversal.name: traversal
     for traversal in (
-        Traversal("brute", "every ray against every triangle", {"none": brute.make_kernel}),
+        Traversal("brute", "every ray against every triangle", {"none": brute.make_kernel}, queries={"none": QUERIES}),
         Traversal(
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
             {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
             mailbox=True,
+            queries={"kdtree": QUERIES, "bvh": QUERIES},
         ),
         Traversal(
             "lockstep",
@@ -124,6 +132,7 @@ TRAVERSALS: dict[str, Traversal] = {
             stream.rays_per_item,
             streams=True,
             counters=stream.StreamCounters,
+            queries={"bvh": QUERIES},
         ),
     )
 }

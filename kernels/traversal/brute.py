@@ -7,6 +7,7 @@ import warp as wp
 from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.crossings import take_crossing
 from wrt.kernels.traversal.leaf import Counters, improves, start, store_best, triangle_step
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -29,6 +30,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
+    take, crossing = take_crossing(config), config.crossing
     counting, any_hit = config.counters, config.query == ANY
 
     def brute_force(
@@ -48,7 +50,10 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             state = prepare(ray.origin, ray.direction)
             while tested < tree.count:
                 hit = candidate(triangles.records, tested, state, slabs)
-                if improves(hit[0], triangles.primitive[tested], ray.t_min, best):
+                if wp.static(crossing):
+                    if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
+                        best = take(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
+                elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
                     best.t = hit[0]
                     best.primitive = triangles.primitive[tested]
                     best.u = hit[1]

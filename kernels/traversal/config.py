@@ -6,8 +6,13 @@ from wrt.kernels.mailbox import NONE
 
 CLOSEST = "closest"
 ANY = "any"
-QUERIES = (CLOSEST, ANY)
-"""Closest hit (t, primitive, uv), or only whether there is any hit."""
+COUNT = "count"
+ALL = "all"
+QUERIES = (CLOSEST, ANY, COUNT, ALL)
+"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them."""
+
+NEAREST_QUERIES = (CLOSEST, ANY)
+"""Those that need one hit: a triangle test's inclusive forms answer them."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +22,7 @@ class TraversalConfig:
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
         width: triangles a block, and children of a wide node, 1 to 16.
-        query: "closest" or "any".
+        query: one of `QUERIES`.
         coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
         counters: whether work per ray is counted (`wrt.kernels.traversal.leaf.Counters`).
         levels: inner nodes on a path that the stack has room for; at least the depth of a wide tree.
@@ -41,3 +46,8 @@ class TraversalConfig:
     stream: int = 1024
     mailbox: str = NONE
     block: int = 0
+
+    @property
+    def crossing(self) -> bool:
+        """Whether each crossing of a surface is wanted exactly once."""
+        return self.query in (COUNT, ALL)

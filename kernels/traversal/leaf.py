@@ -24,7 +24,7 @@ class Candidate:
     t: float
     """Its t; before the first hit, the ray's t_max."""
     primitive: int
-    """-1 before the first hit."""
+    """-1 before the first hit. In queries that count crossings, their number so far less one; there t stays the ray's t_max."""
     u: float
     v: float
 
@@ -76,12 +76,14 @@ def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: flo
 @cache
 def store_best(config: TraversalConfig) -> wp.Function:
     """`wp.func(hits, i, best)` that writes the answer to the query for ray number i."""
-    any_hit = config.query == ANY
+    any_hit, crossing = config.query == ANY, config.crossing
 
     @wp.func
     def store(hits: HitBatch, i: int, best: Candidate):
         if wp.static(any_hit):
             hits.occluded[i] = best.primitive >= 0
+        elif wp.static(crossing):
+            hits.counts[i] = best.primitive + 1
         else:
             store_hit(hits, i, best.t, best.primitive, best.u, best.v)
 
@@ -141,7 +143,7 @@ def clamp_block(record: Record, width: int) -> wp.Function:
 def triangle_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate by the test's scalar form; t NaN for none."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    RayState, intersect, width = test.ray_state, test.intersect, config.width
+    RayState, intersect, width = test.ray_state, test.forms(config.crossing).intersect, config.width
     load, load_vertices = test.record.load, load_corners(test.record.components)
 
     @wp.func

@@ -89,7 +89,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
     """`wp.func(tree, triangles, rays, begin, end, hits, counters, work)`: the rays at the places begin .. end - 1, one by one.
 
-    walk_ray: `wp.func(tree, triangles, ray, work) -> best`. `work` is what was done for them before, and then charged
+    walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is what was done for them before, and then charged
     to the first.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet
@@ -110,7 +110,7 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
             ray = load_ray(rays, i)
             best = start(ray.t_max)
             if ray.valid:
-                best = walk_ray(tree, triangles, ray, work)
+                best = walk_ray(tree, triangles, ray, hits, i, work)
             store(hits, i, best)
             if wp.static(counting):
                 counters[place] = work
@@ -132,7 +132,7 @@ def packet_step(
         config: the specialisation.
         Tree: struct of the tree.
         walk_packet: `wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
-        walk_ray: `wp.func(tree, triangles, ray, work) -> best`: traces one valid ray.
+        walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
         mixed_axes: axes with both signs with which a packet is still walked together.
     """
     layout = packet_layout(config)

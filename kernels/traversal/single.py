@@ -38,6 +38,7 @@ from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.crossings import crossing_step
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -113,16 +114,17 @@ def step_selecting(
 
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, ray, work) -> best` for one valid ray."""
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_block = block_step(config)
+    every_hit = config.crossing
+    test_block = crossing_step(config, KdNodes) if every_hit else block_step(config)
     step = step_guessing if config.coherent else step_selecting
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
 
     @wp.func
-    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, work: wp.ref[Counters]):
+    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -154,7 +156,10 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    if wp.static(remembering):
+                    if wp.static(every_hit):
+                        within = wp.vec2(cell.entry, cell.leave)
+                        best = test_block(tree, cell.node, within, triangles, block, state, slabs, hits, i, best)
+                    elif wp.static(remembering):
                         fresh = forget(triangles.primitive, block, ALL_LANES, mailbox)
                         if fresh != wp.uint32(0):
                             best = test_block(triangles, block, state, slabs, ray.t_min, best)
@@ -197,7 +202,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            best = walk(tree, triangles, ray, work)
+            best = walk(tree, triangles, ray, hits, i, work)
         store(hits, i, best)
         if wp.static(counting):
             counters[i] = work

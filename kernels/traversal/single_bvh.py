@@ -29,9 +29,10 @@ from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
 from wrt.kernels.memory import load_int, store_int
-from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray, store_hit
+from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start
+from wrt.kernels.traversal.crossings import crossing_step
+from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -44,24 +45,28 @@ STACKED = 4
 
 
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, ray, work) -> best` for one valid ray."""
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
     return make_walk_with_stack(config) if config.width <= STACKED else make_walk_with_keys(config)
 
 
 @cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, child, state, slabs, t_min, best, work) -> best`: tests the triangles of a leaf."""
+    """`wp.func(tree, triangles, child, state, slabs, t_min, hits, i, best, work) -> best`: tests the triangles of a leaf."""
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    test_block = block_step(config)
+    crossing = config.crossing
+    test_block = crossing_step(config, WideNodes) if crossing else block_step(config)
     width, counting = config.width, config.counters
 
     @wp.func
     def test_leaf(
+        tree: WideNodes,
         triangles: TriangleBlocks,
         child: int,
         state: RayState,
         slabs: wp.ref[RaySlabs],
         t_min: float,
+        hits: wp.ref[HitBatch],
+        i: int,
         best: Candidate,
         work: wp.ref[Counters],
     ):
@@ -71,7 +76,11 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
             work.leaves += 1
             work.triangles += count
         while count > 0:
-            best = test_block(triangles, block, state, slabs, t_min, best)
+            if wp.static(crossing):
+                within = wp.vec2(t_min, best.t)
+                best = test_block(tree, child, within, triangles, block, state, slabs, hits, i, best)
+            else:
+                best = test_block(triangles, block, state, slabs, t_min, best)
             block += 1
             count -= wp.static(width)
         return best
@@ -134,7 +143,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     counting, any_hit = config.counters, config.query == ANY
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -148,7 +157,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
                 if wp.static(counting):
                     work.nodes += 1
             if child != bvh.EMPTY_LANE:
-                best = test_leaf(triangles, child, state, slabs, ray.t_min, best, work)
+                best = test_leaf(tree, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
                 if wp.static(any_hit):
                     waiting = wp.where(best.primitive < 0, waiting, 0)
             searching = bool(False)
@@ -171,7 +180,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     levels, row = config.levels, config.levels * config.width
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -195,7 +204,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
                         work.nodes += 1
                         work.boxes += wp.static(width)
                 else:
-                    best = test_leaf(triangles, child, state, slabs, ray.t_min, best, work)
+                    best = test_leaf(tree, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
                     key = nearest(keys, level * wp.static(width))
                     if wp.static(any_hit):
                         level = wp.where(best.primitive < 0, level, -1)
@@ -211,8 +220,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walk = make_walk(config)
-    counting, any_hit = config.counters, config.query == ANY
+    walk, store, counting = make_walk(config), store_best(config), config.counters
 
     def single_ray_bvh(
         first: int,
@@ -227,11 +235,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            best = walk(tree, triangles, ray, work)
-        if wp.static(any_hit):
-            hits.occluded[i] = best.primitive >= 0
-        else:
-            store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+            best = walk(tree, triangles, ray, hits, i, work)
+        store(hits, i, best)
         if wp.static(counting):
             counters[i] = work
 

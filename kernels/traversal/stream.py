@@ -40,9 +40,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray, store_hit
-from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, start
+from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, start, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -152,7 +152,7 @@ def get_ray(triangle_test: str) -> wp.Function:
 def store_stream(config: TraversalConfig) -> wp.Function:
     """`wp.func(stream, begin, count, hits)`: writes the answers of the rays begin .. begin + count - 1."""
     StreamRay = stream_ray(config.triangle_test)
-    any_hit = config.query == ANY
+    store_one = store_best(config)
 
     @wp.func_native("best = rays.data[k].best;")
     def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
@@ -162,9 +162,6 @@ def store_stream(config: TraversalConfig) -> wp.Function:
         for k in range(count):
             best = Candidate()
             get_best(stream, k, best)
-            if wp.static(any_hit):
-                hits.occluded[begin + k] = best.primitive >= 0
-            else:
-                store_hit(hits, begin + k, best.t, best.primitive, best.u, best.v)
+            store_one(hits, begin + k, best)
 
     return store

@@ -46,7 +46,7 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, words, rays, work)`: traces the rays of a list, words[0 .. rays - 1]."""
+    """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays words[0 .. rays - 1]."""
     StreamRay = stream_ray(config.triangle_test)
     filter_list, following = filter_boxes(config.width, config.triangle_test), next_child(config.width)
     test_pairs = pair_tester(config)
@@ -59,6 +59,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         words: wp.array(dtype=int),
         rays: int,
+        hits: wp.ref[HitBatch],
+        first_ray: int,
         work: wp.ref[StreamCounters],
     ):
         keys = wp.zeros(shape=(row,), dtype=int)
@@ -86,7 +88,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                         tree.bounds, tree.child, node, stream, words, begin, incoming, keys, first_key, pairs, tested, size
                     )
                     if paired > 0:
-                        test_pairs(triangles, stream, pairs, paired, work)
+                        test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
                 if wp.static(counting):
                     work.nodes += incoming
                 store_int(path, level, node)
@@ -143,7 +145,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             count = wp.min(wp.static(size), end - begin)
             work = StreamCounters()
             load(rays, begin, count, tree.low, tree.high, stream)
-            trace(tree, triangles, stream, words, list_valid(stream, count, words), work)
+            trace(tree, triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
             store(stream, begin, count, hits)
             if wp.static(counting):
                 counters[begin] = work

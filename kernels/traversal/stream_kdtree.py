@@ -107,7 +107,7 @@ def enter_scene(triangle_test: str) -> wp.Function:
 
 @cache
 def leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, list, size, node, pairs, work)`: the rays of a list against the triangles of a leaf."""
+    """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: the rays of a list against a leaf."""
     StreamRay, test_pairs, width = stream_ray(config.triangle_test), pair_tester(config), config.width
     most_triangles = MAX_LEAF_TRIANGLES // width * width
 
@@ -119,6 +119,8 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         size: int,
         node: wp.vec2i,
         pairs: wp.ref[Pairs],
+        hits: wp.ref[HitBatch],
+        first_ray: int,
         work: wp.ref[StreamCounters],
     ):
         triangle = int(0)
@@ -130,7 +132,7 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
             while first < size:
                 number = wp.min(size - first, PAIRS)
                 pair_up(list, first, number, leaf, pairs)
-                test_pairs(triangles, stream, pairs, number, work)
+                test_pairs(triangles, stream, pairs, number, hits, first_ray, work)
                 first += PAIRS
             triangle += wp.static(most_triangles)
 
@@ -164,6 +166,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         far_rays: wp.array(dtype=int),
         far_entry: wp.array(dtype=float),
         far_leave: wp.array(dtype=float),
+        hits: wp.ref[HitBatch],
+        first_ray: int,
         work: wp.ref[StreamCounters],
     ):
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
@@ -196,7 +200,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                     top += behind
                 at = near
             else:
-                test_leaf(triangles, stream, list, size, node, pairs, work)
+                test_leaf(triangles, stream, list, size, node, pairs, hits, first_ray, work)
                 size = int(0)
             while size == 0 and waiting > 0:
                 waiting -= 1
@@ -250,7 +254,23 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 last = load_int(ends, octant)
                 upto = wp.min(last, done + wp.static(piece))
                 if done < upto:
-                    trace(tree, triangles, stream, order, done, upto, list, entry, leave, far_rays, far_entry, far_leave, work)
+                    trace(
+                        tree,
+                        triangles,
+                        stream,
+                        order,
+                        done,
+                        upto,
+                        list,
+                        entry,
+                        leave,
+                        far_rays,
+                        far_entry,
+                        far_leave,
+                        hits,
+                        begin,
+                        work,
+                    )
                 done = upto
                 octant += wp.where(done == last, 1, 0)
             store(stream, begin, count, hits)

@@ -16,7 +16,9 @@ from wrt.kernels import bvh
 from wrt.kernels.boxes import RaySlabs
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.memory import load_int
+from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.crossings import take_crossing
 from wrt.kernels.traversal.leaf import Candidate, improves, triangle_step
 from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, get_ray, stream_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -78,7 +80,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, intersect_block = get_ray(config.triangle_test), test.block_test(width)
+    get, intersect_block = get_ray(config.triangle_test), test.forms(config.crossing).block_test(width)
 
     @wp.func
     def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
@@ -126,10 +128,13 @@ def line_filter(config: TraversalConfig) -> wp.Function:
 
 @cache
 def hit_finder(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, k, block, mask)`: the hits of ray k among some triangles of a block."""
+    """`wp.func(triangles, stream, k, block, mask, hits, i)`: the hits of ray k among some triangles of a block.
+
+    hits, i: where they go, and the ray's number in the batch, if the query is for all of them.
+    """
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
-    width, any_hit = config.width, config.query == ANY
+    width, any_hit, crossing, take = config.width, config.query == ANY, config.crossing, take_crossing(config)
 
     @wp.func_native(f"""
         rays.data[k].best = best;
@@ -138,7 +143,15 @@ def hit_finder(config: TraversalConfig) -> wp.Function:
     def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
 
     @wp.func
-    def find_hits(triangles: TriangleBlocks, stream: wp.array(dtype=StreamRay), k: int, block: int, triangle_mask: wp.uint32):
+    def find_hits(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        k: int,
+        block: int,
+        triangle_mask: wp.uint32,
+        hits: wp.ref[HitBatch],
+        i: int,
+    ):
         mask = wp.uint32(triangle_mask)
         slabs = RaySlabs()
         state = RayState()
@@ -149,11 +162,15 @@ def hit_finder(config: TraversalConfig) -> wp.Function:
             mask = mask & (mask - wp.uint32(1))
             hit = candidate(triangles.records, slot, state, slabs)
             primitive = load_int(triangles.primitive, slot)
-            better = improves(hit[0], primitive, t_min, best)
-            best.t = wp.where(better, hit[0], best.t)
-            best.primitive = wp.where(better, primitive, best.primitive)
-            best.u = wp.where(better, hit[1], best.u)
-            best.v = wp.where(better, hit[2], best.v)
+            if wp.static(crossing):
+                if hit[0] >= t_min and hit[0] <= best.t:
+                    best = take(hits, i, best, hit[0], primitive, hit[1], hit[2])
+            else:
+                better = improves(hit[0], primitive, t_min, best)
+                best.t = wp.where(better, hit[0], best.t)
+                best.primitive = wp.where(better, primitive, best.primitive)
+                best.u = wp.where(better, hit[1], best.u)
+                best.v = wp.where(better, hit[2], best.v)
         put_best(stream, k, best)
 
     return find_hits
@@ -161,7 +178,10 @@ def hit_finder(config: TraversalConfig) -> wp.Function:
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, number, work)`: tests the first so many pairs to the end."""
+    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first so many pairs to the end.
+
+    hits, begin: where all hits go, if that is the query, and the number of the stream's first ray.
+    """
     StreamRay = stream_ray(config.triangle_test)
     keep_pairs, find_hits, counting = line_filter(config), hit_finder(config), config.counters
 
@@ -171,6 +191,8 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
         stream: wp.array(dtype=StreamRay),
         pairs: wp.ref[Pairs],
         number: int,
+        hits: wp.ref[HitBatch],
+        begin: int,
         work: wp.ref[StreamCounters],
     ):
         count = int(number)
@@ -183,7 +205,7 @@ def pair_tester(config: TraversalConfig) -> wp.Function:
                 block = int(0)
                 mask = wp.uint32(0)
                 k = load_meeting(pairs, p, block, mask)
-                find_hits(triangles, stream, k, block, mask)
+                find_hits(triangles, stream, k, block, mask, hits, begin + k)
                 p += 1
 
     return test_pairs

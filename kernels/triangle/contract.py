@@ -1,11 +1,25 @@
 """What a ray-triangle test is to the rest of the engine."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
 
 from wrt.kernels.triangle.lane_form import HandWritten, LaneForm, PacketForm
 from wrt.kernels.triangle.records import VERTICES, Record
+
+
+@dataclass(frozen=True)
+class CrossingForms:
+    """The forms of a test by which a ray crosses a surface once at an edge or a vertex: it hits one of the triangles there.
+
+    Attributes:
+        intersect: as `TriangleTest.intersect`.
+        block_test: as `TriangleTest.block_test`.
+    """
+
+    intersect: wp.Function
+    block_test: Callable[[int], wp.Function]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +39,7 @@ class TriangleTest:
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
         lanes: the same as lane loops.
+        crossing: the forms that count crossings exactly; None if it has none.
     """
 
     name: str
@@ -37,6 +52,7 @@ class TriangleTest:
     prepare: wp.Function
     intersect: wp.Function
     lanes: LaneForm | HandWritten
+    crossing: CrossingForms | None = None
 
     @property
     def needs_shared_origin(self) -> bool:
@@ -46,6 +62,10 @@ class TriangleTest:
     def block_test(self, width: int) -> wp.Function:
         """`wp.func(records, block, ray, t, u, v) -> uint32` mask of the W triangles of a block that the ray's line meets."""
         return self.lanes.block_test(self.record, self.ray_state, width)
+
+    def forms(self, crossing: bool) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)
 
     @property
     def packet_form(self) -> PacketForm:

@@ -10,6 +10,14 @@ one is zero, the ray passes the edge to the last bit, or the products underflowe
 float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the
 sheared vertices, and a ray can slip between neighbours at no edge and no vertex; on an edge it hits both.
 
+**Exactly one of them.** Whoever counts crossings needs a rule by which a ray on an edge belongs to one side of it. Rasterisers
+give pixels on an edge to the triangle whose top or left edge it is; here the point 0 is thought of as moved by (e, e^2) for
+an infinitely small e > 0 (simulation of simplicity). To first order that adds e (p.y - q.y) + e^2 (q.x - p.x) to the area
+p x q: where the exact area is 0, the edge's own direction tells the side, and its two triangles disagree about it. No three
+points and no edge hold the moved point, so what is counted is the number of projected triangles around a point in general
+position: even for every closed surface, whatever edges and vertices the ray meets. A triangle that is seen edge-on, or whose
+projected vertices coincide, surrounds nothing. This is `CROSSING`, in the same forms as the rest.
+
 **Data.** Per triangle: the three vertices. Per ray: the axis order and the shear (`ShearedRay`).
 
 **Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only asks whether the three
@@ -18,6 +26,8 @@ signs agree. The distance is compared by the caller (see `wrt.kernels.boxes`, th
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection.
         Journal of Computer Graphics Techniques 2(1), 2013.
+    H. Edelsbrunner, E. P. Muecke: Simulation of simplicity: a technique to cope with degenerate cases in geometric algorithms.
+        ACM Transactions on Graphics 9(1), 1990.
 """
 
 from functools import cache
@@ -25,11 +35,17 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
-from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.records import Corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+SMALL = wp.constant(1.1754944e-38)
+"""Smallest normal float32: an area below it may have lost digits, or all of them."""
+
+LIFT = wp.constant(wp.float64(2.0**200))
+"""What brings the areas of triangles too small for float32 into its range; the weights do not change by it."""
 
 
 @wp.struct
@@ -102,9 +118,54 @@ def intersect(ray: ShearedRay, corners: Corners):
     total = (area_a + area_b) + area_c
     if not inside or total == 0.0:
         return wp.vec3(wp.nan, 0.0, 0.0)
-    scale = 1.0 / total
-    t = ((area_a * a[2] + area_b * b[2]) + area_c * c[2]) * scale
+    return interpolate(wp.vec3(a[2], b[2], c[2]), area_a, area_b, area_c)
+
+
+@wp.func
+def interpolate(depth: wp.vec3, area_a: float, area_b: float, area_c: float):
+    """(t, u, v) from the depths of the vertices and the areas against them."""
+    scale = 1.0 / ((area_a + area_b) + area_c)
+    t = ((area_a * depth[0] + area_b * depth[1]) + area_c * depth[2]) * scale
     return wp.vec3(t, area_b * scale, area_c * scale)
+
+
+@wp.func
+def area64(p: wp.vec3, q: wp.vec3):
+    """Signed area p x q in float64; its sign is exact."""
+    return wp.float64(p[0]) * wp.float64(q[1]) - wp.float64(p[1]) * wp.float64(q[0])
+
+
+@wp.func
+def side(area: wp.float64, p: wp.vec3, q: wp.vec3):
+    """Side of the edge p q on which the moved point lies, 1 or -1; 0 if p and q coincide."""
+    tie = wp.where(p[1] > q[1], 1, wp.where(p[1] < q[1], -1, wp.where(q[0] > p[0], 1, wp.where(q[0] < p[0], -1, 0))))
+    return wp.where(area > wp.float64(0.0), 1, wp.where(area < wp.float64(0.0), -1, tie))
+
+
+@wp.func
+def intersect_crossing(ray: ShearedRay, corners: Corners):
+    """`intersect` for crossings: on an edge, one of its triangles is hit."""
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    area_a = c[0] * b[1] - c[1] * b[0]
+    area_b = a[0] * c[1] - a[1] * c[0]
+    area_c = b[0] * a[1] - b[1] * a[0]
+    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0)
+    if wp.abs(area_a) < SMALL or wp.abs(area_b) < SMALL or wp.abs(area_c) < SMALL:
+        exact_a = area64(c, b)
+        exact_b = area64(a, c)
+        exact_c = area64(b, a)
+        side_a = side(exact_a, c, b)
+        inside = side_a != 0 and side_a == side(exact_b, a, c) and side_a == side(exact_c, b, a)
+        small = wp.abs((exact_a + exact_b) + exact_c) < wp.float64(SMALL)
+        lift = wp.where(small, LIFT, wp.float64(1.0))
+        area_a = float(exact_a * lift)
+        area_b = float(exact_b * lift)
+        area_c = float(exact_c * lift)
+    if not inside:
+        return wp.vec3(wp.nan, 0.0, 0.0)
+    return interpolate(wp.vec3(a[2], b[2], c[2]), area_a, area_b, area_c)
 
 
 _BLOCK = """
@@ -125,7 +186,7 @@ _BLOCK = """
         area_a[i] = a; area_b[i] = b; area_c[i] = c;
         depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
         bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-        bool on_edge = (a == 0.0f) | (b == 0.0f) | (c == 0.0f);
+        bool on_edge = ON_EDGE;
         mask |= inside ? 1u << i : 0u;
         edges |= on_edge ? 1u << i : 0u;
     }
@@ -135,10 +196,9 @@ _BLOCK = """
             float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
             double px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
             double py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-            float a = (float)(rx * qy - ry * qx), b = (float)(px * ry - py * rx), c = (float)(qx * py - qy * px);
+            double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
+            WHICH_SIDE
             area_a[i] = a; area_b[i] = b; area_c[i] = c;
-            bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-            bool hit = inside & ((a + b) + c != 0.0f);
             mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
         }
     }
@@ -154,13 +214,54 @@ _BLOCK = """
     return mask;
 """
 
+_INCLUSIVE = {
+    "ON_EDGE": "(a == 0.0f) | (b == 0.0f) | (c == 0.0f)",
+    "WHICH_SIDE": """
+            float a = (float)exact_a, b = (float)exact_b, c = (float)exact_c;
+            bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+            bool hit = inside & ((a + b) + c != 0.0f);
+    """,
+}
+
+_CROSSING = {
+    "ON_EDGE": "(WRT_ABS(a) < SMALL) | (WRT_ABS(b) < SMALL) | (WRT_ABS(c) < SMALL)",
+    "WHICH_SIDE": f"""
+            auto side = [](double area, double px, double py, double qx, double qy) {{
+                int tie = py > qy ? 1 : py < qy ? -1 : qx > px ? 1 : qx < px ? -1 : 0;
+                return area > 0.0 ? 1 : area < 0.0 ? -1 : tie;
+            }};
+            int side_a = side(exact_a, rx, ry, qx, qy);
+            bool hit = side_a != 0 && side_a == side(exact_b, px, py, rx, ry) && side_a == side(exact_c, qx, qy, px, py);
+            double total = (exact_a + exact_b) + exact_c, lift = (total < 0.0 ? -total : total) < SMALL ? {float(LIFT)!r} : 1.0;
+            float a = (float)(exact_a * lift), b = (float)(exact_b * lift), c = (float)(exact_c * lift);
+    """,
+}
+
+
+def _block(width: int, rule: dict[str, str]) -> str:
+    body = _BLOCK
+    for name, piece in rule.items():
+        body = body.replace(name, piece)
+    return f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n{body}"
+
 
 @cache
 def block_test(width: int) -> wp.Function:
     """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    return make_block_test(width, crossing=False)
+
+
+@cache
+def crossing_block_test(width: int) -> wp.Function:
+    """`block_test` for crossings."""
+    return make_block_test(width, crossing=True)
+
+
+def make_block_test(width: int, crossing: bool) -> wp.Function:
+    """The lane form by one of the two rules for a ray on an edge."""
     Lanes = lanes(width)
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};{_BLOCK}")
+    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE))
     def woop_block(
         records: wp.array(dtype=float),
         block: int,
@@ -172,6 +273,9 @@ def block_test(width: int) -> wp.Function:
 
     return woop_block
 
+
+CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
+"""The forms by which a closed surface is crossed an even number of times."""
 
 PACKET = PacketForm(
     state=("shear_z", "main_axis"),
@@ -252,4 +356,5 @@ TEST = TriangleTest(
     prepare=prepare,
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET),
+    crossing=CROSSING,
 )

@@ -3,7 +3,8 @@
 **Contract.** `available` says whether a peer can run here. `load` brings a mesh into the peer's native form and
 `construct` builds from it until the first ray is answered, so that lazy builds count; only `construct` is timed. `closest`
 and `occluded` bring the rays into native form and return a `Query`: its `run` is timed and returns when the answer is
-complete in memory, its `read` turns what `run` returned into NumPy arrays, untimed.
+complete in memory, its `read` turns what `run` returned into NumPy arrays, untimed. So do `all_hits` and `inside`, of those
+that have such queries.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.bench.measure import time_call
-from wrt.bench.workloads import CLOSEST, Workload
+from wrt.bench.workloads import ALL, CLOSEST, INSIDE, OCCLUSION, Workload
 from wrt.mesh import TriangleMesh
 
 
@@ -38,12 +39,25 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Lists:
+    """All hits, in any order.
+
+    Attributes:
+        ray: (M,) number of the ray of each hit.
+        primitive: (M,) index of the triangle.
+    """
+
+    ray: np.ndarray
+    primitive: np.ndarray
+
+
+@dataclass(frozen=True)
 class Query:
     """Rays in a peer's native form, ready to be asked.
 
     Attributes:
         run: asks; returns the peer's own result.
-        read: that result -> `Answer`, or (N,) bool for occlusion.
+        read: that result -> `Answer`, `Lists` for all hits, or (N,) bool for occlusion and inside tests.
     """
 
     run: Callable[[], Any]
@@ -97,9 +111,18 @@ class Peer(ABC):
         """Whether anything is hit; None if the peer has no such query."""
         return None
 
+    def all_hits(self, rays: Workload) -> Query | None:
+        """All hits of each ray; None if the peer has no such query."""
+        return None
+
+    def inside(self, points: Workload) -> Query | None:
+        """Whether points, the workload's origins, are inside the mesh; None if the peer has no such query."""
+        return None
+
     def query(self, rays: Workload) -> Query | None:
         """What the workload asks."""
-        return self.closest(rays) if rays.query == CLOSEST else self.occluded(rays)
+        ask = {CLOSEST: self.closest, OCCLUSION: self.occluded, ALL: self.all_hits, INSIDE: self.inside}[rays.query]
+        return ask(rays)
 
     def ray_limit(self, triangles: int) -> int | None:
         """Most rays that it is asked at once, where more would take minutes."""

@@ -7,8 +7,8 @@ from typing import Any
 import warp as wp
 
 from wrt.accelerator import Accelerator
-from wrt.bench.contract import Answer, Peer, Query, device_rays
-from wrt.bench.workloads import Workload
+from wrt.bench.contract import Answer, Lists, Peer, Query, device_rays
+from wrt.bench.workloads import ALL, INSIDE, Workload
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.mesh import TriangleMesh
@@ -75,11 +75,40 @@ class Engine(Peer):
 
         return Query(run, as_numpy)
 
+    def all_hits(self, rays: Workload) -> Query:
+        scene, native = self.scene, self._native(rays)
+
+        def run() -> Any:
+            lists = scene.intersect_all(native, **self._options)
+            complete = lists.ray_id, lists.primitive_id, lists.t, lists.uv
+            wp.synchronize_device(scene.device)
+            return complete
+
+        return Query(run, lambda result: Lists(*(as_numpy(values) for values in result[:2])))
+
+    def inside(self, points: Workload) -> Query:
+        scene, native = self.scene, self._native(points).origins
+
+        def run() -> Any:
+            inside = scene.contains(native, traversal=self.traversal)
+            wp.synchronize_device(scene.device)
+            return inside
+
+        return Query(run, as_numpy)
+
     def query(self, rays: Workload) -> Query | None:
-        test = TRIANGLE_TESTS.get(self.triangle_test)
+        return super().query(rays) if self.answers(rays) else None
+
+    def answers(self, rays: Workload) -> bool:
+        """Whether its traversal and its triangle test, if they are not on "auto", answer what the workload asks."""
+        test, way = TRIANGLE_TESTS.get(self.triangle_test), TRAVERSALS.get(self.traversal)
         if test is not None and test.needs_shared_origin and not rays.shares_origin:
-            return None
-        return super().query(rays)
+            return False
+        if rays.query not in (ALL, INSIDE):
+            return True
+        tree = "none" if way is not None and way.trees == ("none",) else self.scene.accelerator.kind
+        counts = way is None or way.answers("count", tree)
+        return counts and (test is None or (test.crossing is not None and rays.query == ALL))
 
     def ray_limit(self, triangles: int) -> int | None:
         way = TRAVERSALS.get(self.traversal)

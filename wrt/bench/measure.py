@@ -147,9 +147,10 @@ class Agreement:
     """How an answer compares with wrt's.
 
     Attributes:
-        hits: rays that hit something, by this answer.
-        same_hit: share of the rays that hit, or miss, by both.
-        same_primitive: share of the rays with the same triangle, or none, by both; None for occlusion.
+        hits: rays that hit something, or points inside, by this answer; of all hits, their number.
+        same_hit: share of the rays that hit, or miss, by both; of all hits, share of the rays with as many.
+        same_primitive: share of the rays with the same triangle, or none, by both; of all hits, with the same triangles; None
+            for occlusion.
         same_t: share of the rays with |t - t'| within the tolerance, or no hit by both; None for occlusion.
     """
 
@@ -173,6 +174,23 @@ def closest_agreement(
 def occlusion_agreement(occluded: np.ndarray, expected: np.ndarray) -> Agreement:
     """Compares occlusion."""
     return Agreement(int(occluded.sum()), share(occluded == expected))
+
+
+def lists_agreement(
+    rays: int, ray: np.ndarray, primitive: np.ndarray, expected_ray: np.ndarray, expected_primitive: np.ndarray
+) -> Agreement:
+    """Compares all hits of so many rays, whatever the order of a ray's hits."""
+    counts, expected = (np.bincount(numbers, minlength=rays) for numbers in (ray, expected_ray))
+    as_many = counts == expected
+    found, wanted = (
+        (own[order], triangles[order])
+        for own, triangles in ((ray, primitive), (expected_ray, expected_primitive))
+        for order in [np.lexsort([triangles, own])]
+    )
+    found, wanted = (triangles[as_many[own]] for own, triangles in (found, wanted))
+    same = as_many.copy()
+    same[np.repeat(np.flatnonzero(as_many), counts[as_many])[found != wanted]] = False
+    return Agreement(len(ray), share(as_many), share(same))
 
 
 def share(mask: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.bench.contract import Answer, Peer, Query, device_rays, spread_rays
+from wrt.bench.contract import Answer, Lists, Peer, Query, device_rays, spread_rays
 from wrt.bench.engines import all_engines, default_engine
 from wrt.bench.workloads import Workload
 from wrt.mesh import TriangleMesh
@@ -56,6 +56,20 @@ class Open3D(Peer):
         scene, native = self._scene, self._native(rays)
         run = lambda: scene.test_occlusions(native, 0.0, rays.t_max, self.threads)  # noqa: E731
         return Query(run, lambda result: result.numpy())
+
+    def all_hits(self, rays: Workload) -> Query:
+        scene, native = self._scene, self._native(rays)
+
+        def read(result: dict[str, Any]) -> Lists:
+            return Lists(result["ray_ids"].numpy().astype(np.int64), result["primitive_ids"].numpy().astype(np.int64))
+
+        return Query(lambda: scene.list_intersections(native, nthreads=self.threads), read)
+
+    def inside(self, points: Workload) -> Query:
+        from open3d import core
+
+        scene, native = self._scene, core.Tensor(points.origins)
+        return Query(lambda: scene.compute_occupancy(native, nthreads=self.threads), lambda result: result.numpy() > 0.5)
 
 
 class Embreex(Peer):
@@ -181,6 +195,33 @@ class Trimesh(Peer):
         return 1024
 
 
+class TrimeshEmbreex(Trimesh):
+    """trimesh with embreex: several hits of a ray are found by shooting it again from behind each."""
+
+    name = "trimesh+embreex"
+    package = "embreex"
+    note = "trimesh's own work around Embree; always one thread"
+
+    def construct(self) -> Any:
+        from trimesh.ray.ray_pyembree import RayMeshIntersector
+
+        mesh = self._source.copy()
+        self._intersector = RayMeshIntersector(mesh)
+        return self._intersector.intersects_first([mesh.bounds.mean(axis=0)], [[1.0, 0.0, 0.0]])
+
+    def all_hits(self, rays: Workload) -> Query:
+        intersector, native = self._intersector, spread_rays(rays)
+        run = lambda: intersector.intersects_id(*native, multiple_hits=True, return_locations=True)  # noqa: E731
+        return Query(run, lambda result: Lists(result[1], result[0]))
+
+    def inside(self, points: Workload) -> Query:
+        intersector, native = self._intersector, np.ascontiguousarray(points.origins)
+        return Query(lambda: intersector.contains_points(native), lambda result: result)
+
+    def ray_limit(self, triangles: int) -> int | None:
+        return None
+
+
 PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "wrt": lambda threads, device: [default_engine(threads, device)],
     "engines": all_engines,
@@ -188,6 +229,7 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "embreex": lambda threads, device: [Embreex()],
     "warp_mesh": lambda threads, device: [WarpMesh(device=device)],
     "trimesh": lambda threads, device: [Trimesh()],
+    "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
 }
 """Contenders by the name that the command line knows; "engines" are wrt's traversals and triangle tests, each by itself."""
 

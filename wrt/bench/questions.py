@@ -1,4 +1,4 @@
-"""The two questions about rays: closest hits and occlusion, asked of every contender in turn."""
+"""The questions about rays: closest hits, occlusion, all hits and inside tests, asked of every contender in turn."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from wrt.bench.contract import Answer, Peer, Query
-from wrt.bench.measure import Agreement, Contender, Timing, closest_agreement, occlusion_agreement, take_turns
+from wrt.bench.contract import Answer, Lists, Peer, Query
+from wrt.bench.measure import (
+    Agreement,
+    Contender,
+    Timing,
+    closest_agreement,
+    lists_agreement,
+    occlusion_agreement,
+    take_turns,
+)
 from wrt.bench.results import Question, Row
-from wrt.bench.workloads import CLOSEST, Workload
+from wrt.bench.workloads import Workload
 from wrt.mesh import TriangleMesh
 
 BUDGET = 10.0
@@ -65,11 +73,20 @@ def ask_one(
     return Question(workload.query, workload.name, len(workload), reference, rows)
 
 
-def compare(query: Query, timing: Timing, expected: Answer | np.ndarray, workload: Workload, mesh: TriangleMesh) -> Agreement:
+def compare(
+    query: Query, timing: Timing, expected: Answer | Lists | np.ndarray, workload: Workload, mesh: TriangleMesh
+) -> Agreement:
     """A contender's answer beside wrt's."""
     chosen = workload.chosen(timing.items)
     answer = query.read(timing.result)
-    if workload.query != CLOSEST:
+    if isinstance(answer, np.ndarray):
         return occlusion_agreement(answer, expected[chosen])
+    if isinstance(answer, Lists):
+        number = np.full(len(workload), -1)
+        number[chosen] = np.arange(len(chosen))
+        asked = number[expected.ray] >= 0
+        return lists_agreement(
+            len(chosen), answer.ray, answer.primitive, number[expected.ray[asked]], expected.primitive[asked]
+        )
     tolerance = TOLERANCE * mesh.extent
     return closest_agreement(answer.primitive, answer.t, expected.primitive[chosen], expected.t[chosen], tolerance)

@@ -10,12 +10,29 @@ from rich.table import Table
 
 from wrt.bench.results import ModelResult, Question, Report, Row
 
-TITLES = {"closest": "Closest hit", "occlusion": "Occlusion", "build": "Build", "startup": "Start-up, fresh processes"}
+TITLES = {
+    "closest": "Closest hit",
+    "occlusion": "Occlusion",
+    "all": "All hits",
+    "inside": "Inside or outside",
+    "build": "Build",
+    "startup": "Start-up, fresh processes",
+}
+AGREEMENT = {
+    "closest": ("hits", "same triangle", "same t"),
+    "occlusion": ("occluded", "same"),
+    "all": ("hits", "same number", "same triangles"),
+    "inside": ("inside", "same"),
+}
+"""Columns that compare a contender's answers with wrt's."""
+
 FOOTNOTES = {
     "closest": "time / wrt: per ray, median of the rounds' ratios; above 1 is slower than wrt. Rays are in each library's own "
     "form before the clock starts.\nsame triangle, same t: share of the rays that agree with wrt, t within 1e-5 of the box's "
     "diagonal.",
     "occlusion": "same: share of rays with the same answer as wrt.",
+    "all": "time / wrt: per ray. same number, same triangles: share of rays with as many hits as wrt finds, and the same ones.",
+    "inside": "time / wrt: per point. same: share of points with the same answer as wrt.",
     "build": "Timed from arrays in memory until the first ray is answered, kernels compiled. Bytes are per triangle.",
     "startup": "Whole processes, the interpreter's own start included; phases as the process saw them.",
 }
@@ -25,7 +42,7 @@ def print_report(report: Report, console: Console) -> None:
     """Prints the machine, every table and what is missing."""
     console.print(machine_line(report), highlight=False)
     for model in report.models:
-        for kind in ("build", "closest", "occlusion"):
+        for kind in ("build", *AGREEMENT):
             questions = [question for question in model.questions if question.kind == kind]
             if questions:
                 table = build_table(questions[0]) if kind == "build" else ray_table(kind, questions)
@@ -83,9 +100,7 @@ def new_table(left: Iterable[str], right: Iterable[str], last: Iterable[str] = (
 
 def ray_table(kind: str, questions: Iterable[Question]) -> Table:
     """Contenders of one kind of query, workload after workload."""
-    closest = kind == "closest"
-    agreement = ("hits", "same triangle", "same t") if closest else ("occluded", "same")
-    table = new_table(("rays", "contender"), ("threads", "time / wrt", "Mrays/s", "ms (min - max)", *agreement))
+    table = new_table(("rays", "contender"), ("threads", "time / wrt", "Mrays/s", "ms (min - max)", *AGREEMENT[kind]))
     for question in questions:
         rows = [row for row in question.rows if row.error is None]
         for number, row in enumerate(rows):
@@ -96,19 +111,23 @@ def ray_table(kind: str, questions: Iterable[Question]) -> Table:
                 times(row.ratio),
                 "-" if row.rays_per_second is None else f"{row.rays_per_second / 1e6:.3g}",
                 spread(row, 1e3),
-                *agreement_cells(row, question, closest),
+                *agreement_cells(row, question),
                 end_section=number == len(rows) - 1,
             )
     return table
 
 
-def agreement_cells(row: Row, question: Question, closest: bool) -> list[str]:
+def agreement_cells(row: Row, question: Question) -> list[str]:
     """Hits and the shares that agree with wrt."""
     found = row.agreement
     hits = f"{found.hits:,}" if row.rays == question.rays else f"{found.hits:,} of {row.rays:,}"
     if row.name == question.reference:
-        return [hits, *[""] * (2 if closest else 1)]
-    return [hits, *map(percent, (found.same_primitive, found.same_t) if closest else (found.same_hit,))]
+        return [hits, *[""] * (len(AGREEMENT[question.kind]) - 1)]
+    shares = {
+        "closest": (found.same_primitive, found.same_t),
+        "all": (found.same_hit, found.same_primitive),
+    }
+    return [hits, *map(percent, shares.get(question.kind, (found.same_hit,)))]
 
 
 def build_table(question: Question) -> Table:

@@ -71,7 +71,7 @@ class Question:
     """What was asked of all contenders.
 
     Attributes:
-        kind: "closest", "occlusion", "build" or "startup".
+        kind: "closest", "occlusion", "all", "inside", "build" or "startup".
         workload: name of the rays; None for builds and start-up.
         rays: number of them.
         reference: name of the row that ratios refer to.

@@ -5,8 +5,11 @@
     shadow      occlusion     from the surface points that `far` sees to a point light
     ao          occlusion     ambient occlusion: from the same points, cosine-distributed about the normal, to a quarter
                               of the box's diagonal
+    all_far, all_random       all hits of the rays of `far` and `random`
+    inside       inside test  points anywhere in the bounding box
 
-Views have `size` x `size` pixels, `random` has `size` squared rays, the other two one ray for each pixel of `far` that hits.
+Views have `size` x `size` pixels, `random` and `inside` have `size` squared rays or points, `shadow` and `ao` one ray for
+each pixel of `far` that hits.
 All arrays are float32 and made once; the same arguments give the same rays. Shared origins are a view of one point.
 """
 
@@ -25,6 +28,8 @@ from wrt.tables import lookup
 
 CLOSEST = "closest"
 OCCLUSION = "occlusion"
+ALL = "all"
+INSIDE = "inside"
 
 FIELD_OF_VIEW = 45.0
 """Of the views, in degrees, both ways."""
@@ -56,8 +61,9 @@ class Workload:
 
     Attributes:
         name: key in `WORKLOADS`.
-        query: "closest" or "occlusion".
-        origins, directions: (N, 3) float32; all origins are a view of one point if the rays share it.
+        query: "closest", "occlusion", "all" or "inside".
+        origins, directions: (N, 3) float32; all origins are a view of one point if the rays share it. "inside" asks about
+            the origins, by whatever rays.
         t_max: where all rays end, in units of their directions.
         shares_origin: whether all rays start at one point.
     """
@@ -138,6 +144,15 @@ class WorkloadMaker:
         directions = normalized(generator.normal(size=origins.shape))
         return Workload(name, CLOSEST, origins.astype(np.float32), directions.astype(np.float32))
 
+    def all_hits(self, name: str) -> Workload:
+        """All hits of the rays of another workload."""
+        source = name.removeprefix("all_")
+        return replace(WORKLOADS[source](self, source), name=name, query=ALL)
+
+    def inside(self, name: str) -> Workload:
+        """Points in the box: the origins of `random`."""
+        return replace(self.random(name), query=INSIDE)
+
     @property
     def light(self) -> np.ndarray:
         """(3,) float64, the point light of `shadow`."""
@@ -173,6 +188,9 @@ WORKLOADS: dict[str, Callable[[WorkloadMaker, str], Workload]] = {
     "random": WorkloadMaker.random,
     "shadow": WorkloadMaker.shadow,
     "ao": WorkloadMaker.ambient,
+    "all_far": WorkloadMaker.all_hits,
+    "all_random": WorkloadMaker.all_hits,
+    "inside": WorkloadMaker.inside,
 }
 
 

@@ -1,0 +1,165 @@
+"""Crossings: what the queries "count" and "all" do with a hit, and how a kd-tree reports each of them once.
+
+**Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the same hit comes out. A
+count has no such luck. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one
+leaf of a BVH; but in a kd-tree it is listed in each leaf that it reaches into.
+
+**Ideas.** A mailbox that remembers triangles would have to remember all that a ray has crossed. Instead a crossing is
+reported only in the leaf that owns it. The interval of a leaf on the ray, which a hit's t must lie in, rules out nearly all
+others. Intervals are conservative (`wrt.kernels.boxes`), so neighbours overlap by a hair, in which a hit has several leaves,
+and none of them can be told by its t alone: a triangle may be in only one of them. So, by a way down from the root: at a
+node whose plane the triangle straddles, the near child owns the hit if t is not beyond the near interval's end, else the far
+one does; at any other node it is the child that has the triangle.
+
+**Why once.** The way down ends at one leaf, whatever leaf asks. That leaf has the triangle, and its interval holds t: where
+the triangle straddles the plane, t is in the near interval or beyond its end, and so behind the far one's start; where it
+does not, its box lies on one side, t is in the interval of the box, and rounding is monotone. A leaf whose interval holds t
+is visited. A triangle in the plane itself is in one of the children only; the one who asks has it.
+
+**Cost.** A leaf asks only about a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one in
+many thousands.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels import kdtree
+from wrt.kernels.boxes import RaySlabs, cross_plane
+from wrt.kernels.kdtree import KdNodes
+from wrt.kernels.lanes import lanes, lowest_bit
+from wrt.kernels.rays import HitBatch
+from wrt.kernels.traversal.config import ALL, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, clamp_block
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def place_of(hits: wp.ref[HitBatch], i: int, number: int):
+    """Where a hit of ray i goes; -1 if there is no room."""
+    place = i * hits.room + number
+    if hits.room == 0:
+        place = hits.begins[i] + number
+    elif number >= hits.room:
+        place = -1
+    return place
+
+
+@cache
+def take_crossing(config: TraversalConfig) -> wp.Function:
+    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more crossing of ray i."""
+    storing = config.query == ALL
+
+    @wp.func
+    def take(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+        best.primitive += 1
+        if wp.static(storing):
+            place = place_of(hits, i, best.primitive)
+            if place >= 0:
+                hits.t[place] = t
+                hits.primitive[place] = primitive
+                hits.uv[place] = wp.vec2(u, v)
+        return best
+
+    return take
+
+
+@cache
+def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the crossings in one block.
+
+    node: the leaf. interval: of t in which the ray, number i, is in it; bounds included.
+    """
+    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
+    Lanes, RayState = lanes(width), test.ray_state
+    intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width)
+    take, owns, shared = take_crossing(config), owns_crossing(config.triangle_test, width), Tree is KdNodes
+
+    @wp.func
+    def step(
+        tree: Tree,
+        node: int,
+        interval: wp.vec2,
+        triangles: TriangleBlocks,
+        block: int,
+        state: RayState,
+        slabs: wp.ref[RaySlabs],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+    ):
+        t_lanes = Lanes()
+        u_lanes = Lanes()
+        v_lanes = Lanes()
+        mask = intersect_block(triangles.records, block, state, t_lanes, u_lanes, v_lanes)
+        if mask != wp.uint32(0):
+            mask = clamp(triangles.records, block, slabs, mask, t_lanes, interval[0], interval[1])
+        while mask != wp.uint32(0):
+            lane = lowest_bit(mask)
+            mask = mask & (mask - wp.uint32(1))
+            slot = block * wp.static(width) + lane
+            owned = bool(True)
+            if wp.static(shared):
+                owned = owns(tree, node, interval, triangles, slot, slabs, t_lanes[lane])
+            if owned:
+                best = take(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
+        return best
+
+    return step
+
+
+@wp.func
+def overlap(slabs: wp.ref[RaySlabs]):
+    """No less than what the intervals of two children share, rounding included; inf or NaN for a ray parallel to an axis.
+
+    (A ray that stays in the widened plane has all of its interval in both children.)"""
+    widest = float(0.0)
+    for axis in range(3):
+        width = wp.abs(slabs.origin_in[axis] - slabs.origin_out[axis]) * wp.abs(slabs.inverse[axis])
+        widest = wp.where(width <= widest, widest, width)
+    return 2.0 * widest
+
+
+@cache
+def owns_crossing(triangle_test: str, width: int) -> wp.Function:
+    """`wp.func(tree, leaf, interval, triangles, slot, slabs, t) -> bool`: whether this leaf is the one to report a crossing.
+
+    leaf: a leaf that has the triangle in the slot. interval: of t there, which holds t.
+    """
+    load = load_corners(TRIANGLE_TESTS[triangle_test].record.components)
+
+    @wp.func
+    def owns(
+        tree: KdNodes,
+        leaf: int,
+        interval: wp.vec2,
+        triangles: TriangleBlocks,
+        slot: int,
+        slabs: wp.ref[RaySlabs],
+        t: float,
+    ):
+        margin = overlap(slabs)
+        owned = bool(True)
+        if not (t > interval[0] + margin and t < interval[1] - margin):
+            corners = load(triangles.records, slot, wp.static(width))
+            low = corners_low(corners)
+            high = corners_high(corners)
+            node = int(0)
+            while owned and node != leaf:
+                word = kdtree.load_node(tree.nodes, node)
+                axis = kdtree.split_axis(word)
+                position = kdtree.split_position(word)
+                right = kdtree.right_child(word)
+                is_left = leaf < right  # nodes are in depth-first order
+                if low[axis] < position and position < high[axis]:
+                    crossing = cross_plane(slabs, axis, position)
+                    to_near = not (t > crossing[1])
+                    is_near = is_left == (not (crossing[0] < 0.0))
+                    owned = is_near == to_near
+                node = wp.where(is_left, node + 1, right)
+        return owned
+
+    return owns
