@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -31,7 +32,8 @@ def trace(
     """Results of any query but "all", and each ray's work if it is to be counted."""
     device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
-    work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
+    kind = way_of(plan).counters
+    work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
     rays.columns = buffers.shape[1] if plan.reorder == "tiles" else 0
     if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
@@ -48,6 +50,12 @@ def trace(
     values = work.numpy()
     values[order.numpy()] = sorted_work.numpy()
     return hits, wp.array(values, dtype=work.dtype, device=device)
+
+
+@lru_cache
+def no_work(kind: type, device: str) -> wp.array:
+    """What kernels get that count nothing: made once, as small batches feel every allocation."""
+    return wp.zeros(1, dtype=kind, device=device)
 
 
 def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:
