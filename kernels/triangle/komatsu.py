@@ -22,7 +22,8 @@ origin. Where leaves are few and small, the paper finds no more: 1.03 with a tre
   three numbers with opposite signs, and no ray passes between them along it (Benthin's form of Pluecker's test, which the
   paper compares with, has that too). D . N is computed only for a ray that passes all three, and is the fourth exit.
 * The paper drops triangles that face away, at the first exit. Here the planes are turned, when they are made, to the side
-  on which the origin is: both sides of a triangle are hit at no cost, and the fourth exit drops what lies behind the origin.
+  on which the origin is: both sides of a triangle are hit at no cost, what lies behind the origin leaves at the first three
+  exits, and the fourth drops triangles that are seen edge-on.
 * The planes are computed in float64, by cross products of the vertices as seen from the origin, and then rounded: in float32
   their rounding would grow with the square of the distance over the length of an edge.
 * Planes and directions are scaled by powers of two, which rounds nothing, so that tiny triangles do not underflow.
@@ -155,7 +156,7 @@ def intersect(ray: ScaledRay, planes: OriginPlanes):
     return wp.vec3(t, beta * scale, gamma * scale)
 
 
-LANES = LaneForm(
+EXITS = LaneForm(
     ray=(
         *(RayValue(f"d{axis}", f"ray.direction.c[{i}]", f"{axis} / power_k") for i, axis in enumerate("xyz")),
         RayValue("power", "ray.power", "power_k"),
@@ -167,17 +168,25 @@ LANES = LaneForm(
     triangle=("eax", "eay", "eaz", "ebx", "eby", "ebz", "ecx", "ecy", "ecz", "nx", "ny", "nz", "height"),
     steps=(
         Step(
-            exit="beyond the plane of an edge",
-            code="""
-                const float alpha = (dx * eax + dy * eay) + dz * eaz;
-                const float beta = (dx * ebx + dy * eby) + dz * ebz;
-                const float gamma = (dx * ecx + dy * ecy) + dz * ecz;
-            """,
-            passes="(alpha >= 0.0f) & (beta >= 0.0f) & (gamma >= 0.0f)",
-            keeps=("alpha", "beta", "gamma"),
+            exit="beyond the plane of the edge from b to c",
+            code="const float alpha = (dx * eax + dy * eay) + dz * eaz;",
+            passes="alpha >= 0.0f",
+            keeps=("alpha",),
         ),
         Step(
-            exit="the triangle lies behind the origin",
+            exit="beyond that from c to a",
+            code="const float beta = (dx * ebx + dy * eby) + dz * ebz;",
+            passes="beta >= 0.0f",
+            keeps=("beta",),
+        ),
+        Step(
+            exit="beyond that from a to b",
+            code="const float gamma = (dx * ecx + dy * ecy) + dz * ecz;",
+            passes="gamma >= 0.0f",
+            keeps=("gamma",),
+        ),
+        Step(
+            exit="the triangle is seen edge-on",
             code="""
                 const float along = (dx * nx + dy * ny) + dz * nz;
                 const float total = (alpha + beta) + gamma, scale = 1.0f / total;
@@ -187,6 +196,10 @@ LANES = LaneForm(
         ),
     ),
 )
+"""The test with its four exits."""
+
+LANES = EXITS.joined(3, 1)
+"""The first three in one: see the docstring of `wrt.bench.komatsu` for what an exit is worth with W lanes."""
 
 TEST = TriangleTest(
     name="komatsu",
