@@ -21,8 +21,8 @@ import warp as wp
 
 from wrt.kernels.triangle.contract import TestForm
 from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.moeller_trumbore import PlainRay, cross, dot, prepare
 from wrt.kernels.triangle.records import Corners, Record
+from wrt.kernels.triangle.vectors import PlainRay, cross, dot, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -145,12 +145,14 @@ class LaneForm:
         steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
         triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
         packet_setup: C++ before the `packet` expressions of `ray`.
+        apart: of a form that was `joined`, the one with all exits, which is what is counted (`wrt.kernels.triangle.exits`).
     """
 
     ray: tuple[RayValue, ...]
     steps: tuple[Step, ...]
     triangle: tuple[str, ...] = ()
     packet_setup: str = ""
+    apart: "LaneForm | None" = None
 
     @property
     def exits(self) -> tuple[str, ...]:
@@ -177,7 +179,7 @@ class LaneForm:
             exits, passes = (step.exit for step in group), (f"({step.passes})" for step in group)
             steps.append(Step(" or ".join(exits), "\n".join(step.code for step in group), " & ".join(passes), kept))
             first += count
-        return replace(self, steps=tuple(steps))
+        return replace(self, steps=tuple(steps), apart=self.apart or self)
 
     def block_test(self, record: Record, ray_state: type, width: int) -> wp.Function:
         """One ray x W triangles; see `HandWritten`."""

@@ -165,7 +165,7 @@ def leaks(test: TriangleTest, origins: int = 32, subdivisions: int = 4, seed: in
                 hit = scene.intersect(origin, directions, traversal="single", triangle_test=test.name).is_hit
                 counts[feature] += (len(hit), (~hit).sum())
     return {
-        name: {"rays": int(rays), "leaked": int(leaked), "per_million": 1e6 * leaked / rays}
+        name: {"rays": int(rays), "leaked": int(leaked), "per_million": float(1e6 * leaked / rays)}
         for name, (rays, leaked) in counts.items()
     }
 
