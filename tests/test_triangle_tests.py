@@ -82,7 +82,8 @@ def all_pairs(name: str, corners: np.ndarray, origins: np.ndarray, directions: n
     ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
     ids[:count] = np.arange(count)
     origin = origins[0].astype(np.float32).tolist()
-    assert (origins == origins[0]).all() or not TRIANGLE_TESTS[name].needs_shared_origin
+    shared = np.array_equal(origins, np.broadcast_to(origins[0], origins.shape), equal_nan=True)
+    assert shared or not TRIANGLE_TESTS[name].needs_shared_origin
     primitive = wp.array(ids, dtype=int, device=place)
     blocks = pack_blocks(TRIANGLE_TESTS[name].record, vertices, faces, primitive, width, origin)
     o = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=place)
@@ -127,6 +128,47 @@ def test_closed_form(name, device):
     else:  # a test sees the line, the traversal the range
         np.testing.assert_allclose(got[6], [-2, 0.25, 0.25], rtol=1e-6)
     assert np.isnan(got[7, 0])  # parallel to the plane
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_edges_and_vertices_belong_to_the_triangle(name, device):
+    """Where nothing rounds: at the vertices, on the edges, seen steeply and at a grazing angle, from both sides."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    weights = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0, 0.5], [0.5, 0.5], [0.25, 0.75]])
+    targets = np.concatenate([4 * weights, np.full((7, 1), 2.0)], axis=1)
+    for origin in ([0, 0, 0], [1, 1, 4], [1024, 512, 3], [4, 0, -2]):
+        origins = np.broadcast_to(np.array(origin, dtype=float), (7, 3))
+        got = all_pairs(name, corners, origins, 0.5 * (targets - origins), 8, "scalar", device)[:, 0]
+        np.testing.assert_array_equal(got, np.concatenate([np.full((7, 1), 2.0), weights], axis=1))
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_rays_in_the_plane_miss(name, device):
+    """Coplanar rays, at the triangle and beside it, from inside it and from outside, along the axes and not."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    directions = np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0], [-1, 3, 0], [-2, 0.5, 0]], dtype=float)
+    for origin in ([1, 1, 2], [-1, -1, 2], [0, 0, 2], [2, 2, 2], [9, 0, 2]):
+        origins = np.broadcast_to(np.array(origin, dtype=float), (5, 3))
+        got = all_pairs(name, corners, origins, directions, 8, "scalar", device)
+        assert np.isnan(got[..., 0]).all()
+
+
+@pytest.mark.parametrize("form", ["scalar", "lanes"])
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_a_nan_anywhere_is_a_miss(name, form, device):
+    """A hit, and the same with a NaN in the place of each of the fifteen numbers: vertices, origin, direction."""
+    rng = np.random.default_rng(4)
+    corners = np.concatenate([rng.normal(size=(20, 3, 3)), rng.integers(-2, 3, (40, 3, 3))])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for triangle in corners[np.linalg.norm(normals, axis=1) > 0.1]:
+        origin = triangle.mean(axis=0) + np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        numbers = np.concatenate([triangle.ravel(), origin, triangle.mean(axis=0) - origin])
+        assert not np.isnan(all_pairs(name, triangle[None], origin[None], numbers[None, 12:], 4, form, device)[..., 0]).any()
+        for where in range(15):
+            bad = numbers.copy()
+            bad[where] = np.nan
+            got = all_pairs(name, bad[:9].reshape(1, 3, 3), bad[None, 9:12], bad[None, 12:], 4, form, device)
+            assert np.isnan(got[..., 0]).all()
 
 
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)

@@ -45,7 +45,7 @@ import warp as wp
 from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.lane_form import LaneForm, RayValue, Step
 from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import cross
+from wrt.kernels.triangle.vectors import cross, largest, scale_to_one
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -70,21 +70,6 @@ def power_of_two(size: float) -> float:
     ...
 
 
-@wp.func_native("""
-    const double power = __builtin_bit_cast(double, __builtin_bit_cast(long long, size) & 0x7ff0000000000000LL);
-    return power > 0.0 ? 1.0 / power : size + 1.0;
-""")
-def scale_to_one(size: wp.float64) -> wp.float64:
-    """What brings a size between 1 and 2, a power of two; 1 for 0, and NaN for NaN."""
-    ...
-
-
-@wp.func
-def largest(v: wp.vec3d):
-    """Largest component, without sign."""
-    return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
-
-
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
     """Scales the direction, finite and not zero; the origin is in the records."""
@@ -96,15 +81,15 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 
 @wp.func
-def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle and an origin."""
+def seen_from(corners: Corners, origin: wp.vec3, turned: bool):
+    """A triangle as seen from an origin; `turned`: whether planes are turned to the side on which the origin is."""
     from_origin = wp.vec3d(origin)
     a = wp.vec3d(corners.a) - from_origin
     b = wp.vec3d(corners.b) - from_origin
     c = wp.vec3d(corners.c) - from_origin
     normal = cross(b - a, c - a)
     height = (normal[0] * a[0] + normal[1] * a[1]) + normal[2] * a[2]
-    side = wp.where(height < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+    side = wp.where(turned and height < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
     plane_a = cross(b, c)
     plane_b = cross(c, a)
     plane_c = cross(a, b)
@@ -118,6 +103,12 @@ def derive(corners: Corners, origin: wp.vec3):
         planes[9 + axis] = float(normal[axis] * to_normal)
     planes[12] = float(height * to_normal)
     return planes
+
+
+@wp.func
+def derive(corners: Corners, origin: wp.vec3):
+    """The precomputation for a triangle and an origin."""
+    return seen_from(corners, origin, True)
 
 
 RECORD = Record(13, derive, per_origin=True)

@@ -4,8 +4,8 @@
 products.
 
 **Idea.** By the rules of scalar triple products, Cramer's determinants become, with S from the origin to the triangle and
-G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N belong to the triangle; one
-cross product is left.
+G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N belong to the triangle;
+one cross product is left.
 
 **Data.** A vertex, two edges and the normal: 48 bytes, a third more than the vertices alone. The normal is formed in float64
 and then rounded.
