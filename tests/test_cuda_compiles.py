@@ -7,6 +7,7 @@ import pkgutil
 
 import pytest
 import warp as wp
+from conftest import ENGINE_TESTS
 
 import wrt.builders
 import wrt.kernels
@@ -42,7 +43,7 @@ def test_module(name, tmp_path):
 
 
 @pytest.mark.parametrize("query", QUERIES)
-@pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
+@pytest.mark.parametrize("triangle_test", ENGINE_TESTS)
 @pytest.mark.parametrize(("traversal", "tree"), [(name, tree) for name, way in TRAVERSALS.items() for tree in way.trees])
 def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=4)
@@ -57,6 +58,14 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
 def test_culling(culling, shared_origin, tmp_path):
     config = TraversalConfig("woop", 2, packet=4, shared_origin=shared_origin, culling=culling)
     text = compile_to_ptx(TRAVERSALS["packet"].kernels["bvh"](config).module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text
+
+
+@pytest.mark.parametrize("triangle_test", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
+def test_triangle_test(triangle_test, tmp_path):
+    """The other tests by what CUDA uses: one ray, W triangles."""
+    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](TraversalConfig(triangle_test, 2)).module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text
 

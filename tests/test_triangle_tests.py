@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from conftest import degenerate_soup, mixed_rays
+from conftest import ENGINE_TESTS, assert_same_hits, degenerate_soup, mixed_rays
 
 import wrt
 from wrt.kernels.lanes import lanes
@@ -154,8 +154,10 @@ def test_against_float64(name, device):
     assert sure.sum() > 1000
 
 
-@pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
-@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [(name, width) for name in TRIANGLE_TESTS for width in ((1, 2, 4, 8, 16) if name in ENGINE_TESTS else (4, 16))],
+)
 def test_lanes_equal_scalar(name, width, device):
     """One ray x W triangles gives the bits of one ray x one triangle: generic, degenerate, on edges, and bad rays."""
     mesh = degenerate_soup()
@@ -188,6 +190,19 @@ def test_degenerate_triangles_miss(name, device):
     assert not np.isnan(hits.t).any()
     if TRIANGLE_TESTS[name].watertight:  # others may take the rounded area of a needle for a real one
         assert not hits.is_hit.any()
+
+
+@pytest.mark.parametrize(("tree", "traversal"), [("kdtree", "single"), ("bvh", "packet"), ("bvh", "stream")])
+@pytest.mark.parametrize("name", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
+def test_in_the_engine(name, tree, traversal, device):
+    """Trees find with any test what brute force finds with it; `ENGINE_TESTS` go through all the engine elsewhere."""
+    scene = wrt.Scene(degenerate_soup(), tree, device=device)
+    origins, directions = mixed_rays(degenerate_soup(), 500)
+    if TRIANGLE_TESTS[name].needs_shared_origin:
+        origins = np.float32((0.4, 0.6, 1.3))
+    expected = scene.intersect(origins, directions, traversal="brute", triangle_test=name)
+    assert 0.05 < expected.is_hit.mean() < 0.99
+    assert_same_hits(scene.intersect(origins, directions, traversal=traversal, triangle_test=name), expected)
 
 
 def test_a_shared_origin_is_asked_for(device):

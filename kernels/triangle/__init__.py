@@ -10,7 +10,15 @@ for all tests (`wrt.kernels.boxes`). A NaN anywhere must come out as a miss.
 To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command line and benchmarks pick it up.
 """
 
-from wrt.kernels.triangle import komatsu, moeller_trumbore, woop
+from wrt.kernels.triangle import (
+    baldwin_weber,
+    komatsu,
+    moeller_trumbore,
+    moeller_trumbore_precomputed,
+    shevtsov,
+    wald,
+    woop,
+)
 from wrt.kernels.triangle.contract import TriangleTest
 
 TRIANGLE_TESTS: dict[str, TriangleTest] = {
@@ -18,6 +26,10 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
     for test in (
         woop.TEST,
         moeller_trumbore.TEST,
+        moeller_trumbore_precomputed.TEST,
+        wald.TEST,
+        shevtsov.TEST,
+        baldwin_weber.TEST,
         komatsu.TEST,
     )
 }

@@ -44,6 +44,7 @@ import warp as wp
 from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.lane_form import LaneForm, RayValue, Step
 from wrt.kernels.triangle.records import Corners, Record
+from wrt.kernels.triangle.vectors import cross
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -81,12 +82,6 @@ def scale_to_one(size: wp.float64) -> wp.float64:
 def largest(v: wp.vec3d):
     """Largest component, without sign."""
     return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
-
-
-@wp.func
-def cross(p: wp.vec3d, q: wp.vec3d):
-    """p x q: exactly -(q x p)."""
-    return wp.vec3d(p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
 
 
 @wp.func

@@ -15,37 +15,9 @@ import warp as wp
 from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.vectors import PlainRay, cross, dot, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-
-@wp.struct
-class PlainRay:
-    """Origin and direction as they are."""
-
-    origin: wp.vec3
-    direction: wp.vec3
-
-
-@wp.func
-def prepare(origin: wp.vec3, direction: wp.vec3):
-    """Nothing to prepare."""
-    ray = PlainRay()
-    ray.origin = origin
-    ray.direction = direction
-    return ray
-
-
-@wp.func
-def cross(p: wp.vec3, q: wp.vec3):
-    """p x q, each component as the block form below writes it."""
-    return wp.vec3(p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
-
-
-@wp.func
-def dot(p: wp.vec3, q: wp.vec3):
-    """p . q, summed from left to right."""
-    return (p[0] * q[0] + p[1] * q[1]) + p[2] * q[2]
 
 
 @wp.func
@@ -62,7 +34,7 @@ def intersect(ray: PlainRay, corners: Corners):
     t = dot(edge_c, q) * scale
     if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
         return wp.vec3(t, u, v)
-    return wp.vec3(wp.nan, 0.0, 0.0)
+    return miss()
 
 
 LANES = LaneForm(
