@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import get_num_threads
@@ -293,3 +293,11 @@ def way_of(plan: Plan) -> Traversal:
     from wrt.kernels.traversal import TRAVERSALS
 
     return TRAVERSALS[plan.traversal]
+
+
+def plan_for(plan: Plan, query: str) -> Plan:
+    """The plan as a query carries it out: a triangle test may leave the search for any hit to another one."""
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    other = TRIANGLE_TESTS[plan.triangle_test].any_hit
+    return replace(plan, triangle_test=other) if query == ANY and other else plan

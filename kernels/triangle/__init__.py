@@ -12,6 +12,7 @@ To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command 
 
 from wrt.kernels.triangle import (
     baldwin_weber,
+    ferko,
     komatsu,
     moeller_trumbore,
     moeller_trumbore_precomputed,
@@ -31,5 +32,6 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
         shevtsov.TEST,
         baldwin_weber.TEST,
         komatsu.TEST,
+        *ferko.TESTS,
     )
 }

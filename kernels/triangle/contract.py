@@ -25,6 +25,7 @@ class TriangleTest:
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
         lanes: the same as lane loops.
+        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
     """
 
     name: str
@@ -37,6 +38,7 @@ class TriangleTest:
     prepare: wp.Function
     intersect: wp.Function
     lanes: LaneForm | HandWritten
+    any_hit: str = ""
 
     @property
     def needs_shared_origin(self) -> bool:
