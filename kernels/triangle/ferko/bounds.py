@@ -8,11 +8,13 @@ meets the plane, whether it lies in the circle.
 
 **Box.** The point in the plane must lie in the triangle's box.
 
-**Rounding.** No bound may lose what the triangle test itself would find. A line's distance from the sphere's centre is
-computed from the cross product, not as the paper does from |l|^2 - s^2, which cancels from afar. The circle's radius is
+**Rounding.** A bound should lose nothing that the triangle test itself would find. A line's distance from the sphere's centre
+is computed from the cross product, not as the paper does from |l|^2 - s^2, which cancels from afar. The circle's radius is
 widened by the roundings of its centre; the box, whose faces touch triangles in them, by those of the point; the sphere by
-those of the cross product. The paper also drops spheres that lie behind the ray; here a test sees the line, and the ray's
-range is the traversal's business. Radii are squared, so triangles shorter than 1e-18 are lost.
+those of the cross product. The point itself is as far off along the ray as t is rounded: seen from afar, the circle and the
+pruning take it as it is, the unit triangle sees it along an axis, and they may differ at a vertex by that much. The paper
+also drops spheres that lie behind the ray; here a test sees the line, and the ray's range is the traversal's business. Radii
+are squared, so triangles shorter than 1e-18 are lost.
 
 **Slip of the printed form.** The centre's derivation divides vectors by vectors; the system of equations that it ends in is
 right.

@@ -12,6 +12,11 @@ distance (y / 2 - x m) / |C'|: one formula for acute and obtuse triangles. Above
 is the segment at the distance y; then left of A'C' but not above C' are a triangle over the chord from the circle to C', and
 the segment between that chord's end and A'. Above an acute triangle there is next to nothing, and nothing is asked.
 
+**What follows.** Of three comparisons the order is always below, left, right: A'B' is longer than A'C', which, as x >= 1/2, is
+longer than C'B', and a longer chord cuts off more; the weights fall in the same order. So three-fold pruning with
+probabilities is three-fold pruning with the circle asked first, and what the paper saves by it is the circle's doing. Only
+the comparison above C' has no fixed place.
+
 **Slips of the printed form.** It speaks of a normal distribution, and computes with a uniform one. cos(beta) misses a square
 that the algorithm has. By its test for acute triangles (see `similarity`) shares of some are computed with a circle that does
 not contain them. Heron's formula and two helper triangles give what half of base times height gives. The count of operations
