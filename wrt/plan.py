@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import get_num_threads
@@ -75,6 +75,8 @@ class Plan:
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
         reorder: order in which rays are traced (`wrt.kernels.reorder`): "none", their own; "cells", by cell of the origin
             and octant of the direction; "tiles", the rows and columns of a picture tile by tile, in packets.
+        one_by_one: whether a single ray meets the triangles of a leaf one after the other, by the triangle test's scalar form,
+            in place of a block of them at once: for measurements.
     """
 
     accelerator: str
@@ -89,6 +91,7 @@ class Plan:
     stream: int = 1
     mailbox: str = "none"
     reorder: str = "none"
+    one_by_one: bool = False
 
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
@@ -100,6 +103,8 @@ class Plan:
             parts.append(f"{self.mailbox} mailbox")
         if self.reorder != "none":
             parts.append(f"in {self.reorder}")
+        if self.one_by_one:
+            parts.append("triangles one by one")
         return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
 
 
@@ -231,6 +236,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers) -> Plan:
         raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
     if plan.reorder == "tiles" and len(rays.shape) != 2:
         raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns")
+    if plan.one_by_one and plan.traversal != "single":
+        raise ValueError(f"plan.one_by_one goes with the traversal 'single', not {plan.traversal!r}")
     if way.streams and not 1 <= plan.stream <= MAX_STREAM:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
     if not way.packets:
@@ -276,7 +283,8 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
     if plan.accelerator == "bvh":
         options["levels"] = scene.tree.depth if scene.device.is_cuda else stack_levels(scene.tree.depth)
     test, mailbox = plan.triangle_test, plan.mailbox
-    return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, **options)
+    alone = plan.one_by_one
+    return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, one_by_one=alone, **options)
 
 
 def stack_levels(depth: int) -> int:
@@ -293,3 +301,11 @@ def way_of(plan: Plan) -> Traversal:
     from wrt.kernels.traversal import TRAVERSALS
 
     return TRAVERSALS[plan.traversal]
+
+
+def plan_for(plan: Plan, query: str) -> Plan:
+    """The plan as a query carries it out: a triangle test may leave the search for any hit to another one."""
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    other = TRIANGLE_TESTS[plan.triangle_test].any_hit
+    return replace(plan, triangle_test=other) if query == ANY and other else plan

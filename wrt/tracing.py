@@ -9,7 +9,7 @@ import warp as wp
 from wrt.kernels.launch import MAX_CHUNK, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ANY, Plan, traversal_config, way_of
+from wrt.plan import ANY, Plan, plan_for, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -24,6 +24,7 @@ def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
     """Hits of the rays, and each ray's work if it is to be counted."""
+    plan = plan_for(plan, query)
     device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
     work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)

@@ -26,6 +26,7 @@ class TraversalConfig:
         culling: key in `wrt.kernels.packet.CULLINGS`.
         stream: rays of a stream, 1 to 4096.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
+        one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
     triangle_test: str
@@ -39,3 +40,4 @@ class TraversalConfig:
     culling: str = "interval"
     stream: int = 1024
     mailbox: str = NONE
+    one_by_one: bool = False

@@ -23,6 +23,7 @@ from wrt.kernels.triangle import (
     badouel,
     baldwin_weber,
     benthin,
+    ferko,
     havel_herout,
     kensler_shirley,
     komatsu,
@@ -52,5 +53,6 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
         segura_feito.TEST,
         benthin.TEST,
         komatsu.TEST,
+        *ferko.TESTS,
     )
 }

@@ -55,6 +55,7 @@ class TriangleTest(TestForm):
         two_sided: whether both sides of a triangle are hit.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
             The twin of the lane loops, in plain Warp.
+        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
     """
 
     paper: str
@@ -62,3 +63,4 @@ class TriangleTest(TestForm):
     accurate: bool = False
     two_sided: bool = True
     intersect: wp.Function
+    any_hit: str = ""
