@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -142,8 +143,8 @@ def test_precision_is_against_float64(report):
             assert case["t"]["median"] <= case["t"]["p99"] <= case["t"]["max"]
         by_distance = [case["u"]["p99"] for case in found["distance"]]
         by_slimness = [case["u"]["p99"] for case in found["slimness"]]
-        assert all(far > 3 * near for near, far in zip(by_distance, by_distance[1:], strict=False))
-        assert all(slim > 3 * plain for plain, slim in zip(by_slimness, by_slimness[1:], strict=False))
+        assert all(far > 3 * near for near, far in pairwise(by_distance))
+        assert all(slim > 3 * plain for plain, slim in pairwise(by_slimness))
         by_scale = [case["u"]["p99"] for case in found["scale"]]
         assert max(by_scale) < 1.5 * min(by_scale)
 

@@ -109,7 +109,7 @@ def soup_and_rays():
     """Triangles on both sides of an eye, and a bundle of rays in groups of 16."""
     rng = np.random.default_rng(4)
     corners = 2 * rng.normal(size=(203, 1, 3)) + 0.6 * rng.normal(size=(203, 3, 3))
-    origin = np.float32([0.25, -0.5, 5.0])
+    origin = np.float32([0.25, -0.5, 2.0])
     directions = rng.normal(size=(8, 1, 3)) * [0.4, 0.4, 0.0] + 0.05 * rng.normal(size=(8, 16, 3)) + [0, 0, -1]
     return Soup(corners, origin), Beams(origin[None], directions.reshape(-1, 3))
 
@@ -155,6 +155,23 @@ def test_exits_are_counted(soup_and_rays):
         assert blocks.tests == found.tests
         padded = np.pad(ends, ((0, 0), (0, 5)), constant_values=0).reshape(128, -1, 8).max(axis=2)
         assert blocks.vectors == tuple(np.bincount(padded.ravel(), minlength=kinds))
+
+
+def test_exits_of_every_test(soup_and_rays):
+    """Whatever a test's steps are: it has as many hits as float64 finds, and ends once for each pair."""
+    soup, rays = soup_and_rays
+    _, alpha, beta, gamma = weights(soup, rays)
+    corners = soup.corners.astype(np.float64) - np.float64(soup.origin)
+    side = np.sign(np.linalg.det(corners))
+    ahead = np.stack([side * alpha, side * beta, side * gamma]).min(axis=0) > 0
+    behind = np.stack([side * alpha, side * beta, side * gamma]).max(axis=0) < 0
+    assert ahead.sum() > 100
+    assert behind.any()
+    for test in TRIANGLE_TESTS.values():
+        found = exits(test, soup, rays, group_rays=16)
+        assert found.tests[-1] == ahead.sum() + (0 if test.needs_shared_origin else behind.sum()), test.name
+        assert sum(found.tests) == ahead.size
+        assert sum(found.vectors) == ahead.size // 16
 
 
 def test_tests_alone_find_what_the_engine_finds(soup_and_rays):

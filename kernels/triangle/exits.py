@@ -9,6 +9,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.triangle.contract import TestForm
 from wrt.kernels.triangle.lane_form import LaneForm
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS
@@ -35,7 +36,7 @@ def exit_of(test: TestForm) -> wp.Function:
 def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
     """The same from the steps of a form."""
     RayState, components = ray_state, form.components
-    text = f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
+    text = FOR_LANES + f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
     text += "    const float* r = &records.data[(size_t)(slot / width) * (COMPONENTS * width) + slot % width];\n"
     text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
     text += "".join(f"    float kept_{name}[1];\n" for name in form.kept())
