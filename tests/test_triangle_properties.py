@@ -11,7 +11,7 @@ from test_triangle_tests import all_pairs
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 ROUNDING = 2.0**-24
-STEPS = 32
+STEPS = 8
 """How many roundings may add up, each as harmful as the worst."""
 
 fractions = st.integers(-(2**20), 2**20).map(lambda number: number / 2**20)
@@ -32,16 +32,14 @@ def exact(corners: np.ndarray, origin: np.ndarray, directions: np.ndarray) -> tu
     normal = np.cross(b - a, c - a)
     s = origin - a
     det = -directions @ normal
-    with np.errstate(all="ignore"):
-        t = s @ normal / det
-        u = np.cross(directions, c - a) @ s / det
-        v = directions @ np.cross(s, b - a) / det
-        edge = max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c))
-        length = np.linalg.norm(directions, axis=1)
-        extent = np.linalg.norm([*corners, origin], axis=1).max() + np.abs(t) * length
-        sharp = edge**2 / np.linalg.norm(normal)
-        off_t = STEPS * ROUNDING * extent * edge**2 / np.abs(det)
-        off_uv = STEPS * ROUNDING * extent * edge * sharp * length / np.abs(det)
+    t = s @ normal / det
+    u = np.cross(directions, c - a) @ s / det
+    v = directions @ np.cross(s, b - a) / det
+    edge = max(np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c))
+    length = np.linalg.norm(directions, axis=1)
+    extent = np.linalg.norm([*corners, origin], axis=1).max() + np.abs(t) * length
+    off_t = STEPS * ROUNDING * extent * edge**2 / np.abs(det)
+    off_uv = STEPS * ROUNDING * extent * edge**3 / np.linalg.norm(normal) * length / np.abs(det)
     return t, u, v, off_t, off_uv
 
 
@@ -56,7 +54,7 @@ def target(corners: np.ndarray, kind: str, numbers: tuple[float, float, float], 
 
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)
 def test_hits_are_where_float64_has_them(name):
-    @settings(max_examples=150, deadline=None, derandomize=True)
+    @settings(max_examples=200, deadline=None, derandomize=True)
     @given(st.tuples(points, points, points), points, points, aims, exponents, exponents, st.integers(-5, 5))
     def check(triangle, place, eye, aims, distance, speed, scale):
         """A triangle somewhere and rays from one point; lengths in ratios of 1e-10 .. 1e10."""
@@ -72,8 +70,9 @@ def test_hits_are_where_float64_has_them(name):
         origins = np.broadcast_to(origin, directions.shape)
         got = all_pairs(name, corners[None], origins, directions, 4, "scalar", "cpu")[:, 0].astype(float)
         hit = ~np.isnan(got[:, 0])
-        t, u, v, off_t, off_uv = exact(corners, origin, directions)
-        clearance = np.minimum(np.minimum(u, v), 1 - (u + v))
+        with np.errstate(all="ignore"):  # no area, or a line in the plane: nothing is asked where the bounds are not numbers
+            t, u, v, off_t, off_uv = exact(corners, origin, directions)
+            clearance = np.minimum(np.minimum(u, v), 1 - (u + v))
         ahead = t > off_t if TRIANGLE_TESTS[name].needs_shared_origin else True
         assert hit[(clearance > off_uv) & ahead].all()
         assert not hit[clearance < -off_uv].any()

