@@ -169,9 +169,11 @@ def pruning_tests(scenes: Sequence[str] = tuple(SCENES), *, size: int = 48) -> l
     return rows
 
 
-def pruning_times(scenes: Sequence[str] = tuple(SCENES), *, size: int = 128, rounds: int = ROUNDS) -> list[Row]:
+def pruning_times(
+    scenes: Sequence[str] = tuple(SCENES), *, size: int = 128, rounds: int = ROUNDS, modes: Sequence[str] = MODES
+) -> list[Row]:
     """Table 6.2: rows of `compare` for the unit triangle, the reference, and all variants of pruning."""
-    return compare(scenes, ("ferko_utm", *LABELS), size=size, rounds=rounds)
+    return compare(scenes, ("ferko_utm", *LABELS), size=size, rounds=rounds, modes=modes)
 
 
 def times(scenes: Sequence[str] = tuple(SCENES), *, size: int = 128, rounds: int = ROUNDS) -> list[Row]:
