@@ -14,8 +14,8 @@ are, up to that of 1, and negative numbers, NaN and infinities come after. So `b
 v and u + v take one such comparison each, in place of u >= 0, v >= 0, u + v <= 1. (Only -0 would be sorted wrongly; the
 constants of the rows are made so that no sum is -0.) He found that this saves time on a Pentium 4, in scalar code, and that
 the vector units of its day did not have the comparison. Today's have it, as fast as that of floats: the test of
-`wrt.kernels.triangle.baldwin_weber`, which is this one with comparisons of floats, took 0.98-1.03 of the time. What is left of
-the gain is that NaN needs no thought.
+`wrt.kernels.triangle.baldwin_weber`, which is this one with comparisons of floats, took 0.96 to 1.07 of the time, run by run.
+What is left of the gain is that NaN needs no thought.
 
 **Departures.** The comparison of t with the ray's range is left to the caller. Rows are computed in float64, then rounded.
 
