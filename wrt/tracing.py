@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import MAX_CHUNK, launch
+from wrt.kernels.launch import MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ANY, Plan, plan_for, traversal_config, way_of
@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
+
+STREAMS_IN_A_ROW = 16
+"""Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
+
+ITEMS_PER_THREAD = 8
 
 
 def trace(
@@ -71,6 +76,8 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
     else:
         tree = scene.tree.struct()
     grain = way.rays_per_item(config)
+    if way.streams:
+        grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
     launch(
         way.kernels[plan.accelerator](config),
         -(-rays.count // grain),
@@ -79,3 +86,10 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
         chunk=max(1, 1024 // grain),
         longest=max(1, longest // grain),
     )
+
+
+def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:
+    """Streams that share the local memory of an item, as far as each thread still has `ITEMS_PER_THREAD` items."""
+    if device.is_cuda:
+        return 1
+    return min(max(1, count // (stream * ITEMS_PER_THREAD * get_num_threads())), STREAMS_IN_A_ROW)

@@ -8,8 +8,7 @@ the stream of each child. Only active rays go on, lists hold their numbers witho
 rays that meet at a node are neighbours: the longer the stream, the fuller the vectors. At a leaf the rays are filtered by
 the triangles in the same way (Gribble and Ramani 2008; Wald et al. 2007).
 
-**Here.** An item of a kernel is one stream of up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its
-rays lie in a local array (`stream_ray`), everything else is lists of their numbers.
+**Here.** A stream has up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its rays lie in a local array (`stream_ray`), everything else is lists of their numbers.
 * In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray; what a stream brings is
   that the tests follow one another without a decision between them, and that the children's lists are compacted 16 rays
   at a time.
@@ -84,7 +83,7 @@ def round_up(count: int):
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a stream."""
+    """Rays of a stream; an item of the kernel is one or several (`RayBatch.run`)."""
     return config.stream
 
 

@@ -135,16 +135,18 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: wp.array(dtype=StreamCounters),
     ):
-        item = first + wp.tid()
-        begin = item * wp.static(size)
-        count = wp.min(wp.static(size), rays.count - begin)
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         words = wp.zeros(shape=(room,), dtype=int)
-        work = StreamCounters()
-        load(rays, begin, count, tree.low, tree.high, stream)
-        trace(tree, triangles, stream, words, list_valid(stream, count, words), work)
-        store(stream, begin, count, hits)
-        if wp.static(counting):
-            counters[begin] = work
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
+        while begin < end:
+            count = wp.min(wp.static(size), end - begin)
+            work = StreamCounters()
+            load(rays, begin, count, tree.low, tree.high, stream)
+            trace(tree, triangles, stream, words, list_valid(stream, count, words), work)
+            store(stream, begin, count, hits)
+            if wp.static(counting):
+                counters[begin] = work
+            begin += wp.static(size)
 
     return wp.kernel(stream_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -228,9 +228,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: wp.array(dtype=StreamCounters),
     ):
-        item = first + wp.tid()
-        begin = item * wp.static(size)
-        count = wp.min(wp.static(size), rays.count - begin)
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
@@ -240,20 +237,25 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         far_rays = wp.zeros(shape=(stack_room,), dtype=int)
         far_entry = wp.zeros(shape=(stack_room,), dtype=float)
         far_leave = wp.zeros(shape=(stack_room,), dtype=float)
-        work = StreamCounters()
-        load(rays, begin, count, tree.low, tree.high, stream)
-        sort_by_octant(stream, count, order, ends)
-        done = int(0)
-        octant = int(0)
-        while octant < 8:
-            end = load_int(ends, octant)
-            upto = wp.min(end, done + wp.static(piece))
-            if done < upto:
-                trace(tree, triangles, stream, order, done, upto, list, entry, leave, far_rays, far_entry, far_leave, work)
-            done = upto
-            octant += wp.where(done == end, 1, 0)
-        store(stream, begin, count, hits)
-        if wp.static(counting):
-            counters[begin] = work
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
+        while begin < end:
+            count = wp.min(wp.static(size), end - begin)
+            work = StreamCounters()
+            load(rays, begin, count, tree.low, tree.high, stream)
+            sort_by_octant(stream, count, order, ends)
+            done = int(0)
+            octant = int(0)
+            while octant < 8:
+                last = load_int(ends, octant)
+                upto = wp.min(last, done + wp.static(piece))
+                if done < upto:
+                    trace(tree, triangles, stream, order, done, upto, list, entry, leave, far_rays, far_entry, far_leave, work)
+                done = upto
+                octant += wp.where(done == last, 1, 0)
+            store(stream, begin, count, hits)
+            if wp.static(counting):
+                counters[begin] = work
+            begin += wp.static(size)
 
     return wp.kernel(stream_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})

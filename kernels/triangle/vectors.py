@@ -52,6 +52,21 @@ def three(values: Any, first: int):
     return wp.vec3(values[first], values[first + 1], values[first + 2])
 
 
+@wp.func_native("""
+    const double power = __builtin_bit_cast(double, __builtin_bit_cast(long long, size) & 0x7ff0000000000000LL);
+    return power > 0.0 ? 1.0 / power : size + 1.0;
+""")
+def scale_to_one(size: wp.float64) -> wp.float64:
+    """What brings a size between 1 and 2, a power of two; 1 for 0, and NaN for NaN."""
+    ...
+
+
+@wp.func
+def largest(v: wp.vec3d):
+    """Largest component, without sign."""
+    return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
+
+
 def names(vector: str) -> tuple[str, str, str]:
     """Names of a vector's components in the steps of a `LaneForm`."""
     return f"{vector}x", f"{vector}y", f"{vector}z"
