@@ -14,7 +14,10 @@ import wrt.kernels
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import QUERIES, TraversalConfig
+from wrt.kernels.traversal.fans import make_kernel as make_fan_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.ferko import VARIANTS
+from wrt.kernels.triangle.ferko.counting import make_kernel as make_counting_kernel
 from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
@@ -73,3 +76,18 @@ def test_triangle_test(triangle_test, tmp_path):
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
 def test_packing(triangle_test, tmp_path):
     assert ".entry" in compile_to_ptx(make_packing_kernel(TRIANGLE_TESTS[triangle_test].record).module, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: make_fan_kernel(False),
+        lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
+        lambda: TRAVERSALS["single"].kernels["bvh"](TraversalConfig("ferko_utm_bounds", 2, one_by_one=True)),
+    ],
+    ids=["fans", "comparisons", "one_by_one"],
+)
+def test_for_measurements(make, tmp_path):
+    text = compile_to_ptx(make().module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text
