@@ -16,8 +16,11 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import QUERIES, TraversalConfig
 from wrt.kernels.traversal.fans import make_kernel as make_fan_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.alone import make_blocks, make_frusta, make_pairs
+from wrt.kernels.triangle.exits import make_kernel as make_exit_kernel
 from wrt.kernels.triangle.ferko import VARIANTS
 from wrt.kernels.triangle.ferko.counting import make_kernel as make_counting_kernel
+from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
@@ -84,8 +87,12 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_fan_kernel(False),
         lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
         lambda: TRAVERSALS["single"].kernels["bvh"](TraversalConfig("ferko_utm_bounds", 2, one_by_one=True)),
+        lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
+        lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
+        lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
+        lambda: make_exit_kernel(PUBLISHED["moeller"]),
     ],
-    ids=["fans", "comparisons", "one_by_one"],
+    ids=["fans", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits"],
 )
 def test_for_measurements(make, tmp_path):
     text = compile_to_ptx(make().module, tmp_path)
