@@ -33,7 +33,7 @@ class PacketBounds:
     inverse_small: wp.vec3
     """The end that is nearer to 0."""
     forward_small: wp.vec3
-    """Per axis with both signs, the least 1 / direction of the rays that go forward."""
+    """Per axis with both signs, the least 1 / direction of the rays that go forward; 0 along the others."""
     backward_small: wp.vec3
     """Likewise the greatest, nearest to 0, of the rays that go backward."""
     origin_in: wp.vec3
