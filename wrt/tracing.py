@@ -10,7 +10,7 @@ import warp as wp
 from wrt.kernels.launch import MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ALL, ANY, COUNT, Plan, traversal_config, way_of
+from wrt.plan import ALL, ANY, COUNT, Plan, plan_for, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -30,6 +30,7 @@ def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
     """Results of any query but "all", and each ray's work if it is to be counted."""
+    plan = plan_for(plan, query)
     device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
     kind = way_of(plan).counters

@@ -148,10 +148,11 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
 
     @wp.func
     def step(records: wp.array(dtype=float), slot: int, state: RayState, slabs: RaySlabs):
-        corners = load_vertices(records, slot, wp.static(width))
         hit = intersect(state, load(records, slot, wp.static(width)))
-        t = clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0])
-        return wp.vec3(wp.where(hit[0] == hit[0], t, wp.nan), hit[1], hit[2])
+        if hit[0] != hit[0]:
+            return hit
+        corners = load_vertices(records, slot, wp.static(width))
+        return wp.vec3(clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0]), hit[1], hit[2])
 
     return step
 
@@ -159,6 +160,8 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
 @cache
 def block_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
+    if config.one_by_one:
+        return slot_by_slot(config)
     test = TRIANGLE_TESTS[config.triangle_test]
     width = config.width
     Lanes = lanes(width)
@@ -186,6 +189,34 @@ def block_step(config: TraversalConfig) -> wp.Function:
                 best.v = v_lanes[lane]
                 if wp.static(any_hit):
                     mask = wp.uint32(0)
+        return best
+
+    return step
+
+
+@cache
+def slot_by_slot(config: TraversalConfig) -> wp.Function:
+    """The same by the test's scalar form, one triangle after the other: every exit of a test is a branch."""
+    width, any_hit = config.width, config.query == ANY
+    RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)
+
+    @wp.func
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: Candidate):
+        slot = block * wp.static(width)
+        end = slot + wp.static(width)
+        while slot < end:
+            primitive = triangles.primitive[slot]
+            if primitive < 0:
+                break
+            hit = candidate(triangles.records, slot, state, slabs)
+            if improves(hit[0], primitive, t_min, best):
+                best.t = hit[0]
+                best.primitive = primitive
+                best.u = hit[1]
+                best.v = hit[2]
+                if wp.static(any_hit):
+                    break
+            slot += 1
         return best
 
     return step

@@ -8,9 +8,33 @@ decides whether the ray's *line* meets the triangle and where; whether that t co
 for all tests (`wrt.kernels.boxes`). A NaN anywhere must come out as a miss.
 
 To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command line and benchmarks pick it up.
+
+**Kin.** Most tests are one sum of products in different clothes. Volumes that ray and edges span: `pluecker`, `segura_feito`,
+and for rays of one origin `benthin` and `komatsu`. Cramer's rule: `moeller_trumbore`, with the fewest operations
+`kensler_shirley`, with data computed beforehand `moeller_trumbore_precomputed`. The plane first: `badouel`, with data `wald`,
+`baldwin_weber`, `shevtsov`, and without projection `havel_herout`.
+
+**Not here.** The segment test of Jimenez, Segura and Feito (A robust segment/triangle intersection algorithm for interference
+tests, Computational Geometry 43(5), 2010): of the sources that this table follows none gives its definition, only that it
+finds t first, then the barycentric coordinates, and shares what neighbours have in common.
 """
 
-from wrt.kernels.triangle import komatsu, moeller_trumbore, woop
+from wrt.kernels.triangle import (
+    badouel,
+    baldwin_weber,
+    benthin,
+    ferko,
+    havel_herout,
+    kensler_shirley,
+    komatsu,
+    moeller_trumbore,
+    moeller_trumbore_precomputed,
+    pluecker,
+    segura_feito,
+    shevtsov,
+    wald,
+    woop,
+)
 from wrt.kernels.triangle.contract import TriangleTest
 
 TRIANGLE_TESTS: dict[str, TriangleTest] = {
@@ -18,6 +42,17 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
     for test in (
         woop.TEST,
         moeller_trumbore.TEST,
+        moeller_trumbore_precomputed.TEST,
+        kensler_shirley.TEST,
+        badouel.TEST,
+        wald.TEST,
+        baldwin_weber.TEST,
+        shevtsov.TEST,
+        havel_herout.TEST,
+        pluecker.TEST,
+        segura_feito.TEST,
+        benthin.TEST,
         komatsu.TEST,
+        *ferko.TESTS,
     )
 }

@@ -23,36 +23,23 @@ class CrossingForms:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TriangleTest:
-    """A published ray-triangle test.
+class TestForm:
+    """The lane loops of a test and what they read: enough to measure it (`wrt.kernels.triangle.alone`), not to trace with.
 
     Attributes:
-        name: key in `TRIANGLE_TESTS`.
-        paper: authors, title, year.
-        watertight: whether no ray can pass between two triangles that share an edge or a vertex.
-        accurate: whether every hit lies within `wrt.kernels.boxes.SLACK` times the ray's reach of the triangle; others may
-            report hits beside needles and beside triangles that they see edge-on.
-        two_sided: whether both sides of a triangle are hit.
+        name: in tables.
         record: what it reads of a triangle; `record.per_origin`: all rays of a batch must have the same origin, for which
             records are made. Such a test sees only what lies ahead.
         ray_state: struct that `prepare` returns.
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
-        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
-        lanes: the same as lane loops.
-        crossing: the forms that count crossings exactly; None if it has none.
+        lanes: one ray x W triangles, and W rays x one triangle.
     """
 
     name: str
-    paper: str
-    watertight: bool = False
-    accurate: bool = False
-    two_sided: bool = True
     record: Record = VERTICES
     ray_state: type
     prepare: wp.Function
-    intersect: wp.Function
     lanes: LaneForm | HandWritten
-    crossing: CrossingForms | None = None
 
     @property
     def needs_shared_origin(self) -> bool:
@@ -63,11 +50,37 @@ class TriangleTest:
         """`wp.func(records, block, ray, t, u, v) -> uint32` mask of the W triangles of a block that the ray's line meets."""
         return self.lanes.block_test(self.record, self.ray_state, width)
 
-    def forms(self, crossing: bool) -> CrossingForms:
-        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
-        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)
-
     @property
     def packet_form(self) -> PacketForm:
         """W rays x one triangle."""
         return self.lanes.packet_form
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleTest(TestForm):
+    """A published ray-triangle test.
+
+    Attributes:
+        name: key in `TRIANGLE_TESTS`.
+        paper: authors, title, year.
+        watertight: whether no ray can pass between two triangles that share an edge or a vertex.
+        accurate: whether every hit lies within `wrt.kernels.boxes.SLACK` times the ray's reach of the triangle; others may
+            report hits beside needles and beside triangles that they see edge-on.
+        two_sided: whether both sides of a triangle are hit.
+        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
+            The twin of the lane loops, in plain Warp.
+        crossing: the forms that count crossings exactly; None if it has none.
+        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
+    """
+
+    paper: str
+    watertight: bool = False
+    accurate: bool = False
+    two_sided: bool = True
+    intersect: wp.Function
+    crossing: CrossingForms | None = None
+    any_hit: str = ""
+
+    def forms(self, crossing: bool) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)

@@ -13,12 +13,13 @@ bits are those of the test's scalar form in plain Warp: same operations, same or
 
 import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
+from wrt.kernels.triangle.operations import Operations, count_operations
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Record
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -71,10 +72,14 @@ class HandWritten:
         make_block_test: width W -> `wp.func(records, block, ray, t, u, v) -> uint32` mask of the lanes whose triangle the
             ray's line meets; t, u, v (`wp.ref` of W floats) are valid there.
         packet_form: W rays x one triangle.
+        operations: those of a test that is not a hit, and those that a hit adds; empty if nobody counted them.
+        exits: as `Step.exit`: one, since what happens inside is not told apart.
     """
 
     make_block_test: Callable[[int], wp.Function]
     packet_form: PacketForm
+    operations: tuple[Operations, ...] = ()
+    exits: tuple[str, ...] = ("the line passes beside the triangle",)
 
     def block_test(self, record: Record, ray_state: type, width: int) -> wp.Function:
         """One ray x W triangles."""
@@ -125,6 +130,11 @@ class Step:
         words = set(re.findall(r"[A-Za-z_]\w*", self.code + self.passes))
         return [name for name in names if name in words]
 
+    @property
+    def operations(self) -> Operations:
+        """What the step costs."""
+        return count_operations(f"{self.code};{self.passes}")
+
 
 @dataclass(frozen=True)
 class LaneForm:
@@ -135,12 +145,41 @@ class LaneForm:
         steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
         triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
         packet_setup: C++ before the `packet` expressions of `ray`.
+        apart: of a form that was `joined`, the one with all exits, which is what is counted (`wrt.kernels.triangle.exits`).
     """
 
     ray: tuple[RayValue, ...]
     steps: tuple[Step, ...]
     triangle: tuple[str, ...] = ()
     packet_setup: str = ""
+    apart: "LaneForm | None" = None
+
+    @property
+    def exits(self) -> tuple[str, ...]:
+        """What is known of a ray that leaves, step by step."""
+        return tuple(step.exit for step in self.steps)
+
+    @property
+    def operations(self) -> tuple[Operations, ...]:
+        """What each step costs."""
+        return tuple(step.operations for step in self.steps)
+
+    def joined(self, *counts: int) -> "LaneForm":
+        """The same test with fewer exits: so many steps at a time become one. Same arithmetic, same bits.
+
+        Lanes leave together or not at all, so an exit that few vectors take costs more than it saves.
+        """
+        if sum(counts) != len(self.steps):
+            raise ValueError(f"counts {counts} do not sum to the {len(self.steps)} steps of the form")
+        steps, first = [], 0
+        for count in counts:
+            group, later = self.steps[first : first + count], self.steps[first + count :]
+            names = (name for step in group for name in step.keeps)
+            kept = tuple(name for name in names if name in RESULT or any(step.reads([name]) for step in later))
+            exits, passes = (step.exit for step in group), (f"({step.passes})" for step in group)
+            steps.append(Step(" or ".join(exits), "\n".join(step.code for step in group), " & ".join(passes), kept))
+            first += count
+        return replace(self, steps=tuple(steps), apart=self.apart or self)
 
     def block_test(self, record: Record, ray_state: type, width: int) -> wp.Function:
         """One ray x W triangles; see `HandWritten`."""

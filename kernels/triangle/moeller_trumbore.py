@@ -15,37 +15,9 @@ import warp as wp
 from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.vectors import PlainRay, cross, dot, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-
-@wp.struct
-class PlainRay:
-    """Origin and direction as they are."""
-
-    origin: wp.vec3
-    direction: wp.vec3
-
-
-@wp.func
-def prepare(origin: wp.vec3, direction: wp.vec3):
-    """Nothing to prepare."""
-    ray = PlainRay()
-    ray.origin = origin
-    ray.direction = direction
-    return ray
-
-
-@wp.func
-def cross(p: wp.vec3, q: wp.vec3):
-    """p x q, each component as the block form below writes it."""
-    return wp.vec3(p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
-
-
-@wp.func
-def dot(p: wp.vec3, q: wp.vec3):
-    """p . q, summed from left to right."""
-    return (p[0] * q[0] + p[1] * q[1]) + p[2] * q[2]
 
 
 @wp.func
@@ -62,28 +34,43 @@ def intersect(ray: PlainRay, corners: Corners):
     t = dot(edge_c, q) * scale
     if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
         return wp.vec3(t, u, v)
-    return wp.vec3(wp.nan, 0.0, 0.0)
+    return miss()
 
 
-LANES = LaneForm(
+EXITS = LaneForm(
     ray=(*ORIGIN, *DIRECTION),
     steps=(
         Step(
-            exit="the line passes beside the triangle",
+            exit="beyond the edge from a to c",
             code="""
                 const float e1x = bx - ax, e1y = by - ay, e1z = bz - az, e2x = cx - ax, e2y = cy - ay, e2z = cz - az;
                 const float px = dy * e2z - dz * e2y, py = dz * e2x - dx * e2z, pz = dx * e2y - dy * e2x;
                 const float scale = 1.0f / ((e1x * px + e1y * py) + e1z * pz);
                 const float sx = ox - ax, sy = oy - ay, sz = oz - az;
                 const float u = ((sx * px + sy * py) + sz * pz) * scale;
+            """,
+            passes="u >= 0.0f",
+            keeps=("e1x", "e1y", "e1z", "e2x", "e2y", "e2z", "scale", "sx", "sy", "sz", "u"),
+        ),
+        Step(
+            exit="beyond one of the other edges",
+            code="""
                 const float qx = sy * e1z - sz * e1y, qy = sz * e1x - sx * e1z, qz = sx * e1y - sy * e1x;
                 const float v = ((dx * qx + dy * qy) + dz * qz) * scale;
-                const float t = ((e2x * qx + e2y * qy) + e2z * qz) * scale;
             """,
-            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f) & (t - t == 0.0f)",
+            passes="(v >= 0.0f) & (u + v <= 1.0f)",
+            keeps=("qx", "qy", "qz", "v"),
+        ),
+        Step(
+            exit="parallel to the plane",
+            code="const float t = ((e2x * qx + e2y * qy) + e2z * qz) * scale;",
+            passes="t - t == 0.0f",
         ),
     ),
 )
+"""The test with the exits of the paper."""
+
+LANES = EXITS.joined(3)
 """One step: with W lanes, an exit between u and v would be taken by all of them too seldom to pay."""
 
 TEST = TriangleTest(

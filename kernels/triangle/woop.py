@@ -37,6 +37,7 @@ import warp as wp
 from wrt.kernels.lanes import FOR_LANES, lanes
 from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
+from wrt.kernels.triangle.operations import Operations
 from wrt.kernels.triangle.records import Corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -347,6 +348,9 @@ PACKET = PacketForm(
 )
 """W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
 
+OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
+"""Of a miss, and what a hit adds; where nothing has to be computed again."""
+
 TEST = TriangleTest(
     name="woop",
     paper="Woop, Benthin, Wald: Watertight ray/triangle intersection (2013)",
@@ -355,6 +359,6 @@ TEST = TriangleTest(
     ray_state=ShearedRay,
     prepare=prepare,
     intersect=intersect,
-    lanes=HandWritten(block_test, PACKET),
+    lanes=HandWritten(block_test, PACKET, OPERATIONS),
     crossing=CROSSING,
 )
