@@ -19,8 +19,8 @@ the comparison above C' has no fixed place.
 
 **Slips of the printed form.** It speaks of a normal distribution, and computes with a uniform one. cos(beta) misses a square
 that the algorithm has. By its test for acute triangles (see `similarity`) shares of some are computed with a circle that does
-not contain them. Heron's formula and two helper triangles give what half of base times height gives. The count of operations
-of its weights (below 1, above 1, left 5, right 6) is kept.
+not contain them; the order of three comes out the same. Heron's formula and two helper triangles give what half of base times
+height gives. The count of operations of its weights (below 1, above 1, left 5, right 6) is kept.
 
 References:
     L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018 (after A. Ferko, M. Ferko, unpublished, 2015).
