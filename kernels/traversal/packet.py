@@ -43,8 +43,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 MIXED_AXES = 2
 """Axes with both signs with which a packet is still walked together."""
 
-PATIENCE = 1
-"""Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone."""
+PATIENCE = 3
+"""Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone. (Shadow
+rays of bunny and dragon, 1 to 100 of these: least time at 3 to 6, 3 and 8 % less than at 1.)"""
 
 
 @cache
