@@ -24,6 +24,7 @@ _HOME = {
     "KdTree": "wrt.accelerator",
     "OrthographicCamera": "wrt.camera",
     "PinholeCamera": "wrt.camera",
+    "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
     "Scene": "wrt.scene",
     "TriangleMesh": "wrt.mesh",
