@@ -26,6 +26,7 @@ _HOME = {
     "PinholeCamera": "wrt.camera",
     "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
+    "RaycastingScene": "wrt.adapters.open3d_rays",
     "Scene": "wrt.scene",
     "TriangleMesh": "wrt.mesh",
     "get_num_threads": "wrt.kernels.launch",
