@@ -13,6 +13,9 @@ class SceneMesh:
     """Relative to `center`."""
     faces: wp.array(dtype=wp.vec3i)
     center: wp.vec3d
+    low: wp.vec3
+    """Lowest corner of all triangles, relative to `center`."""
+    high: wp.vec3
     geometry_first: wp.array(dtype=int)
     """(geometries + 1,) number of each geometry's first triangle."""
 

@@ -81,6 +81,7 @@ class Scene:
         self.device_mesh.vertices = host_vertices.to(self.device)
         self.device_mesh.faces = host_faces.to(self.device)
         self.device_mesh.center = wp.vec3d(*map(float, self.center))
+        self.device_mesh.low, self.device_mesh.high = wp.vec3(*self.tree.low), wp.vec3(*self.tree.high)
         self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
 
@@ -231,6 +232,27 @@ class Scene:
         from wrt.inside import contains
 
         return contains(self, points, traversal)
+
+    def visible(self, points_a: Any, points_b: Any) -> Any:
+        """Which pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
+
+            matrix = scene.visible(points[:, None], points[None, :])
+
+        A pair is visible if no triangle crosses the open segment between the two. The points may lie on surfaces: a triangle
+        whose plane passes through one of them within rounding (float32 relative to the scene's centre, float32 of the points
+        themselves if they are given so) does not hide it from the other. So two points in one flat wall see each other, and
+        what is on a wall is seen from both its sides. A point sees itself; one with a NaN or an infinity sees nothing.
+
+        Args:
+            points_a, points_b: (..., 3); leading shapes broadcast. Pairs go through memory in blocks.
+
+        Raises:
+            TypeError: points are no arrays of real numbers.
+            ValueError: wrong shapes, shapes that do not broadcast, an array on another device.
+        """
+        from wrt.visibility import visible
+
+        return visible(self, points_a, points_b)
 
     @cached_property
     def is_closed(self) -> bool:
