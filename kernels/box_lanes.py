@@ -24,9 +24,23 @@ NO_CHILD = wp.constant(NO_CHILD_CONSTANT)
 _RAY = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];
     const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
+#if defined(__CUDA_ARCH__)
+    // a node is loaded four floats at a time, then sorted into near and far
+    float near_x[W], near_y[W], near_z[W], far_x[W], far_y[W], far_z[W], all[6 * W];
+    if (W % 2 == 0) for (int j = 0; j < 6 * W / 4; ++j) {
+        const float4 v = ((const float4*)box)[j];
+        all[4 * j] = v.x; all[4 * j + 1] = v.y; all[4 * j + 2] = v.z; all[4 * j + 3] = v.w;
+    } else for (int j = 0; j < 6 * W; ++j) all[j] = box[j];
+    for (int i = 0; i < W; ++i) {
+        near_x[i] = ix < 0.0f ? all[3 * W + i] : all[i]; far_x[i] = ix < 0.0f ? all[i] : all[3 * W + i];
+        near_y[i] = iy < 0.0f ? all[4 * W + i] : all[W + i]; far_y[i] = iy < 0.0f ? all[W + i] : all[4 * W + i];
+        near_z[i] = iz < 0.0f ? all[5 * W + i] : all[2 * W + i]; far_z[i] = iz < 0.0f ? all[2 * W + i] : all[5 * W + i];
+    }
+#else
     const int sx = ix < 0.0f ? 3 * W : 0, sy = iy < 0.0f ? 3 * W : 0, sz = iz < 0.0f ? 3 * W : 0;
-    WRT_LANES(near_x, box + sx); WRT_LANES(near_y, box + W + sy); WRT_LANES(near_z, box + 2 * W + sz);
-    WRT_LANES(far_x, box + 3 * W - sx); WRT_LANES(far_y, box + 4 * W - sy); WRT_LANES(far_z, box + 5 * W - sz);
+    const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
+    const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
+#endif
     const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
     const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
 """

@@ -26,6 +26,8 @@ FOR_LANES = """
 #define WRT_LANES(name, pointer) float name[W]; \\
     if (W % 4 == 0) for (int j_ = 0; j_ < W / 4; ++j_) { const float4 v_ = ((const float4*)(pointer))[j_]; \\
         name[4 * j_] = v_.x; name[4 * j_ + 1] = v_.y; name[4 * j_ + 2] = v_.z; name[4 * j_ + 3] = v_.w; } \\
+    else if (W % 2 == 0) for (int j_ = 0; j_ < W / 2; ++j_) { const float2 v_ = ((const float2*)(pointer))[j_]; \\
+        name[2 * j_] = v_.x; name[2 * j_ + 1] = v_.y; } \\
     else for (int j_ = 0; j_ < W; ++j_) name[j_] = (pointer)[j_]
 #define WRT_UNROLLED
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
@@ -41,7 +43,7 @@ FOR_LANES = """
 """Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
 would be put together again lane by lane, at a third of the speed). W is a constant of the snippet. `WRT_LANES(name, pointer)`
 names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are loaded four at a time, so a block of W floats
-must begin at a multiple of 16 bytes if W is a multiple of 4."""
+must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even."""
 
 
 @wp.func_native("""

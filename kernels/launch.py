@@ -26,6 +26,9 @@ MAX_CHUNK = 1 << 16
 
 MAX_THREADS = 1024
 
+CUDA_BLOCK = 128
+"""Threads of a block on CUDA."""
+
 _lock = threading.RLock()
 _loaded: set[tuple[wp.Kernel, str]] = set()
 _executor: ThreadPoolExecutor | None = None
@@ -113,7 +116,7 @@ def launch(
         return
     load([kernel], device)
     if device.is_cuda:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
         return
     size = min(_chunk_size(count, chunk, chunks_per_thread), longest)
 
@@ -136,7 +139,7 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
     for kernel in kernels:
         if (kernel, device.alias) not in _loaded:
             with _lock:
-                kernel.module.load(device, block_dim=1 if device.is_cpu else None)
+                kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
                 _loaded.add((kernel, device.alias))
 
 

@@ -30,6 +30,8 @@ class RayBatch:
     t_max_stride: int
     columns: int
     """Of the picture whose pixels the rays are, row by row; 0 if they are to be taken as they come. For packets only."""
+    run: int
+    """Rays that an item traces, a multiple of the stream's length. For streams only."""
     center: wp.vec3d
     """Subtracted from the origins in float64: the scene's geometry is stored relative to this point."""
 

@@ -15,6 +15,10 @@ import wrt  # noqa: E402
 from wrt import scenes  # noqa: E402
 
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
+ENGINE_TESTS = ("woop", "moeller_trumbore", "komatsu")
+"""Triangle tests on which everything around them is tested: by hand, by steps, and with an origin that must be shared. What
+the engine does with a test is the same for all others; `test_triangle_tests.py` shows that they fit in."""
+
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 
 

@@ -7,13 +7,20 @@ import pkgutil
 
 import pytest
 import warp as wp
+from conftest import ENGINE_TESTS
 
 import wrt.builders
 import wrt.kernels
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.fans import make_kernel as make_fan_kernel
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.alone import make_blocks, make_frusta, make_pairs
+from wrt.kernels.triangle.exits import make_kernel as make_exit_kernel
+from wrt.kernels.triangle.ferko import VARIANTS
+from wrt.kernels.triangle.ferko.counting import make_kernel as make_counting_kernel
+from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
@@ -45,7 +52,7 @@ ANSWERS = [
     (name, tree, test.name, query)
     for name, way in TRAVERSALS.items()
     for tree in way.trees
-    for test in TRIANGLE_TESTS.values()
+    for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in QUERIES
     if way.answers(query, tree) and (query in NEAREST_QUERIES or test.crossing is not None)
 ]
@@ -69,6 +76,33 @@ def test_culling(culling, shared_origin, tmp_path):
     assert "fma.rn.f32" not in text
 
 
+@pytest.mark.parametrize("triangle_test", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
+def test_triangle_test(triangle_test, tmp_path):
+    """The other tests by what CUDA uses: one ray, W triangles."""
+    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](TraversalConfig(triangle_test, 2)).module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text
+
+
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
 def test_packing(triangle_test, tmp_path):
     assert ".entry" in compile_to_ptx(make_packing_kernel(TRIANGLE_TESTS[triangle_test].record).module, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: make_fan_kernel(False),
+        lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
+        lambda: TRAVERSALS["single"].kernels["bvh"](TraversalConfig("ferko_utm_bounds", 2, one_by_one=True)),
+        lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
+        lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
+        lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
+        lambda: make_exit_kernel(PUBLISHED["moeller"]),
+    ],
+    ids=["fans", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits"],
+)
+def test_for_measurements(make, tmp_path):
+    text = compile_to_ptx(make().module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits, mixed_rays
+from conftest import ENGINE_TESTS, SCENES, assert_same_hits, mixed_rays
 from test_packets import beams
 
 import wrt
@@ -40,7 +40,7 @@ def utilisation(scene: wrt.Scene, rays: wrt.Rays, size: int) -> tuple[float, flo
 
 @pytest.mark.parametrize(
     ("triangle_test", "own_origins"),
-    [(name, own) for name, test in TRIANGLE_TESTS.items() for own in (False, True) if not (own and test.needs_shared_origin)],
+    [(name, own) for name in ENGINE_TESTS for own in (False, True) if not (own and TRIANGLE_TESTS[name].needs_shared_origin)],
 )
 @pytest.mark.parametrize("tree", TREES)
 def test_beams(tree, triangle_test, own_origins, device):

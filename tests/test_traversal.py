@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from conftest import assert_same_hits, mixed_rays
+from conftest import ENGINE_TESTS, assert_same_hits, mixed_rays
 
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS
@@ -16,7 +16,7 @@ TREES = [wrt.KdTree(builder=name) for name in KDTREE_BUILDERS] + [wrt.Bvh(builde
 WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]
 
 
-@pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
+@pytest.mark.parametrize("triangle_test", ENGINE_TESTS)
 @pytest.mark.parametrize("accelerator", TREES, ids=lambda tree: f"{tree.kind}-{tree.builder}")
 def test_hits_equal_brute_force(scene_mesh, accelerator, triangle_test, device):
     scene = wrt.Scene(scene_mesh, accelerator, device=device)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from conftest import degenerate_soup, mixed_rays
+from conftest import ENGINE_TESTS, assert_same_hits, degenerate_soup, mixed_rays
 
 import wrt
 from wrt.kernels.lanes import lanes
@@ -82,7 +82,8 @@ def all_pairs(name: str, corners: np.ndarray, origins: np.ndarray, directions: n
     ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
     ids[:count] = np.arange(count)
     origin = origins[0].astype(np.float32).tolist()
-    assert (origins == origins[0]).all() or not TRIANGLE_TESTS[name].needs_shared_origin
+    shared = np.array_equal(origins, np.broadcast_to(origins[0], origins.shape), equal_nan=True)
+    assert shared or not TRIANGLE_TESTS[name].needs_shared_origin
     primitive = wp.array(ids, dtype=int, device=place)
     blocks = pack_blocks(TRIANGLE_TESTS[name].record, vertices, faces, primitive, width, origin)
     o = wp.array(origins.astype(np.float32), dtype=wp.vec3, device=place)
@@ -130,6 +131,47 @@ def test_closed_form(name, device):
 
 
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_edges_and_vertices_belong_to_the_triangle(name, device):
+    """Where nothing rounds: at the vertices, on the edges, seen steeply and at a grazing angle, from both sides."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    weights = np.array([[0, 0], [1, 0], [0, 1], [0.5, 0], [0, 0.5], [0.5, 0.5], [0.25, 0.75]])
+    targets = np.concatenate([4 * weights, np.full((7, 1), 2.0)], axis=1)
+    for origin in ([0, 0, 0], [1, 1, 4], [1024, 512, 3], [4, 0, -2]):
+        origins = np.broadcast_to(np.array(origin, dtype=float), (7, 3))
+        got = all_pairs(name, corners, origins, 0.5 * (targets - origins), 8, "scalar", device)[:, 0]
+        np.testing.assert_array_equal(got, np.concatenate([np.full((7, 1), 2.0), weights], axis=1))
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_rays_in_the_plane_miss(name, device):
+    """Coplanar rays, at the triangle and beside it, from inside it and from outside, along the axes and not."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    directions = np.array([[1, 0, 0], [0, 1, 0], [1, 1, 0], [-1, 3, 0], [-2, 0.5, 0]], dtype=float)
+    for origin in ([1, 1, 2], [-1, -1, 2], [0, 0, 2], [2, 2, 2], [9, 0, 2]):
+        origins = np.broadcast_to(np.array(origin, dtype=float), (5, 3))
+        got = all_pairs(name, corners, origins, directions, 8, "scalar", device)
+        assert np.isnan(got[..., 0]).all()
+
+
+@pytest.mark.parametrize("form", ["scalar", "lanes"])
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+def test_a_nan_anywhere_is_a_miss(name, form, device):
+    """A hit, and the same with a NaN in the place of each of the fifteen numbers: vertices, origin, direction."""
+    rng = np.random.default_rng(4)
+    corners = np.concatenate([rng.normal(size=(20, 3, 3)), rng.integers(-2, 3, (40, 3, 3))])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for triangle in corners[np.linalg.norm(normals, axis=1) > 0.1]:
+        origin = triangle.mean(axis=0) + np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        numbers = np.concatenate([triangle.ravel(), origin, triangle.mean(axis=0) - origin])
+        assert not np.isnan(all_pairs(name, triangle[None], origin[None], numbers[None, 12:], 4, form, device)[..., 0]).any()
+        for where in range(15):
+            bad = numbers.copy()
+            bad[where] = np.nan
+            got = all_pairs(name, bad[:9].reshape(1, 3, 3), bad[None, 9:12], bad[None, 12:], 4, form, device)
+            assert np.isnan(got[..., 0]).all()
+
+
+@pytest.mark.parametrize("name", TRIANGLE_TESTS)
 def test_against_float64(name, device):
     """Inside, outside and the values agree with a float64 solve wherever that is clear."""
     rng = np.random.default_rng(1)
@@ -154,8 +196,10 @@ def test_against_float64(name, device):
     assert sure.sum() > 1000
 
 
-@pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
-@pytest.mark.parametrize("name", TRIANGLE_TESTS)
+@pytest.mark.parametrize(
+    ("name", "width"),
+    [(name, width) for name in TRIANGLE_TESTS for width in ((1, 2, 4, 8, 16) if name in ENGINE_TESTS else (4, 16))],
+)
 def test_lanes_equal_scalar(name, width, device):
     """One ray x W triangles gives the bits of one ray x one triangle: generic, degenerate, on edges, and bad rays."""
     mesh = degenerate_soup()
@@ -171,6 +215,28 @@ def test_lanes_equal_scalar(name, width, device):
     assert hit.any()
 
 
+@pytest.mark.parametrize("name", ["woop", "pluecker", "benthin", "komatsu"])
+def test_no_ray_passes_along_an_edge(name, device):
+    """Two triangles see their common edge through the same numbers: rays aimed at its points hit one of them or both."""
+    rng = np.random.default_rng(6)
+    eye = np.array([3.0, -7.0, 5.0])
+    p, q = rng.normal(size=(2, 60, 3)) * rng.choice([0.01, 1.0, 30.0], (60, 1))
+    across = np.cross(q - p, (p + q) / 2 - eye)
+    across *= np.linalg.norm(q - p, axis=1, keepdims=True) / np.linalg.norm(across, axis=1, keepdims=True)
+    left, right = ((p + q) / 2 + sign * rng.uniform(0.2, 2.0, (60, 1)) * across for sign in (1, -1))
+    corners = np.concatenate([np.stack([p, q, left], axis=1), np.stack([q, p, right], axis=1)])
+    weight = rng.uniform(0.1, 0.9, (60, 50, 1))
+    targets = ((1 - weight) * p[:, None] + weight * q[:, None]).reshape(-1, 3)
+    origins = np.broadcast_to(eye, targets.shape)
+    if not TRIANGLE_TESTS[name].needs_shared_origin:
+        origins = origins + 0.1 * rng.normal(size=targets.shape)
+    hit = ~np.isnan(all_pairs(name, corners, origins, targets - origins, 8, "scalar", device)[..., 0])
+    ray, hinge = np.arange(3000), np.repeat(np.arange(60), 50)
+    first, second = hit[ray, hinge], hit[ray, 60 + hinge]
+    assert (first | second).all()
+    assert (first != second).mean() > 0.5  # they do pass on both sides
+
+
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)
 def test_degenerate_triangles_miss(name, device):
     """Points and needles have no inside; nothing is hit and nothing hangs."""
@@ -184,10 +250,32 @@ def test_degenerate_triangles_miss(name, device):
     assert np.isnan(got[:, :50, 0]).all()
     scene = wrt.Scene(wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(450).reshape(-1, 3)), device=device)
     start = origins[0] if TRIANGLE_TESTS[name].needs_shared_origin else origins
-    hits = scene.intersect(start.astype(np.float32), directions.astype(np.float32), triangle_test=name)
+    hits = scene.intersect(np.float32(start), np.float32(directions), traversal="brute", triangle_test=name)
     assert not np.isnan(hits.t).any()
     if TRIANGLE_TESTS[name].watertight:  # others may take the rounded area of a needle for a real one
         assert not hits.is_hit.any()
+
+
+@pytest.mark.parametrize(("tree", "traversal"), [("kdtree", "single"), ("bvh", "packet"), ("bvh", "stream")])
+@pytest.mark.parametrize("name", [name for name in TRIANGLE_TESTS if name not in ENGINE_TESTS])
+def test_in_the_engine(name, tree, traversal, device):
+    """Trees find with any test what brute force finds with it; `ENGINE_TESTS` go through all the engine elsewhere."""
+    scene = wrt.Scene(degenerate_soup(), tree, device=device)
+    origins, directions = mixed_rays(degenerate_soup(), 500)
+    if TRIANGLE_TESTS[name].needs_shared_origin:
+        origins = np.float32((0.4, 0.6, 1.3))
+    expected = scene.intersect(origins, directions, traversal="brute", triangle_test=name)
+    assert 0.05 < expected.is_hit.mean() < 0.99
+    assert_same_hits(scene.intersect(origins, directions, traversal=traversal, triangle_test=name), expected)
+
+
+def test_origin_in_the_plane_of_a_triangle(device):
+    """Where Benthin's test and Komatsu's part: the one sees the triangle at t = 0 from both sides, the other from one."""
+    corners = np.array([[[0, 0, 2], [4, 0, 2], [0, 4, 2]]], dtype=float)
+    origins, directions = np.full((2, 3), (1.0, 1.0, 2.0)), np.array([[0, 0, 1.0], [0.5, 0, -1.0]])
+    seen = {name: all_pairs(name, corners, origins, directions, 8, "scalar", device)[:, 0] for name in ("benthin", "komatsu")}
+    np.testing.assert_array_equal(seen["benthin"], [[0.0, 0.25, 0.25]] * 2)
+    assert np.isnan(seen["komatsu"][:, 0]).sum() == 1
 
 
 def test_a_shared_origin_is_asked_for(device):

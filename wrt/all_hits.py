@@ -31,7 +31,7 @@ from wrt.kernels.launch import launch, use_threads
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty
 from wrt.plan import ALL, Plan
-from wrt.tracing import new_lists, run
+from wrt.tracing import new_lists, no_work, run
 
 if TYPE_CHECKING:
     from wrt.kernels.hits import SceneMesh
@@ -210,7 +210,7 @@ def trace_lists(scene: Scene, plan: Plan, rays: RayBatch, found: HitBatch) -> No
     """Traces the rays in the order given."""
     from wrt.plan import way_of
 
-    run(scene, plan, rays, found, ALL, wp.zeros(1, dtype=way_of(plan).counters, device=scene.device), False)
+    run(scene, plan, rays, found, ALL, no_work(way_of(plan).counters, scene.device.alias), False)
 
 
 def sum_up(counts: np.ndarray) -> np.ndarray:

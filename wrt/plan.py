@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from wrt.kernels.launch import get_num_threads
+from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
 from wrt.rays import shares_origin
 from wrt.tables import lookup
 
@@ -21,6 +21,11 @@ AUTO = "auto"
 CLOSEST, ANY, COUNT, ALL = "closest", "any", "count", "all"
 
 ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
+
+DEFAULT_TEST = "woop"
+"""The triangle test of "auto". Of all tests that `wrt bench triangle-tests` compares it is the only watertight one. With a tree
+it is the fastest for views, and costs 2 to 6 % against Moeller and Trumbore's for single and for random rays; Komatsu's, at
+half the operations, is no faster, and its records are made again for each origin."""
 
 LEAST_FOR_PACKETS = 256
 """Rays below which the set-up of packets and streams is not worth compiling another kernel."""
@@ -75,6 +80,8 @@ class Plan:
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
         reorder: order in which rays are traced (`wrt.kernels.reorder`): "none", their own; "cells", by cell of the origin
             and octant of the direction; "tiles", the rows and columns of a picture tile by tile, in packets.
+        one_by_one: whether a single ray meets the triangles of a leaf one after the other, by the triangle test's scalar form,
+            in place of a block of them at once: for measurements.
     """
 
     accelerator: str
@@ -89,6 +96,7 @@ class Plan:
     stream: int = 1
     mailbox: str = "none"
     reorder: str = "none"
+    one_by_one: bool = False
 
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
@@ -100,6 +108,8 @@ class Plan:
             parts.append(f"{self.mailbox} mailbox")
         if self.reorder != "none":
             parts.append(f"in {self.reorder}")
+        if self.one_by_one:
+            parts.append("triangles one by one")
         return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
 
 
@@ -115,7 +125,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
-    test = TRIANGLE_TESTS["woop"] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+    test = TRIANGLE_TESTS[DEFAULT_TEST] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
     check_origins(test, rays)
     name, reason = choose_traversal(scene, rays, query) if traversal == AUTO else (traversal, "as asked")
     way = lookup(TRAVERSALS, name, "traversal")
@@ -245,6 +255,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
     if plan.reorder == "tiles" and len(rays.shape) != 2:
         raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns")
+    if plan.one_by_one and plan.traversal != "single":
+        raise ValueError(f"plan.one_by_one goes with the traversal 'single', not {plan.traversal!r}")
     if way.streams and not 1 <= plan.stream <= MAX_STREAM:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
     if not way.packets:
@@ -312,17 +324,15 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
     if way.streams:
         options["stream"] = plan.stream
     if plan.accelerator == "bvh":
-        options["levels"] = scene.tree.depth if scene.device.is_cuda else stack_levels(scene.tree.depth)
+        options["levels"] = stack_levels(scene.tree.depth)
+        options["block"] = CUDA_BLOCK if scene.device.is_cuda else 0
     test, mailbox = plan.triangle_test, plan.mailbox
-    return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, **options)
+    alone = plan.one_by_one
+    return TraversalConfig(test, plan.width, query, plan.coherent, counters, mailbox=mailbox, one_by_one=alone, **options)
 
 
 def stack_levels(depth: int) -> int:
-    """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees.
-
-    On CUDA a stack is cleared in memory before each ray, which took a third of a camera ray's time with 24 levels: there it
-    is no deeper than it must be.
-    """
+    """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees."""
     return -(-depth // 8) * 8
 
 
@@ -331,3 +341,11 @@ def way_of(plan: Plan) -> Traversal:
     from wrt.kernels.traversal import TRAVERSALS
 
     return TRAVERSALS[plan.traversal]
+
+
+def plan_for(plan: Plan, query: str) -> Plan:
+    """The plan as a query carries it out: a triangle test may leave the search for any hit to another one."""
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    other = TRIANGLE_TESTS[plan.triangle_test].any_hit
+    return replace(plan, triangle_test=other) if query == ANY and other else plan

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -42,7 +44,7 @@ class Rays:
 
     def __len__(self) -> int:
         """Number of rays."""
-        return int(np.prod(self.shape))
+        return math.prod(self.shape)
 
 
 @dataclass
@@ -70,7 +72,7 @@ class RayBuffers:
     @property
     def count(self) -> int:
         """Number of rays."""
-        return int(np.prod(self.shape))
+        return self.batch.count
 
 
 def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
@@ -87,7 +89,7 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     t_max = _as_range(rays.t_max, "t_max", device)
     shape = _common_shape(origins, directions, t_min, t_max)
     batch = RayBatch()
-    batch.count = int(np.prod(shape))
+    batch.count = math.prod(shape)
     batch.center = wp.vec3d(*(float(x) for x in center))
     batch.origins, batch.origin_stride = _vectors(origins, shape, device, center)
     batch.directions, batch.direction_stride = _vectors(directions, shape, device, np.zeros(3))
@@ -146,7 +148,7 @@ def _leading_shape(values: Array) -> tuple[int, ...]:
 
 
 def _is_float64(values: np.ndarray | wp.array) -> bool:
-    return values.dtype in (wp.vec3d, np.float64)
+    return values.dtype == np.float64 if isinstance(values, np.ndarray) else values.dtype is wp.vec3d
 
 
 def as_vectors(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
@@ -180,26 +182,31 @@ def _as_real(values: Array, name: str) -> np.ndarray:
     return values.astype(np.float32 if values.dtype == np.float16 else np.float64)
 
 
-def _as_range(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
-    """A bound of t as float32. On the Warp side its values are not looked at: a bad one makes its ray miss."""
+def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
+    """A bound of t: a number as it is, else float32. Of Warp arrays no value is looked at: a bad one makes its ray miss."""
     if isinstance(values, wp.array):
         if values.dtype is not wp.float32:
             raise TypeError(f"{name} must hold float32, not {values.dtype.__name__}")
         if values.device != device:
             raise ValueError(f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})")
         return values.contiguous()
-    values = _as_real(values, name)
-    low = values.min(initial=np.inf)
+    is_number = type(values) in (float, int)
+    values = float(values) if is_number else _as_real(values, name)
+    low = values if is_number else values.min(initial=np.inf)
     if not low >= 0.0:
         raise ValueError(f"{name} must not be negative or NaN, but its least value is {low}; pass distances from 0 up")
-    if name == "t_min" and np.isinf(values).any():
+    if name == "t_min" and (math.isinf(values) if is_number else np.isinf(values).any()):
         raise ValueError("t_min must be finite: no hit lies at infinity; leave it at 0 to count all hits")
+    if is_number:
+        return values
     with np.errstate(over="ignore"):
         return np.asarray(values, dtype=np.float32)
 
 
 def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
-    shapes = [_leading_shape(origins), _leading_shape(directions), t_min.shape, t_max.shape]
+    shapes = [_leading_shape(origins), _leading_shape(directions), np.shape(t_min), np.shape(t_max)]
+    if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
+        return shapes[1]
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:
@@ -211,8 +218,10 @@ def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array)
 def _spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
     """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
     leading = values.ndim - len(trailing)
+    if values.shape == shape + trailing and values.flags.c_contiguous:
+        return values.reshape(-1, *trailing), 1
     shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
-    if shared and int(np.prod(shape)) > 1:
+    if shared and math.prod(shape) > 1:
         return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
     return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
 
@@ -238,11 +247,20 @@ def _vectors(
     return values, stride
 
 
-def _scalars(values: np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """Bounds of t as a flat (N,) or (1,) float array."""
+    if isinstance(values, float):
+        return _number(values, device.alias), int(math.prod(shape) == 1)
     if isinstance(values, wp.array):
         if values.size != 1 and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         return values.flatten(), 0 if values.size == 1 else 1
     values, stride = _spread(values, shape, ())
     return wp.array(values, dtype=float, device=device, copy=False), stride
+
+
+@lru_cache(maxsize=64)
+def _number(value: float, device: str) -> wp.array:
+    """An array of one float32, made once: most batches have the same bounds."""
+    with np.errstate(over="ignore"):
+        return wp.array(np.float32([value]), dtype=float, device=device)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from wrt.builders.bvh.statistics import BvhStatistics, bvh_statistics
 from wrt.builders.kdtree.statistics import KdTreeStatistics, kdtree_statistics
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.plan import DEFAULT_TEST
 
 if TYPE_CHECKING:
     from wrt.scene import Scene
@@ -74,7 +75,7 @@ def scene_statistics(scene: Scene) -> SceneStatistics:
     """Measures a scene."""
     cost = scene.accelerator.config(scene.tree.width).cost
     measure = bvh_statistics if scene.accelerator.kind == "bvh" else kdtree_statistics
-    record = TRIANGLE_TESTS["woop"].record
+    record = TRIANGLE_TESTS[DEFAULT_TEST].record
     mesh_bytes = sum(array.capacity for array in (scene.device_mesh.vertices, scene.device_mesh.faces))
     return SceneStatistics(
         triangles=scene.triangle_count,

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import MAX_CHUNK, launch
+from wrt.kernels.launch import MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ALL, ANY, COUNT, Plan, traversal_config, way_of
+from wrt.plan import ALL, ANY, COUNT, Plan, plan_for, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -19,14 +20,21 @@ if TYPE_CHECKING:
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
+STREAMS_IN_A_ROW = 16
+"""Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
+
+ITEMS_PER_THREAD = 8
+
 
 def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
     """Results of any query but "all", and each ray's work if it is to be counted."""
+    plan = plan_for(plan, query)
     device, rays = scene.device, buffers.batch
     hits = new_hits(rays.count, query, device)
-    work = wp.zeros(rays.count if counters else 1, dtype=way_of(plan).counters, device=device)
+    kind = way_of(plan).counters
+    work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
     rays.columns = buffers.shape[1] if plan.reorder == "tiles" else 0
     if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
@@ -43,6 +51,12 @@ def trace(
     values = work.numpy()
     values[order.numpy()] = sorted_work.numpy()
     return hits, wp.array(values, dtype=work.dtype, device=device)
+
+
+@lru_cache
+def no_work(kind: type, device: str) -> wp.array:
+    """What kernels get that count nothing: made once, as small batches feel every allocation."""
+    return wp.zeros(1, dtype=kind, device=device)
 
 
 def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:
@@ -79,6 +93,8 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
     else:
         tree = scene.tree.struct()
     grain = way.rays_per_item(config)
+    if way.streams:
+        grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
     launch(
         way.kernels[plan.accelerator](config),
         -(-rays.count // grain),
@@ -87,3 +103,10 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
         chunk=max(1, 1024 // grain),
         longest=max(1, longest // grain),
     )
+
+
+def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:
+    """Streams that share the local memory of an item, as far as each thread still has `ITEMS_PER_THREAD` items."""
+    if device.is_cuda:
+        return 1
+    return min(max(1, count // (stream * ITEMS_PER_THREAD * get_num_threads())), STREAMS_IN_A_ROW)

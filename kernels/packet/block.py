@@ -8,6 +8,7 @@ from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -17,11 +18,7 @@ _BLOCK = """
         const int lane = wrt_lowest_bit(mask), id = ids.data[block * W + lane];
         const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
         float low[3], high[3];
-        for (int a = 0; a < 3; ++a) {
-            const float p = corner[a * W], q = corner[(3 + a) * W], r = corner[(6 + a) * W];
-            float least = q < r ? q : r, most = q > r ? q : r;
-            low[a] = p < least ? p : least; high[a] = p > most ? p : most;
-        }
+        WRT_BOX
         WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {
             if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
             WRT_TRIANGLE
@@ -71,6 +68,7 @@ def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"
     pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
+    pieces["WRT_BOX"] = vertex_box("corner", "0")
     body = _BLOCK
     for name, piece in pieces.items():
         body = body.replace(name, piece)

@@ -9,8 +9,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 class PacketBounds:
     """Intervals over the active rays.
 
-    An axis along which the directions have both signs bounds nothing: its `inverse_large` and `inverse_small` are NaN, and
-    every comparison with what follows from them is false.
+    Along an axis on which the directions have both signs, slabs bound nothing: `inverse_large` and `inverse_small` are NaN,
+    and every comparison with what follows from them is false. What bounds boxes in front of all origins, or behind them, is
+    `forward_small` and `backward_small`.
     """
 
     active: int
@@ -32,7 +33,7 @@ class PacketBounds:
     inverse_small: wp.vec3
     """The end that is nearer to 0."""
     forward_small: wp.vec3
-    """Per axis with both signs, the least 1 / direction of the rays that go forward."""
+    """Per axis with both signs, the least 1 / direction of the rays that go forward; 0 along the others."""
     backward_small: wp.vec3
     """Likewise the greatest, nearest to 0, of the rays that go backward."""
     origin_in: wp.vec3

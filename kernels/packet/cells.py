@@ -51,18 +51,26 @@ def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry:
     ...
 
 
-@wp.func_native("""
-    float entry = bounds.t_min, leave = bounds.t_max;
-    for (int a = 0; a < 3; ++a) {
-        const bool back = bounds.backward.c[a];
-        const float large = bounds.inverse_large.c[a], small = bounds.inverse_small.c[a];
-        float d = (back ? high.c[a] : low.c[a]) - bounds.origin_in.c[a], p = d * large, q = d * small;
-        q = q < p ? q : p; entry = q > entry ? q : entry;
-        d = (back ? low.c[a] : high.c[a]) - bounds.origin_out.c[a]; p = d * large; q = d * small;
-        q = q > p ? q : p; leave = q < leave ? q : leave;
-    }
-    return wp::vec2(entry, leave);
-""")
-def enter_box(bounds: wp.ref[PacketBounds], low: wp.vec3, high: wp.vec3) -> wp.vec2:
-    """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave."""
-    ...
+@wp.func
+def enter_box(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
+    """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave.
+
+    In plain Warp, what `wrt.kernels.packet.interval` does for W boxes at a time; the tests compare them bit for bit.
+    """
+    entry = float(bounds.t_min)
+    leave = float(bounds.t_max)
+    for axis in range(3):
+        back = bounds.backward[axis] != 0
+        large = bounds.inverse_large[axis]
+        small = bounds.inverse_small[axis]
+        to_near = wp.where(back, high[axis], low[axis]) - bounds.origin_in[axis]
+        near = wp.where(to_near * small < to_near * large, to_near * small, to_near * large)
+        entry = wp.where(near > entry, near, entry)
+        to_far = wp.where(back, low[axis], high[axis]) - bounds.origin_out[axis]
+        far = wp.where(to_far * small > to_far * large, to_far * small, to_far * large)
+        leave = wp.where(far < leave, far, leave)
+        ahead = (low[axis] - (bounds.origin_high[axis] + bounds.slack)) * bounds.forward_small[axis]
+        entry = wp.where(ahead > entry, ahead, entry)
+        behind = (high[axis] - (bounds.origin_low[axis] - bounds.slack)) * bounds.backward_small[axis]
+        entry = wp.where(behind > entry, behind, entry)
+    return wp.vec2(entry, leave)

@@ -22,6 +22,7 @@ import warp as wp
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.triangle.records import vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -90,12 +91,7 @@ TRIANGLES = f"""
     const float* r = &records.data[(size_t)block * (RECORD * W)];{_ENDS}
     unsigned mask = 0;
     WRT_FOR_LANES(i) {{
-        float low[3], high[3];
-        for (int a = 0; a < 3; ++a) {{
-            const float p = r[a * W + i], q = r[(3 + a) * W + i], s = r[(6 + a) * W + i];
-            float least = p < q ? p : q, most = p > q ? p : q;
-            low[a] = least < s ? least : s; high[a] = most > s ? most : s;
-        }}
+        float low[3], high[3];{vertex_box("r", "i")}
         const float near_x = back_x ? high[0] : low[0], far_x = back_x ? low[0] : high[0];
         const float near_y = back_y ? high[1] : low[1], far_y = back_y ? low[1] : high[1];
         const float near_z = back_z ? high[2] : low[2], far_z = back_z ? low[2] : high[2];{_INTERVAL}

@@ -90,7 +90,7 @@ _BOUND = """
         bounds.backward.c[a] = backward ? 1 : 0;
         bounds.inverse_large.c[a] = mixed ? none : backward ? q : p;
         bounds.inverse_small.c[a] = mixed ? none : backward ? p : q;
-        bounds.forward_small.c[a] = q; bounds.backward_small.c[a] = p;
+        bounds.forward_small.c[a] = mixed ? q : 0.0f; bounds.backward_small.c[a] = mixed ? p : 0.0f;
         bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
         bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
         bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];

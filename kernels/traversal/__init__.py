@@ -120,7 +120,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "omnidirectional",
             "Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees (2006)",
             {"kdtree": omnidirectional.make_kernel},
-            packet_kernel.rays_per_item,
+            omnidirectional.rays_per_item,
             packets=True,
             mailbox=True,
         ),

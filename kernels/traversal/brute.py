@@ -4,11 +4,11 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import clamp_to_box, ray_slabs, reach
+from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.crossings import take_crossing
-from wrt.kernels.traversal.leaf import Counters, improves, start, store_best
+from wrt.kernels.traversal.leaf import Counters, improves, start, store_best, triangle_step
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -29,10 +29,9 @@ class AllTriangles:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
     test = TRIANGLE_TESTS[config.triangle_test]
-    prepare, intersect, load = test.prepare, test.forms(config.crossing).intersect, test.record.load
-    store, take, crossing = store_best(config), take_crossing(config), config.crossing
-    box_low, box_high = test.record.box_low, test.record.box_high
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
+    prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
+    take, crossing = take_crossing(config), config.crossing
+    counting, any_hit = config.counters, config.query == ANY
 
     def brute_force(
         first: int,
@@ -50,20 +49,17 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
             state = prepare(ray.origin, ray.direction)
             while tested < tree.count:
-                corners = load(triangles.records, tested, wp.static(width))
-                hit = intersect(state, corners)
-                if not wp.isnan(hit[0]):
-                    t = clamp_to_box(slabs, box_low(corners), box_high(corners), hit[0])
-                    if wp.static(crossing):
-                        if t >= ray.t_min and t <= ray.t_max:
-                            best = take(hits, i, best, t, triangles.primitive[tested], hit[1], hit[2])
-                    elif improves(t, triangles.primitive[tested], ray.t_min, best):
-                        best.t = t
-                        best.primitive = triangles.primitive[tested]
-                        best.u = hit[1]
-                        best.v = hit[2]
-                        if wp.static(any_hit):
-                            break
+                hit = candidate(triangles.records, tested, state, slabs)
+                if wp.static(crossing):
+                    if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
+                        best = take(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
+                elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
+                    best.t = hit[0]
+                    best.primitive = triangles.primitive[tested]
+                    best.u = hit[1]
+                    best.v = hit[2]
+                    if wp.static(any_hit):
+                        break
                 tested += 1
         store(hits, i, best)
         if wp.static(counting):

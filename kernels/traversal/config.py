@@ -31,6 +31,8 @@ class TraversalConfig:
         culling: key in `wrt.kernels.packet.CULLINGS`.
         stream: rays of a stream, 1 to 4096.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
+        block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
+        one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
     triangle_test: str
@@ -44,6 +46,8 @@ class TraversalConfig:
     culling: str = "interval"
     stream: int = 1024
     mailbox: str = NONE
+    block: int = 0
+    one_by_one: bool = False
 
     @property
     def crossing(self) -> bool:

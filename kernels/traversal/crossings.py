@@ -32,7 +32,7 @@ from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ALL, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import TriangleBlocks
+from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -129,8 +129,7 @@ def owns_crossing(triangle_test: str, width: int) -> wp.Function:
 
     leaf: a leaf that has the triangle in the slot. interval: of t there, which holds t.
     """
-    record = TRIANGLE_TESTS[triangle_test].record
-    load, box_low, box_high = record.load, record.box_low, record.box_high
+    load = load_corners(TRIANGLE_TESTS[triangle_test].record.components)
 
     @wp.func
     def owns(
@@ -146,8 +145,8 @@ def owns_crossing(triangle_test: str, width: int) -> wp.Function:
         owned = bool(True)
         if not (t > interval[0] + margin and t < interval[1] - margin):
             corners = load(triangles.records, slot, wp.static(width))
-            low = box_low(corners)
-            high = box_high(corners)
+            low = corners_low(corners)
+            high = corners_high(corners)
             node = int(0)
             while owned and node != leaf:
                 word = kdtree.load_node(tree.nodes, node)

@@ -236,6 +236,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
     packet_rays, small, large = config.packet, PACKETS * config.packet, rays_per_item(config)
+    size = packet_layout(config).size
 
     @wp.func
     def look(
@@ -259,6 +260,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         hits: HitBatch,
         counters: wp.array(dtype=Counters),
     ):
+        packet = wp.zeros(shape=(size,), dtype=float)
         tile = (first + wp.tid()) * wp.static(large)
         end = wp.min(tile + wp.static(large), rays.count)
         work = Counters()
@@ -282,7 +284,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
             begin = int(part)
             while begin < part_end:
                 if here:
-                    trace_packet(tree, below, triangles, rays, begin, hits, counters, work)
+                    trace_packet(tree, below, triangles, rays, begin, packet, hits, counters, work)
                 else:
                     for i in range(begin, wp.min(begin + wp.static(packet_rays), part_end)):
                         store(hits, i, start(0.0))

@@ -7,12 +7,12 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import RaySlabs, slab_interval
+from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.lanes import FOR_LANES, lanes, lowest_bit
 from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import Record, TriangleBlocks
+from wrt.kernels.triangle.records import Record, TriangleBlocks, corners_high, corners_low, load_corners, vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -99,7 +99,7 @@ _CLAMP = """
     unsigned kept = 0;
     WRT_FOR_LANES(i) {
         float low[3], high[3];
-        LANE_BOX
+        VERTEX_BOX
         float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i, at = t.c[i];
         s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
         s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
@@ -125,7 +125,7 @@ def clamp_block(record: Record, width: int) -> wp.Function:
     Lanes = lanes(width)
     constants = f"    constexpr int W = {width}, COMPONENTS = {record.components};"
 
-    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("LANE_BOX", record.lane_box))
+    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")))
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,
@@ -140,8 +140,28 @@ def clamp_block(record: Record, width: int) -> wp.Function:
 
 
 @cache
+def triangle_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate by the test's scalar form; t NaN for none."""
+    test = TRIANGLE_TESTS[config.triangle_test]
+    RayState, intersect, width = test.ray_state, test.forms(config.crossing).intersect, config.width
+    load, load_vertices = test.record.load, load_corners(test.record.components)
+
+    @wp.func
+    def step(records: wp.array(dtype=float), slot: int, state: RayState, slabs: RaySlabs):
+        hit = intersect(state, load(records, slot, wp.static(width)))
+        if hit[0] != hit[0]:
+            return hit
+        corners = load_vertices(records, slot, wp.static(width))
+        return wp.vec3(clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0]), hit[1], hit[2])
+
+    return step
+
+
+@cache
 def block_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
+    if config.one_by_one:
+        return slot_by_slot(config)
     test = TRIANGLE_TESTS[config.triangle_test]
     width = config.width
     Lanes = lanes(width)
@@ -169,6 +189,34 @@ def block_step(config: TraversalConfig) -> wp.Function:
                 best.v = v_lanes[lane]
                 if wp.static(any_hit):
                     mask = wp.uint32(0)
+        return best
+
+    return step
+
+
+@cache
+def slot_by_slot(config: TraversalConfig) -> wp.Function:
+    """The same by the test's scalar form, one triangle after the other: every exit of a test is a branch."""
+    width, any_hit = config.width, config.query == ANY
+    RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)
+
+    @wp.func
+    def step(triangles: TriangleBlocks, block: int, state: RayState, slabs: wp.ref[RaySlabs], t_min: float, best: Candidate):
+        slot = block * wp.static(width)
+        end = slot + wp.static(width)
+        while slot < end:
+            primitive = triangles.primitive[slot]
+            if primitive < 0:
+                break
+            hit = candidate(triangles.records, slot, state, slabs)
+            if improves(hit[0], primitive, t_min, best):
+                best.t = hit[0]
+                best.primitive = primitive
+                best.u = hit[1]
+                best.v = hit[2]
+                if wp.static(any_hit):
+                    break
+            slot += 1
         return best
 
     return step

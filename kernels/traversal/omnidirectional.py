@@ -104,6 +104,11 @@ def leaf_by_ray(config: TraversalConfig) -> wp.Function:
     return test
 
 
+def rays_per_item(config: TraversalConfig) -> int:
+    """An item of the kernel is a packet."""
+    return config.packet
+
+
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""

@@ -1,7 +1,7 @@
 """What packets have in common whatever the tree: the kernel around a walk, and the step through a leaf.
 
-An item of the kernel is a packet. It is loaded, walked together, and stored; a packet that cannot stay together (directions
-with both signs along too many axes, or a walk that gave up) is taken apart, and its rays go one by one.
+An item of the kernel is a run of packets. Each is loaded, walked together, and stored; a packet that cannot stay together
+(directions with both signs along too many axes, or a walk that gave up) is taken apart, and its rays go one by one.
 """
 
 from functools import cache
@@ -31,9 +31,13 @@ def packet_layout(config: TraversalConfig) -> PacketLayout:
     return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
 
 
+RUN = 8
+"""Packets of an item: they share its local memory, which Warp clears (a tenth of a camera ray's time, packet by packet)."""
+
+
 def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a packet."""
-    return config.packet
+    """An item of the kernel is a run of packets."""
+    return RUN * config.packet
 
 
 @cache
@@ -119,9 +123,10 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
 def packet_step(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, hits, counters, work)`: the packet whose first ray is `begin`.
+    """`wp.func(tree, below, triangles, rays, begin, packet, hits, counters, work)`: the packet whose first ray is `begin`.
 
-    below: the tree, or the part of it where all hits of the packet are. `work` is what was done for it before.
+    below: the tree, or the part of it where all hits of the packet are. packet: room for it. `work` is what was done for it
+    before.
 
     Args:
         config: the specialisation.
@@ -134,7 +139,7 @@ def packet_step(
     load, store = load_packet(layout), store_packet(layout, config.query == ANY)
     start_packet = CULLINGS[config.culling].start(layout)
     alone = trace_alone(config, Tree, walk_ray)
-    counting, size, packet_rays = config.counters, layout.size, config.packet
+    counting, packet_rays = config.counters, config.packet
 
     @wp.func
     def step(
@@ -143,11 +148,11 @@ def packet_step(
         triangles: TriangleBlocks,
         rays: RayBatch,
         begin: int,
+        packet: wp.array(dtype=float),
         hits: HitBatch,
         counters: wp.array(dtype=Counters),
         work: wp.ref[Counters],
     ):
-        packet = wp.zeros(shape=(size,), dtype=float)
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
         together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
@@ -172,7 +177,7 @@ def make_packet_kernel(
 ) -> wp.Kernel:
     """The kernel for one specialisation; arguments as those of `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
-    packet_rays = config.packet
+    packet_rays, run, size = config.packet, rays_per_item(config), packet_layout(config).size
 
     def packet_traversal(
         first: int,
@@ -182,7 +187,12 @@ def make_packet_kernel(
         hits: HitBatch,
         counters: wp.array(dtype=Counters),
     ):
-        work = Counters()
-        step(tree, tree, triangles, rays, (first + wp.tid()) * wp.static(packet_rays), hits, counters, work)
+        packet = wp.zeros(shape=(size,), dtype=float)
+        begin = (first + wp.tid()) * wp.static(run)
+        end = wp.min(begin + wp.static(run), rays.count)
+        while begin < end:
+            work = Counters()
+            step(tree, tree, triangles, rays, begin, packet, hits, counters, work)
+            begin += wp.static(packet_rays)
 
     return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})

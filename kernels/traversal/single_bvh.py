@@ -28,11 +28,12 @@ from wrt.kernels.box_lanes import NO_CHILD, entry_of, met_boxes, nearest_child, 
 from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
-from wrt.kernels.memory import load_float, load_int, store_float, store_int
+from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.crossings import crossing_step
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
+from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -88,58 +89,83 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
 
 
 @cache
+def inner_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, node, slabs, t_min, t_max, stack, waiting) -> child`: goes on from an inner node.
+
+    The nearest child that the ray meets, or `EMPTY_LANE`; the others wait.
+    """
+    test_boxes, Lanes, width = met_boxes(config.width), lanes(config.width), config.width
+    push = stack_of(config).push
+
+    @wp.func
+    def step(
+        tree: WideNodes,
+        node: int,
+        slabs: wp.ref[RaySlabs],
+        t_min: float,
+        t_max: float,
+        stack: wp.uint64,
+        waiting: wp.ref[int],
+    ):
+        entry = Lanes()
+        mask = test_boxes(tree.bounds, node, slabs, t_min, t_max, entry)
+        child = int(bvh.EMPTY_LANE)
+        nearest = float(INFINITY)
+        for lane in range(wp.static(width)):
+            if (mask >> wp.uint32(lane)) & wp.uint32(1) != wp.uint32(0):
+                word = load_int(tree.child, node * wp.static(width) + lane)
+                closer = entry[lane] < nearest
+                if child != bvh.EMPTY_LANE:
+                    push(stack, waiting, wp.where(closer, child, word), wp.where(closer, nearest, entry[lane]))
+                    waiting += 1
+                if closer or child == bvh.EMPTY_LANE:
+                    child = word
+                    nearest = entry[lane]
+        return child
+
+    return step
+
+
+def stack_of(config: TraversalConfig) -> WaitingStack:
+    """Room for all children that may wait on a path."""
+    return waiting_stack(config.levels * (config.width - 1) + 1, config.block)
+
+
+@cache
 def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
-    """The walk with a stack of children that wait."""
+    """The walk with a stack of children that wait.
+
+    Goes down to a leaf before it tests one: the threads of a CUDA warp do the same thing at the same time for longer.
+    """
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_leaf, test_boxes, Lanes = make_leaf(config), met_boxes(config.width), lanes(config.width)
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
-    size = config.levels * (config.width - 1) + 1
+    test_leaf, step, stacked = make_leaf(config), inner_step(config), stack_of(config)
+    open_stack, pop, local = stacked.open, stacked.pop, stacked.local
+    counting, any_hit = config.counters, config.query == ANY
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
-        stack_child = wp.zeros(shape=(size,), dtype=int)
-        stack_entry = wp.zeros(shape=(size,), dtype=float)
+        stack = open_stack(wp.zeros(shape=(local,), dtype=int))
         waiting = int(0)
-        entry = Lanes()
         child = int(0)
         searching = bool(True)
         while searching:
-            searching = bool(False)
-            if child >= 0:
-                mask = test_boxes(tree.bounds, child, slabs, ray.t_min, best.t, entry)
+            while child >= 0:
+                child = step(tree, child, slabs, ray.t_min, best.t, stack, waiting)
                 if wp.static(counting):
                     work.nodes += 1
-                first = child * wp.static(width)
-                nearest = float(INFINITY)
-                for lane in range(wp.static(width)):
-                    if (mask >> wp.uint32(lane)) & wp.uint32(1) != wp.uint32(0):
-                        word = load_int(tree.child, first + lane)
-                        at = entry[lane]
-                        if not searching:
-                            searching = bool(True)
-                            nearest = at
-                            child = word
-                        elif at < nearest:
-                            store_int(stack_child, waiting, child)
-                            store_float(stack_entry, waiting, nearest)
-                            waiting += 1
-                            nearest = at
-                            child = word
-                        else:
-                            store_int(stack_child, waiting, word)
-                            store_float(stack_entry, waiting, at)
-                            waiting += 1
-            else:
+            if child != bvh.EMPTY_LANE:
                 best = test_leaf(tree, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
                 if wp.static(any_hit):
                     waiting = wp.where(best.primitive < 0, waiting, 0)
+            searching = bool(False)
             while waiting > 0 and not searching:
                 waiting -= 1
-                child = load_int(stack_child, waiting)
-                searching = load_float(stack_entry, waiting) <= best.t
+                entry = float(0.0)
+                child = pop(stack, waiting, entry)
+                searching = entry <= best.t
         return best
 
     return walk

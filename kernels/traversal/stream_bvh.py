@@ -34,17 +34,9 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import (
-    LIST_LANES,
-    PAIR_ROOM,
-    StreamCounters,
-    load_stream,
-    pair_tester,
-    round_up,
-    store_stream,
-    stream_ray,
-)
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, load_stream, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, next_child
+from wrt.kernels.traversal.stream_pairs import Pairs, pair_tester
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -76,11 +68,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         begins = wp.zeros(shape=(levels,), dtype=int)
         sizes = wp.zeros(shape=(levels,), dtype=int)
         lasts = wp.zeros(shape=(levels,), dtype=int)
-        pair_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        pair_leaves = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_blocks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_masks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
+        pairs = Pairs()
         level = int(-1)
         node = int(0)
         begin = int(0)
@@ -96,35 +84,11 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                 size = int(0)
                 tested = int(0)
                 while tested < incoming:
-                    pairs = filter_list(
-                        tree.bounds,
-                        tree.child,
-                        node,
-                        stream,
-                        words,
-                        begin,
-                        incoming,
-                        keys,
-                        first_key,
-                        pair_rays,
-                        pair_leaves,
-                        tested,
-                        size,
+                    paired = filter_list(
+                        tree.bounds, tree.child, node, stream, words, begin, incoming, keys, first_key, pairs, tested, size
                     )
-                    if pairs > 0:
-                        test_pairs(
-                            triangles,
-                            stream,
-                            pair_rays,
-                            pair_leaves,
-                            hit_rays,
-                            hit_blocks,
-                            hit_masks,
-                            pairs,
-                            hits,
-                            first_ray,
-                            work,
-                        )
+                    if paired > 0:
+                        test_pairs(triangles, stream, pairs, paired, hits, first_ray, work)
                 if wp.static(counting):
                     work.nodes += incoming
                 store_int(path, level, node)
@@ -173,16 +137,18 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: wp.array(dtype=StreamCounters),
     ):
-        item = first + wp.tid()
-        begin = item * wp.static(size)
-        count = wp.min(wp.static(size), rays.count - begin)
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         words = wp.zeros(shape=(room,), dtype=int)
-        work = StreamCounters()
-        load(rays, begin, count, tree.low, tree.high, stream)
-        trace(tree, triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
-        store(stream, begin, count, hits)
-        if wp.static(counting):
-            counters[begin] = work
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
+        while begin < end:
+            count = wp.min(wp.static(size), end - begin)
+            work = StreamCounters()
+            load(rays, begin, count, tree.low, tree.high, stream)
+            trace(tree, triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
+            store(stream, begin, count, hits)
+            if wp.static(counting):
+                counters[begin] = work
+            begin += wp.static(size)
 
     return wp.kernel(stream_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})

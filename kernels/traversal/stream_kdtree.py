@@ -38,18 +38,9 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import (
-    LIST_LANES,
-    PAIR_ROOM,
-    PAIRS,
-    StreamCounters,
-    load_stream,
-    pair_tester,
-    round_up,
-    store_stream,
-    stream_ray,
-)
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, load_stream, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import filter_hits, filter_plane
+from wrt.kernels.traversal.stream_pairs import PAIRS, Pairs, pair_tester
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -87,20 +78,19 @@ _ENTER = """
 """
 
 
-@cache
-def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, order, begin, end, ...)`: traces the rays order[begin .. end - 1], all of an octant.
+@wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.data[first + i]; pairs.leaves.c[i] = leaf; }")
+def pair_up(list: wp.array(dtype=int), first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
+    """Pairs of rays of a list with a leaf."""
+    ...
 
-    list, entry, leave: room for them; far_rays, far_entry, far_leave: the stack.
-    """
-    StreamRay = stream_ray(config.triangle_test)
-    split, recall = filter_plane(config.triangle_test), filter_hits(config.triangle_test)
-    test_pairs = pair_tester(config)
-    counting, width = config.counters, config.width
-    most_triangles = MAX_LEAF_TRIANGLES // width * width
+
+@cache
+def enter_scene(triangle_test: str) -> wp.Function:
+    """`wp.func(rays, order, begin, end, low, high, list, entry, leave) -> count`: the rays that meet the scene's box."""
+    StreamRay = stream_ray(triangle_test)
 
     @wp.func_native(_ENTER)
-    def enter_scene(
+    def enter_native(
         rays: wp.array(dtype=StreamRay),
         order: wp.array(dtype=int),
         begin: int,
@@ -112,20 +102,55 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         leave: wp.array(dtype=float),
     ) -> int: ...
 
+    return enter_native
+
+
+@cache
+def leaf_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: the rays of a list against a leaf."""
+    StreamRay, test_pairs, width = stream_ray(config.triangle_test), pair_tester(config), config.width
+    most_triangles = MAX_LEAF_TRIANGLES // width * width
+
+    @wp.func
+    def test_leaf(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        list: wp.array(dtype=int),
+        size: int,
+        node: wp.vec2i,
+        pairs: wp.ref[Pairs],
+        hits: wp.ref[HitBatch],
+        first_ray: int,
+        work: wp.ref[StreamCounters],
+    ):
+        triangle = int(0)
+        count = kdtree.leaf_triangles(node)
+        while triangle < count:
+            block = kdtree.first_block(node) + triangle / wp.static(width)
+            leaf = leaf_child(block, wp.min(count - triangle, wp.static(most_triangles)))
+            first = int(0)
+            while first < size:
+                number = wp.min(size - first, PAIRS)
+                pair_up(list, first, number, leaf, pairs)
+                test_pairs(triangles, stream, pairs, number, hits, first_ray, work)
+                first += PAIRS
+            triangle += wp.static(most_triangles)
+
+    return test_leaf
+
+
+@cache
+def make_trace(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, stream, order, begin, end, ...)`: traces the rays order[begin .. end - 1], all of an octant.
+
+    list, entry, leave: room for them; far_rays, far_entry, far_leave: the stack.
+    """
+    StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
+    split, recall = filter_plane(config.triangle_test), filter_hits(config.triangle_test)
+    test_leaf, counting = leaf_tester(config), config.counters
+
     @wp.func_native("return rays.data[k].slabs.inverse.c[axis] < 0.0f;")
     def is_backward(rays: wp.array(dtype=StreamRay), k: int, axis: int) -> bool: ...
-
-    @wp.func_native("""
-        for (int i = 0; i < count; ++i) { pair_rays.data[i] = list.data[first + i]; pair_leaves.data[i] = leaf; }
-    """)
-    def pair_up(
-        list: wp.array(dtype=int),
-        first: int,
-        count: int,
-        leaf: int,
-        pair_rays: wp.array(dtype=int),
-        pair_leaves: wp.array(dtype=int),
-    ): ...
 
     @wp.func
     def trace(
@@ -147,15 +172,11 @@ def make_trace(config: TraversalConfig) -> wp.Function:
     ):
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_size = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
-        pair_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        pair_leaves = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_rays = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_blocks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
-        hit_masks = wp.zeros(shape=(PAIR_ROOM,), dtype=int)
+        pairs = Pairs()
         waiting = int(0)
         top = int(0)
         at = int(0)
-        size = enter_scene(stream, order, begin, end, tree.low, tree.high, list, entry, leave)
+        size = enter(stream, order, begin, end, tree.low, tree.high, list, entry, leave)
         while size > 0:
             node = kdtree.load_node(tree.nodes, at)
             axis = kdtree.split_axis(node)
@@ -179,30 +200,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                     top += behind
                 at = near
             else:
-                triangle = int(0)
-                count = kdtree.leaf_triangles(node)
-                while triangle < count:
-                    block = kdtree.first_block(node) + triangle / wp.static(width)
-                    leaf = leaf_child(block, wp.min(count - triangle, wp.static(most_triangles)))
-                    first = int(0)
-                    while first < size:
-                        pairs = wp.min(size - first, PAIRS)
-                        pair_up(list, first, pairs, leaf, pair_rays, pair_leaves)
-                        test_pairs(
-                            triangles,
-                            stream,
-                            pair_rays,
-                            pair_leaves,
-                            hit_rays,
-                            hit_blocks,
-                            hit_masks,
-                            pairs,
-                            hits,
-                            first_ray,
-                            work,
-                        )
-                        first += PAIRS
-                    triangle += wp.static(most_triangles)
+                test_leaf(triangles, stream, list, size, node, pairs, hits, first_ray, work)
                 size = int(0)
             while size == 0 and waiting > 0:
                 waiting -= 1
@@ -234,9 +232,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: wp.array(dtype=StreamCounters),
     ):
-        item = first + wp.tid()
-        begin = item * wp.static(size)
-        count = wp.min(wp.static(size), rays.count - begin)
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
@@ -246,36 +241,41 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         far_rays = wp.zeros(shape=(stack_room,), dtype=int)
         far_entry = wp.zeros(shape=(stack_room,), dtype=float)
         far_leave = wp.zeros(shape=(stack_room,), dtype=float)
-        work = StreamCounters()
-        load(rays, begin, count, tree.low, tree.high, stream)
-        sort_by_octant(stream, count, order, ends)
-        done = int(0)
-        octant = int(0)
-        while octant < 8:
-            end = load_int(ends, octant)
-            upto = wp.min(end, done + wp.static(piece))
-            if done < upto:
-                trace(
-                    tree,
-                    triangles,
-                    stream,
-                    order,
-                    done,
-                    upto,
-                    list,
-                    entry,
-                    leave,
-                    far_rays,
-                    far_entry,
-                    far_leave,
-                    hits,
-                    begin,
-                    work,
-                )
-            done = upto
-            octant += wp.where(done == end, 1, 0)
-        store(stream, begin, count, hits)
-        if wp.static(counting):
-            counters[begin] = work
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
+        while begin < end:
+            count = wp.min(wp.static(size), end - begin)
+            work = StreamCounters()
+            load(rays, begin, count, tree.low, tree.high, stream)
+            sort_by_octant(stream, count, order, ends)
+            done = int(0)
+            octant = int(0)
+            while octant < 8:
+                last = load_int(ends, octant)
+                upto = wp.min(last, done + wp.static(piece))
+                if done < upto:
+                    trace(
+                        tree,
+                        triangles,
+                        stream,
+                        order,
+                        done,
+                        upto,
+                        list,
+                        entry,
+                        leave,
+                        far_rays,
+                        far_entry,
+                        far_leave,
+                        hits,
+                        begin,
+                        work,
+                    )
+                done = upto
+                octant += wp.where(done == last, 1, 0)
+            store(stream, begin, count, hits)
+            if wp.static(counting):
+                counters[begin] = work
+            begin += wp.static(size)
 
     return wp.kernel(stream_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})

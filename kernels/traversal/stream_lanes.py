@@ -15,7 +15,8 @@ import warp as wp
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.lanes import FOR_LANES
-from wrt.kernels.traversal.stream import LIST_LANES, PAIRS, RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream_pairs import PAIRS, Pairs
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -64,8 +65,8 @@ _FILTER_BOXES = """
     unsigned leaves = 0;
     for (int i = 0; i < W; ++i) { leaf[i] = child[i]; leaves |= child[i] < 0 ? 1u << i : 0u; }
     for (int i = 0; i < W; ++i) { least[i] = key[i]; }
-    int pairs = 0, kept = survivors, j = tested;
-    for (; j < count && pairs <= PAIRS; ++j) {
+    int paired = 0, kept = survivors, j = tested;
+    for (; j < count && paired <= PAIRS; ++j) {
         const int k = list[j] & RAY;
         const auto& ray = rays.data[k];
         const float ix = ray.slabs.inverse.c[0], iy = ray.slabs.inverse.c[1], iz = ray.slabs.inverse.c[2];
@@ -91,26 +92,27 @@ _FILTER_BOXES = """
         }
         const unsigned bits = wrt_bits(hit), inner = bits & ~leaves;
         for (int i = 0; i < L; ++i) { number[i] = k; }
-        wrt_append(pair_rays.data + pairs, number, (1u << L) - 1u);
-        pairs += wrt_append(pair_leaves.data + pairs, leaf, bits & leaves);
+        wrt_append(pairs.rays.c + paired, number, (1u << L) - 1u);
+        paired += wrt_append(pairs.leaves.c + paired, leaf, bits & leaves);
         list[kept] = (int)(inner << RAY_BITS) | k;
         kept += inner != 0u;
     }
     for (int i = 0; i < W; ++i) { key[i] = leaves >> i & 1u ? NO_CHILD : least[i]; }
     survivors = kept;
     tested = j;
-    return pairs;
+    return paired;
 """
 
 
 @cache
 def filter_boxes(width: int, triangle_test: str) -> wp.Function:
-    """`func(bounds, children, node, rays, words, first, count, keys, row, pair_rays, pair_leaves, tested, survivors) -> pairs`.
+    """`func(bounds, children, node, rays, words, first, count, keys, row, pairs, tested, survivors) -> int`.
 
     Filters a list, words[first .. first + count - 1], through the W boxes of a node. A ray whose interval up to its best hit
-    meets a child's box is active there: for a leaf, (ray, leaf) goes to the pairs; for inner children, their bits go into
+    meets a child's box is active there: for a leaf, (ray, leaf) goes to `pairs`; for inner children, their bits go into
     the ray's word above its number. Words without such a bit are dropped, in place, and keys[row ..] are lowered to those of
-    the rays that enter first. Stops when the pairs may run out of room: goes on at `tested` when it is called again.
+    the rays that enter first. Stops when the pairs may run out of room, and goes on at `tested` when it is called again. How
+    many pairs there are is returned.
     """
     StreamRay = stream_ray(triangle_test)
     constants = f"    constexpr int W = {width}, PAIRS = {PAIRS}, NO_CHILD = {NO_CHILD_CONSTANT};\n"
@@ -126,8 +128,7 @@ def filter_boxes(width: int, triangle_test: str) -> wp.Function:
         count: int,
         keys: wp.array(dtype=int),
         row: int,
-        pair_rays: wp.array(dtype=int),
-        pair_leaves: wp.array(dtype=int),
+        pairs: wp.ref[Pairs],
         tested: wp.ref[int],
         survivors: wp.ref[int],
     ) -> int: ...

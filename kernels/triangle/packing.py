@@ -5,7 +5,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.launch import launch
-from wrt.kernels.triangle.records import Corners, Record, TriangleBlocks
+from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @cache
 def make_kernel(record: Record) -> wp.Kernel:
     """The kernel that writes records of one kind."""
-    pack = record.pack
+    derive, own, components = record.derive, record.own, record.components
 
     def pack_records(
         first: int,
@@ -35,7 +35,15 @@ def make_kernel(record: Record) -> wp.Kernel:
             corners.a = vertices[face[0]]
             corners.b = vertices[face[1]]
             corners.c = vertices[face[2]]
-        pack(records, slot, width, corners, origin)
+        at = (slot / width) * wp.static(components) * width + slot % width
+        for axis in range(3):
+            records[at + axis * width] = corners.a[axis]
+            records[at + (3 + axis) * width] = corners.b[axis]
+            records[at + (6 + axis) * width] = corners.c[axis]
+        if wp.static(own > 0):
+            values = derive(corners, origin)
+            for c in range(wp.static(own)):
+                records[at + (wp.static(VERTEX_COMPONENTS) + c) * width] = values[c]
 
     return wp.kernel(pack_records, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 

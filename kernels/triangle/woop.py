@@ -35,7 +35,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.lanes import FOR_LANES, lanes
-from wrt.kernels.triangle.records import Corners, CrossingForms, PacketForm
+from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
+from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
+from wrt.kernels.triangle.operations import Operations
+from wrt.kernels.triangle.records import Corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -61,6 +64,16 @@ class ShearedRay:
 
 
 @wp.func
+def turned(v: wp.vec3, z: int):
+    """The components along the axes x, y, z of a ray whose main axis is z; selected, as an index would go through memory."""
+    return wp.vec3(
+        wp.where(z == 2, v[0], wp.where(z == 0, v[1], v[2])),
+        wp.where(z == 2, v[1], wp.where(z == 0, v[2], v[0])),
+        wp.where(z == 2, v[2], wp.where(z == 0, v[0], v[1])),
+    )
+
+
+@wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
     """Axis order and shear of a ray; `direction` is finite and not zero."""
     size = wp.abs(direction)
@@ -68,8 +81,9 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
     ray.z = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
     ray.x = wp.where(ray.z == 2, 0, ray.z + 1)
     ray.y = wp.where(ray.x == 2, 0, ray.x + 1)
-    ray.origin = wp.vec3(origin[ray.x], origin[ray.y], origin[ray.z])
-    ray.shear = wp.vec3(direction[ray.x] / direction[ray.z], direction[ray.y] / direction[ray.z], 1.0 / direction[ray.z])
+    ray.origin = turned(origin, ray.z)
+    along = turned(direction, ray.z)
+    ray.shear = wp.vec3(along[0] / along[2], along[1] / along[2], 1.0 / along[2])
     return ray
 
 
@@ -333,3 +347,18 @@ PACKET = PacketForm(
     """,
 )
 """W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
+
+OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
+"""Of a miss, and what a hit adds; where nothing has to be computed again."""
+
+TEST = TriangleTest(
+    name="woop",
+    paper="Woop, Benthin, Wald: Watertight ray/triangle intersection (2013)",
+    watertight=True,
+    accurate=True,
+    ray_state=ShearedRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=HandWritten(block_test, PACKET, OPERATIONS),
+    crossing=CROSSING,
+)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import click
 
+from wrt.bench.loading import load_model, progress, usage_errors
 from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.results import ModelResult, Report, machine
 from wrt.bench.workloads import ORDERS, WORKLOADS, WorkloadMaker
@@ -19,11 +20,29 @@ from wrt.mesh import TriangleMesh
 DEFAULT_MODELS = ("teapot", "atrium", "wood")
 """Built-in scenes that are measured when no model is named."""
 
-SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
-"""Where a scene's defaults do not suit: the teapot's ground would fill every view."""
+COMPARISONS = {"triangle-tests": ("wrt.bench.triangle_command", "triangle_tests")}
+"""What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 
 
-@click.command()
+class BenchCommand(click.Command):
+    """A command that hands over to one of `COMPARISONS` if its name is the first argument (a file of that name: ./NAME)."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """The context of the command that is meant, which click goes on with."""
+        if not args or args[0] not in COMPARISONS:
+            return super().make_context(info_name, args, parent, **extra)
+        module, attribute = COMPARISONS[args[0]]
+        command = getattr(import_module(module), attribute)
+        return command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Runs the command that the context was made for."""
+        return super().invoke(ctx) if ctx.command is self else ctx.command.invoke(ctx)
+
+
+@click.command(cls=BenchCommand)
 @click.argument("model", required=False)
 @click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
 @click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
@@ -53,7 +72,9 @@ def bench(
     """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
-    which they agree beside it. "engines" are wrt's own traversals and triangle tests, one by one.
+    which they agree beside it. "engines" are wrt's own traversals, one by one.
+
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, with options of its own.
     """
     from rich.console import Console
 
@@ -126,21 +147,6 @@ def run_benchmark(
     return report
 
 
-def load_model(name: str) -> TriangleMesh:
-    """A mesh file, or a built-in scene by its name."""
-    from wrt import scenes
-
-    try:
-        if name in scenes.BUILTIN_SCENES and not Path(name).is_file():
-            mesh = scenes.build(name, **SCENE_OPTIONS.get(name, {}))
-            return TriangleMesh(mesh.vertices, mesh.faces, name=name)
-        return TriangleMesh.load(name)
-    except (FileNotFoundError, ValueError) as error:
-        raise click.BadParameter(
-            f"{error}; built-in scenes are {', '.join(scenes.BUILTIN_SCENES)}", param_hint="MODEL"
-        ) from None
-
-
 def check_device(name: str) -> None:
     """Fails for a device that is not there."""
     import warp as wp
@@ -149,25 +155,3 @@ def check_device(name: str) -> None:
     wp.init()
     if name not in (names := [device.alias for device in wp.get_devices()]):
         raise click.BadParameter(f"{name!r} is not there; choose from {', '.join(names)}", param_hint="--device")
-
-
-@contextmanager
-def usage_errors() -> Iterator[None]:
-    """Values that turn out to be wrong, and files that cannot be written, as errors of the command line."""
-    try:
-        yield
-    except (ValueError, OSError) as error:
-        raise click.ClickException(str(error)) from error
-
-
-@contextmanager
-def progress() -> Iterator[Callable[[str], None]]:
-    """What to call with the name of each step: shown on stderr if that is a terminal."""
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield lambda name: None
-        return
-    with console.status("bench") as status:
-        yield lambda name: status.update(f"bench: {name}")

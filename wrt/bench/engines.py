@@ -1,4 +1,4 @@
-"""wrt as a contender: as users call it by default, and once for each traversal, triangle test and builder."""
+"""wrt as a contender: as users call it by default, and once for each traversal and builder."""
 
 from __future__ import annotations
 
@@ -131,15 +131,13 @@ def default_engine(threads: int, device: str) -> Engine:
 
 
 def all_engines(threads: int, device: str) -> list[Engine]:
-    """One engine for each traversal of each tree and one for each triangle test; the rest is left on "auto"."""
+    """One engine for each traversal of each tree; triangle tests have a comparison of their own (`triangle_tests`)."""
     engines = []
     for way in TRAVERSALS.values():
         for tree in way.trees:
             name = f"wrt, {way.name}" if tree == "none" else f"wrt, {tree}, {way.name}"
             accelerator = AUTO if tree == "none" else tree
             engines.append(Engine(threads, device, name=name, accelerator=accelerator, traversal=way.name))
-    for test in TRIANGLE_TESTS.values():
-        engines.append(Engine(threads, device, name=f"wrt, {test.name}", triangle_test=test.name))
     return engines
 
 

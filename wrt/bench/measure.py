@@ -74,12 +74,16 @@ class Timing:
 
         Above one: slower than the reference.
         """
-        ratios = [
+        ratios = self.ratios_to(reference)
+        return median(ratios) if ratios else None
+
+    def ratios_to(self, reference: Timing) -> list[float]:
+        """Time per item / the reference's time per item, of each common round."""
+        return [
             (own / self.items) / (other / reference.items)
             for own, other in zip(self.seconds, reference.seconds, strict=False)
             if own is not None and other is not None
         ]
-        return median(ratios) if ratios else None
 
 
 def take_turns(

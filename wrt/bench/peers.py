@@ -231,7 +231,7 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "trimesh": lambda threads, device: [Trimesh()],
     "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
 }
-"""Contenders by the name that the command line knows; "engines" are wrt's traversals and triangle tests, each by itself."""
+"""Contenders by the name that the command line knows; "engines" are wrt's traversals, each by itself."""
 
 
 def make_peers(names: Iterable[str], threads: int, device: str) -> tuple[list[Peer], dict[str, str]]:

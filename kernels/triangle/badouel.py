@@ -1,0 +1,81 @@
+"""Badouel 1990: where does the line meet the plane, and is that point inside the projected triangle?
+
+**Problem.** Barycentric coordinates of a point in space are three equations for two unknowns.
+
+**Idea.** Intersect the plane first. Then leave out one coordinate, that of the normal's largest component: projected along it,
+the triangle keeps most of its area and its barycentric coordinates, and two equations for two unknowns are left.
+
+**Data.** The three vertices; the normal and its main axis are found for every ray. Wald's test
+(`wrt.kernels.triangle.wald`) is this one with all that computed beforehand.
+
+**Departures.** The comparison of t with the ray's range, the first exit, is left to the caller. The point is taken relative to
+vertex a from the start, so that its rounding does not grow with the distance from the centre of the scene. The determinant
+of the two equations is the normal's component itself. The survey's two forms of the test differ by a sign and by which edge
+is `b`; here u weighs vertex b and v vertex c.
+
+**Limits.** The point is computed early and tested late: most rays pay for all of it. Not watertight.
+
+References:
+    D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.
+    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
+"""
+
+import warp as wp
+
+from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.projection import main_axis, turned, turned_lanes
+from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, prepare
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    edge_b = corners.b - corners.a
+    edge_c = corners.c - corners.a
+    normal = cross(edge_b, edge_c)
+    s = ray.origin - corners.a
+    t = (0.0 - dot(normal, s)) / dot(normal, ray.direction)
+    axis = main_axis(normal)
+    n = turned(normal, axis)
+    b = turned(edge_b, axis)
+    c = turned(edge_c, axis)
+    h = turned(s, axis) + t * turned(ray.direction, axis)
+    u = (c[2] * h[1] - c[1] * h[2]) / n[0]
+    v = (b[1] * h[2] - b[2] * h[1]) / n[0]
+    if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+        return wp.vec3(t, u, v)
+    return miss()
+
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    steps=(
+        Step(
+            exit="the line meets the plane beside the triangle",
+            code=f"""
+                {minus("e1", "b", "a")}{minus("e2", "c", "a")}{crossed("n", "e1", "e2")}{minus("s", "o", "a")}
+                const float t = (0.0f - {dotted("n", "s")}) / {dotted("n", "d")};
+                const float size_x = WRT_ABS(nx), size_y = WRT_ABS(ny), size_z = WRT_ABS(nz);
+                const float axis = ((size_x >= size_y) & (size_x >= size_z)) ? 0.0f : size_y >= size_z ? 1.0f : 2.0f;
+                {turned_lanes("n")}{turned_lanes("e1")}{turned_lanes("e2")}{turned_lanes("s")}{turned_lanes("d")}
+                const float x = sp + t * dp, y = sq + t * dq;
+                const float u = (e2q * x - e2p * y) / nk, v = (e1p * y - e1q * x) / nk;
+            """,
+            passes="(u >= 0.0f) & (v >= 0.0f) & (u + v <= 1.0f)",
+        ),
+    ),
+)
+"""A t that is not finite makes u or v NaN or infinite, or both coordinates of the point 0 times infinity: NaN as well."""
+
+TEST = TriangleTest(
+    name="badouel",
+    paper="Badouel: An efficient ray-polygon intersection (1990)",
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)

@@ -1,0 +1,86 @@
+"""What a ray-triangle test is to the rest of the engine."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.triangle.lane_form import HandWritten, LaneForm, PacketForm
+from wrt.kernels.triangle.records import VERTICES, Record
+
+
+@dataclass(frozen=True)
+class CrossingForms:
+    """The forms of a test by which a ray crosses a surface once at an edge or a vertex: it hits one of the triangles there.
+
+    Attributes:
+        intersect: as `TriangleTest.intersect`.
+        block_test: as `TriangleTest.block_test`.
+    """
+
+    intersect: wp.Function
+    block_test: Callable[[int], wp.Function]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestForm:
+    """The lane loops of a test and what they read: enough to measure it (`wrt.kernels.triangle.alone`), not to trace with.
+
+    Attributes:
+        name: in tables.
+        record: what it reads of a triangle; `record.per_origin`: all rays of a batch must have the same origin, for which
+            records are made. Such a test sees only what lies ahead.
+        ray_state: struct that `prepare` returns.
+        prepare: `wp.func(origin, direction) -> ray`, once per ray.
+        lanes: one ray x W triangles, and W rays x one triangle.
+    """
+
+    name: str
+    record: Record = VERTICES
+    ray_state: type
+    prepare: wp.Function
+    lanes: LaneForm | HandWritten
+
+    @property
+    def needs_shared_origin(self) -> bool:
+        """Whether all rays of a batch must start at the same point."""
+        return self.record.per_origin
+
+    def block_test(self, width: int) -> wp.Function:
+        """`wp.func(records, block, ray, t, u, v) -> uint32` mask of the W triangles of a block that the ray's line meets."""
+        return self.lanes.block_test(self.record, self.ray_state, width)
+
+    @property
+    def packet_form(self) -> PacketForm:
+        """W rays x one triangle."""
+        return self.lanes.packet_form
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleTest(TestForm):
+    """A published ray-triangle test.
+
+    Attributes:
+        name: key in `TRIANGLE_TESTS`.
+        paper: authors, title, year.
+        watertight: whether no ray can pass between two triangles that share an edge or a vertex.
+        accurate: whether every hit lies within `wrt.kernels.boxes.SLACK` times the ray's reach of the triangle; others may
+            report hits beside needles and beside triangles that they see edge-on.
+        two_sided: whether both sides of a triangle are hit.
+        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
+            The twin of the lane loops, in plain Warp.
+        crossing: the forms that count crossings exactly; None if it has none.
+        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
+    """
+
+    paper: str
+    watertight: bool = False
+    accurate: bool = False
+    two_sided: bool = True
+    intersect: wp.Function
+    crossing: CrossingForms | None = None
+    any_hit: str = ""
+
+    def forms(self, crossing: bool) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)

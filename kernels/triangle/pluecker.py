@@ -1,0 +1,103 @@
+"""Pluecker's test: on which side of each edge's line does the ray's line pass?
+
+**Problem.** A test of barycentric coordinates sees an edge from one triangle as u >= 0, from its neighbour as u + v <= 1; the
+two round apart, and a ray may pass between.
+
+**Idea.** In Pluecker's coordinates the inner product of two directed lines tells by its sign how they turn about each other. A
+line meets a triangle if it turns about all three edges the same way. Seen from the other triangle the edge is directed the
+other way: the same number with the other sign, if it is computed symmetrically. So no ray passes along an edge.
+
+**Data.** The three vertices. Nothing is known beforehand; for rays of one origin see `wrt.kernels.triangle.benthin`.
+
+**Departures.**
+
+* The origin is moved to 0, where the ray's moment vanishes: the inner product with the edge from p to q is D . (p x q), the
+  volume that ray and edge span. The moments of lines far from 0 would cancel.
+* p x q itself cancels where an edge is short and far. It is half of (p + q) x (q - p), which does not, and is as
+  antisymmetric. (Davidovic et al. write it so, for the edge functions of rasterisation.)
+* Signs are compared before the distance, which Benthin recommends; the survey remarks that Komatsu et al. measured Pluecker's
+  test with the distance first.
+* The three numbers over their sum are the weights of the vertices, which the test does not give by itself.
+
+**Limits.** At a vertex several edges meet, each of which rounds on its own, so the test is not `watertight`.
+
+References:
+    K. Shoemake: Pluecker coordinate tutorial. Ray Tracing News 11(1), 1998.
+    J. Amanatides, K. Choi: Ray tracing triangular meshes. Western Computer Graphics Symposium, 1997.
+    C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
+    T. Davidovic, T. Engelhardt, I. Georgiev, P. Slusallek, C. Dachsbacher: 3D rasterization: a bridge between rasterization
+        and ray casting. Graphics Interface 2012.
+"""
+
+import warp as wp
+
+from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, plus, prepare
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def around(direction: wp.vec3, p: wp.vec3, q: wp.vec3):
+    """Twice the inner product of a line through 0 with the one from p to q."""
+    return dot(direction, cross(p + q, q - p))
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    a = corners.a - ray.origin
+    b = corners.b - ray.origin
+    c = corners.c - ray.origin
+    alpha = around(ray.direction, b, c)
+    beta = around(ray.direction, c, a)
+    gamma = around(ray.direction, a, b)
+    if not ((alpha >= 0.0 and beta >= 0.0 and gamma >= 0.0) or (alpha <= 0.0 and beta <= 0.0 and gamma <= 0.0)):
+        return miss()
+    normal = cross(b - a, c - a)
+    t = dot(normal, a) / dot(normal, ray.direction)
+    total = (alpha + beta) + gamma
+    scale = 1.0 / total
+    if t - t != 0.0 or total == 0.0:
+        return miss()
+    return wp.vec3(t, beta * scale, gamma * scale)
+
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    steps=(
+        Step(
+            exit="the line does not turn the same way about all edges",
+            code=f"""
+                {minus("p", "a", "o")}{minus("q", "b", "o")}{minus("r", "c", "o")}
+                {plus("sa", "q", "r")}{minus("ea", "r", "q")}{crossed("ma", "sa", "ea")}
+                {plus("sb", "r", "p")}{minus("eb", "p", "r")}{crossed("mb", "sb", "eb")}
+                {plus("sc", "p", "q")}{minus("ec", "q", "p")}{crossed("mc", "sc", "ec")}
+                const float alpha = {dotted("d", "ma")}, beta = {dotted("d", "mb")}, gamma = {dotted("d", "mc")};
+            """,
+            passes="((alpha >= 0.0f) & (beta >= 0.0f) & (gamma >= 0.0f))"
+            " | ((alpha <= 0.0f) & (beta <= 0.0f) & (gamma <= 0.0f))",
+            keeps=("alpha", "beta", "gamma", *names("p"), *names("q"), *names("r")),
+        ),
+        Step(
+            exit="the line lies in the triangle's plane",
+            code=f"""
+                {minus("e1", "q", "p")}{minus("e2", "r", "p")}{crossed("n", "e1", "e2")}
+                const float t = {dotted("n", "p")} / {dotted("n", "d")};
+                const float total = (alpha + beta) + gamma, scale = 1.0f / total, u = beta * scale, v = gamma * scale;
+            """,
+            passes="(t - t == 0.0f) & (total != 0.0f)",
+        ),
+    ),
+)
+
+TEST = TriangleTest(
+    name="pluecker",
+    paper="Amanatides, Choi: Ray tracing triangular meshes (1997)",
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)

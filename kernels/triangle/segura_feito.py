@@ -1,0 +1,113 @@
+"""Segura & Feito 2001: the signs of three volumes, one after the other.
+
+**Problem.** Which of many triangles does a line meet? Where it meets them is asked of a few, if at all, and a division rounds.
+
+**Idea.** Take the line as a segment and see the triangle from that end from which it goes round counterclockwise. Segment and
+edges then span tetrahedra whose signed volumes are all positive if the line passes inside; the first negative one ends the
+test. There is no division. The point is computed on demand, for what is hit.
+
+**Data.** The three vertices.
+
+**Departures.** The end of the segment is beyond any triangle, as the line counts here: which end sees the triangle
+counterclockwise is told by the direction against the normal, not by where the origin is. Volumes are taken from the ray's
+origin, with edges as factors, so that they do not cancel far away; both volumes at vertex a share a cross product. On demand
+is always here: t, u and v are the last step.
+
+**Limits.** A volume at an edge starts from another vertex than the neighbour's, and rounds otherwise: unlike Pluecker's form of
+the same signs, it is not exactly antisymmetric, so rays may pass along edges. Each exit costs lanes a question
+whether all have left, and few are left by all: in one step, packets took 0.93 of the time and streams 0.85.
+
+References:
+    R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001.
+    R. J. Segura, F. R. Feito: An algorithm for determining intersection segment-polygon in 3D.
+        Computers & Graphics 22(5), 1998.
+"""
+
+import warp as wp
+
+from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    edge_b = corners.b - corners.a
+    edge_c = corners.c - corners.a
+    normal = cross(edge_b, edge_c)
+    along = dot(normal, ray.direction)
+    side = wp.where(along < 0.0, -1.0, 1.0)
+    s = corners.a - ray.origin
+    at_a = cross(ray.direction, s)
+    volume_c = side * dot(at_a, edge_b)
+    if not volume_c >= 0.0:
+        return miss()
+    volume_b = side * dot(at_a, corners.a - corners.c)
+    if not volume_b >= 0.0:
+        return miss()
+    volume_a = side * dot(cross(ray.direction, corners.b - ray.origin), corners.c - corners.b)
+    if not volume_a >= 0.0:
+        return miss()
+    total = (volume_a + volume_b) + volume_c
+    scale = 1.0 / total
+    t = dot(normal, s) / along
+    if t - t != 0.0 or total == 0.0:
+        return miss()
+    return wp.vec3(t, volume_b * scale, volume_c * scale)
+
+
+LANES = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    steps=(
+        Step(
+            exit="the volume with the edge from a to b is negative",
+            code=f"""
+                {minus("e1", "b", "a")}{minus("e2", "c", "a")}{crossed("n", "e1", "e2")}{minus("s", "a", "o")}
+                {crossed("m", "d", "s")}
+                const float along = {dotted("n", "d")}, side = along < 0.0f ? -1.0f : 1.0f;
+                const float volume_c = side * {dotted("m", "e1")};
+            """,
+            passes="volume_c >= 0.0f",
+            keeps=("along", "side", "volume_c", *names("m"), *names("n"), *names("s")),
+        ),
+        Step(
+            exit="the volume with the edge from c to a is negative",
+            code=f"""
+                {minus("eb", "a", "c")}
+                const float volume_b = side * {dotted("m", "eb")};
+            """,
+            passes="volume_b >= 0.0f",
+            keeps=("volume_b",),
+        ),
+        Step(
+            exit="the volume with the edge from b to c is negative",
+            code=f"""
+                {minus("q", "b", "o")}{minus("ea", "c", "b")}{crossed("l", "d", "q")}
+                const float volume_a = side * {dotted("l", "ea")};
+            """,
+            passes="volume_a >= 0.0f",
+            keeps=("volume_a",),
+        ),
+        Step(
+            exit="the line lies in the triangle's plane",
+            code=f"""
+                const float t = {dotted("n", "s")} / along, total = (volume_a + volume_b) + volume_c;
+                const float scale = 1.0f / total, u = volume_b * scale, v = volume_c * scale;
+            """,
+            passes="(t - t == 0.0f) & (total != 0.0f)",
+        ),
+    ),
+)
+
+TEST = TriangleTest(
+    name="segura_feito",
+    paper="Segura, Feito: Algorithms to test ray-triangle intersection. Comparative study (2001)",
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+    lanes=LANES,
+)
