@@ -28,6 +28,15 @@ if TYPE_CHECKING:
 GRAZING = 1e-4
 """Sine of the angle between ray and triangle below which a location is taken from the triangle's weights, not its plane."""
 
+JUMP = 4.0
+"""Directions of neighbouring pixels differ by no more than so many times as much as the first two."""
+
+LEAST_PICTURE = 4096
+"""Fewer rays are not looked at: there is no time to win."""
+
+LONGEST_ROW = 1 << 13
+"""Pixels of a row that is recognised."""
+
 
 class RayMeshIntersector:
     """Ray queries of one mesh, with the methods of `trimesh.ray.ray_triangle.RayMeshIntersector` and its Embree twin.
@@ -146,14 +155,14 @@ class RayMeshIntersector:
         origins, directions = _checked_rays(ray_origins, ray_directions)
         if self.scene is None:
             return np.full(len(origins), -1, dtype=np.int64)
-        return self.scene.intersect(origins, directions).primitive_id.astype(np.int64)
+        return self.scene.intersect(*as_picture(origins, directions)).primitive_id.reshape(-1).astype(np.int64)
 
     def intersects_any(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
         """Whether each ray hits anything: (n,) bool. Errors as in `intersects_id`."""
         origins, directions = _checked_rays(ray_origins, ray_directions)
         if self.scene is None:
             return np.zeros(len(origins), dtype=bool)
-        return self.scene.occluded(origins, directions)
+        return self.scene.occluded(*as_picture(origins, directions)).reshape(-1)
 
     def contains_points(self, points: Any) -> np.ndarray:
         """Which points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
@@ -180,6 +189,26 @@ def locate(origins: np.ndarray, directions: np.ndarray, corners: np.ndarray, uv:
     t = np.einsum("ij,ij->i", normals, a - origins) / np.where(steep, slope, 1.0)
     weighted = a + uv[:, :1] * edge1 + uv[:, 1:] * edge2
     return np.where(steep[:, None], origins + t[:, None] * directions, weighted)
+
+
+def as_picture(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rays (n, 3) of a pinhole camera, row by row, in the picture's shape, one origin for all; other rays as they are.
+
+    trimesh's interface knows no shape, but neighbours in both dimensions are traced together, in half the time. A row ends
+    where directions jump; the next must begin beside the first, and the last as well.
+    """
+    count = len(directions)
+    if count < LEAST_PICTURE or not (origins == origins[0]).all():
+        return origins, directions
+    steps = np.abs(np.diff(directions[: LONGEST_ROW + 1], axis=0)).max(axis=1)
+    width = int(np.argmax(steps > JUMP * steps[0])) + 1
+    if width == 1 or count % width:
+        return origins, directions
+    first = directions[::width]
+    down = np.abs(np.diff(first, axis=0)).max(axis=1)
+    if not (down < JUMP * steps[0]).all():
+        return origins, directions
+    return origins[0], directions.reshape(-1, width, 3)
 
 
 def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray]:
