@@ -43,6 +43,42 @@ def hit_positions(
     positions[i] = point
 
 
+GRAZING = wp.constant(wp.float64(1e-4))
+"""Sine of the angle between ray and triangle below which the weights say where a hit lies, not the plane."""
+
+
+@wp.kernel
+def meet_planes(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    ray: wp.array(dtype=int),
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    positions: wp.array(dtype=wp.vec3d),
+):
+    """Item: a hit. Where its ray meets the plane of its triangle, all in float64.
+
+    Where the angle between the two is too small for that, and for a triangle without area, the point of the triangle with
+    the weights `uv`.
+    """
+    i = first + wp.tid()
+    face = faces[primitive[i]]
+    a = vertices[face[0]]
+    edge1 = vertices[face[1]] - a
+    edge2 = vertices[face[2]] - a
+    normal = wp.cross(edge1, edge2)
+    origin = origins[ray[i]]
+    direction = directions[ray[i]]
+    slope = wp.dot(normal, direction)
+    point = a + wp.float64(uv[i][0]) * edge1 + wp.float64(uv[i][1]) * edge2
+    if wp.abs(slope) > GRAZING * wp.length(normal) * wp.length(direction):
+        point = origin + (wp.dot(normal, a - origin) / slope) * direction
+    positions[i] = point
+
+
 @wp.kernel
 def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
     """Item: a ray. Unit normal of the triangle by its winding; 0 for a miss and for a triangle without area."""

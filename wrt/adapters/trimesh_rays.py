@@ -16,17 +16,16 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from wrt.accelerator import Accelerator
+from wrt.kernels.launch import launch, use_threads
 from wrt.plan import AUTO
 
 if TYPE_CHECKING:
     import trimesh
 
     from wrt.scene import Scene
-
-GRAZING = 1e-4
-"""Sine of the angle between ray and triangle below which a location is taken from the triangle's weights, not its plane."""
 
 JUMP = 4.0
 """Directions of neighbouring pixels differ by no more than so many times as much as the first two."""
@@ -123,20 +122,19 @@ class RayMeshIntersector:
 
         check_max_hits(max_hits)
         origins, directions = _checked_rays(ray_origins, ray_directions)
-        if self.scene is None:
+        scene = self.scene
+        if scene is None:
             empty = np.zeros(0, dtype=np.int64)
             return (empty, empty.copy(), np.zeros((0, 3)))[: 3 if return_locations else 2]
         if multiple_hits:
-            lists = self.scene.intersect_all(origins, directions, max_hits=max_hits)
-            index_tri, index_ray, uv = lists.primitive_id.astype(np.int64), lists.ray_id.astype(np.int64), lists.uv
+            lists = scene.intersect_all(origins, directions, max_hits=max_hits)
+            index_tri, index_ray, uv = lists.primitive_id, lists.ray_id, lists.uv
         else:
-            hits = self.scene.intersect(origins, directions)
+            hits = scene.intersect(origins, directions)
             index_ray = np.flatnonzero(hits.is_hit)
-            index_tri, uv = hits.primitive_id[index_ray].astype(np.int64), hits.uv[index_ray]
-        if not return_locations:
-            return index_tri, index_ray
-        corners = self.scene.meshes[0].vertices[self.scene.meshes[0].faces[index_tri]]
-        return index_tri, index_ray, locate(origins[index_ray], directions[index_ray], corners, uv)
+            index_tri, uv = hits.primitive_id[index_ray], hits.uv[index_ray]
+        found = index_tri.astype(np.int64), index_ray.astype(np.int64)
+        return (*found, locate(scene, origins, directions, index_ray, index_tri, uv)) if return_locations else found
 
     def intersects_location(
         self, ray_origins: Any, ray_directions: Any, multiple_hits: bool = True, max_hits: int | None = None
@@ -153,16 +151,18 @@ class RayMeshIntersector:
     def intersects_first(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
         """Index of the first face that each ray hits, -1 for a miss: (n,) int64. Errors as in `intersects_id`."""
         origins, directions = _checked_rays(ray_origins, ray_directions)
-        if self.scene is None:
+        scene = self.scene
+        if scene is None:
             return np.full(len(origins), -1, dtype=np.int64)
-        return self.scene.intersect(*as_picture(origins, directions)).primitive_id.reshape(-1).astype(np.int64)
+        return scene.intersect(*as_picture(origins, directions)).primitive_id.reshape(-1).astype(np.int64)
 
     def intersects_any(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
         """Whether each ray hits anything: (n,) bool. Errors as in `intersects_id`."""
         origins, directions = _checked_rays(ray_origins, ray_directions)
-        if self.scene is None:
+        scene = self.scene
+        if scene is None:
             return np.zeros(len(origins), dtype=bool)
-        return self.scene.occluded(*as_picture(origins, directions)).reshape(-1)
+        return scene.occluded(*as_picture(origins, directions)).reshape(-1)
 
     def contains_points(self, points: Any) -> np.ndarray:
         """Which points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
@@ -172,23 +172,28 @@ class RayMeshIntersector:
             ValueError: points are not (n, 3).
         """
         points = _as_rows(points, "points")
-        return np.zeros(len(points), dtype=bool) if self.scene is None else self.scene.contains(points)
+        scene = self.scene
+        return np.zeros(len(points), dtype=bool) if scene is None else scene.contains(points)
 
 
-def locate(origins: np.ndarray, directions: np.ndarray, corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Points (h, 3) float64 where rays meet the planes of triangles (h, 3, 3), all in float64.
+def locate(
+    scene: Scene, origins: np.ndarray, directions: np.ndarray, ray: np.ndarray, primitive: np.ndarray, uv: np.ndarray
+) -> np.ndarray:
+    """Points (h, 3) float64 where the rays with these numbers meet these triangles of a scene of one mesh."""
+    from wrt.kernels.hits import meet_planes
 
-    Where the angle between the two is too small for that, and for a triangle without area, the point of the triangle with
-    the weights `uv`.
-    """
-    origins, directions, corners = (values.astype(np.float64) for values in (origins, directions, corners))
-    a, edge1, edge2 = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normals = np.cross(edge1, edge2)
-    slope = np.einsum("ij,ij->i", normals, directions)
-    steep = np.abs(slope) > GRAZING * np.sqrt((normals**2).sum(axis=1) * (directions**2).sum(axis=1))
-    t = np.einsum("ij,ij->i", normals, a - origins) / np.where(steep, slope, 1.0)
-    weighted = a + uv[:, :1] * edge1 + uv[:, 1:] * edge2
-    return np.where(steep[:, None], origins + t[:, None] * directions, weighted)
+    (mesh,), device = scene.meshes, scene.device
+    points = wp.empty(len(ray), dtype=wp.vec3d, device=device)
+    vectors = [
+        wp.array(np.ascontiguousarray(values, dtype=np.float64), dtype=wp.vec3d, device=device, copy=False)
+        for values in (mesh.vertices, origins, directions)
+    ]
+    vertices, faces = vectors[0], scene.device_mesh.faces
+    numbers = [wp.array(np.ascontiguousarray(ids, np.int32), dtype=int, device=device, copy=False) for ids in (ray, primitive)]
+    weights = wp.array(np.ascontiguousarray(uv), dtype=wp.vec2, device=device, copy=False)
+    with use_threads(scene.num_threads):
+        launch(meet_planes, len(ray), [vertices, faces, *vectors[1:], *numbers, weights, points], device=device, chunk=4096)
+    return points.numpy()
 
 
 def as_picture(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
