@@ -305,3 +305,21 @@ def test_bad_scenes(case):
     call, error, message = BAD_SCENES[case]
     with pytest.raises(error, match=message):
         call()
+
+
+def test_the_scene_has_a_triangle_test_of_its_own():
+    """Queries that ask for none use it, those that count use one that can, and a wrong name is refused at once."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, triangle_test="moeller_trumbore")
+    origins, directions = mixed_rays(mesh, 100)
+    assert scene.explain(origins, directions).triangle_test == "moeller_trumbore"
+    assert scene.explain(origins, directions, triangle_test="woop").triangle_test == "woop"
+    assert scene.explain(origins, directions, query="count").triangle_test == "woop"
+    expected = wrt.Scene(mesh).intersect(origins, directions, triangle_test="moeller_trumbore")
+    np.testing.assert_array_equal(scene.intersect(origins, directions).t, expected.t)
+    shared = wrt.Scene(mesh, triangle_test="komatsu")
+    assert shared.intersect(origins[0], directions).shape == (100,)
+    with pytest.raises(ValueError, match=r"share their origin"):
+        shared.intersect(origins, directions)
+    with pytest.raises(ValueError, match=r"triangle_test.*moller.*woop"):
+        wrt.Scene(mesh, triangle_test="moller")

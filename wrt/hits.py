@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def shaped(values: wp.array, rays: RayBuffers) -> Any:
     """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
     if rays.is_warp:
-        return values.reshape(rays.shape or (1,))
+        return values if values.shape == rays.shape else values.reshape(rays.shape or (1,))
     array = values.numpy()
     return array.reshape(rays.shape + array.shape[1:])
 

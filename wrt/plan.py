@@ -125,7 +125,7 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
-    test = TRIANGLE_TESTS[DEFAULT_TEST] if triangle_test == AUTO else lookup(TRIANGLE_TESTS, triangle_test, "triangle_test")
+    test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
     check_origins(test, rays)
     name, reason = choose_traversal(scene, rays, query) if traversal == AUTO else (traversal, "as asked")
     way = lookup(TRAVERSALS, name, "traversal")
@@ -149,6 +149,15 @@ def make_plan(scene: Scene, rays: RayBuffers, traversal: str | Plan, triangle_te
         reason=reason,
         **options,
     )
+
+
+def default_test(scene: Scene, query: str) -> str:
+    """Name of the triangle test of a query that asks for none: the scene's; counts are left to one that can count."""
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    if scene.triangle_test == AUTO or (query in (COUNT, ALL) and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
+        return DEFAULT_TEST
+    return scene.triangle_test
 
 
 def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, str]:

@@ -39,6 +39,8 @@ class Scene:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, or a sequence of such; each mesh of a sequence is a
             geometry of its own (`Hits.geometry_id`), a trimesh.Scene is one.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
+        triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of all queries that ask for none of
+            their own. Only the default one counts (`count`, `intersect_all`, `contains`) exactly, and stays in charge of that.
         device: a Warp device or its name, such as "cpu" or "cuda:0"; None for Warp's default device.
         num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
 
@@ -52,11 +54,13 @@ class Scene:
         geometry: Any,
         accelerator: str | Accelerator = AUTO,
         *,
+        triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
     ) -> None:
         self.meshes = _as_meshes(geometry)
         self.accelerator = resolve_accelerator(accelerator)
+        self.triangle_test = _as_test(triangle_test)
         self.device = _as_device(device)
         self.num_threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
         vertices, faces, first = _join(self.meshes)
@@ -121,7 +125,7 @@ class Scene:
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
                 the plan's triangle test then counts.
-            triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
             counters: whether to count each ray's work (`Hits.counters`).
 
         Raises:
@@ -352,6 +356,14 @@ def _as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
         f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
         "make a mesh of a file with wrt.TriangleMesh.load(path)"
     )
+
+
+def _as_test(name: str) -> str:
+    if name == AUTO:
+        return name
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    return lookup(TRIANGLE_TESTS, name, "triangle_test").name
 
 
 def _as_device(device: str | wp.Device | None) -> wp.Device:
