@@ -7,8 +7,8 @@ centre, so that the scene and the reference ask about the same rays.
 **Reference.** Every triangle, by the watertight test's arithmetic in float64 (`nearest64`), on the vertices as they were given.
 
 **What is a fault.** The scene rounds to float32, and may answer as if a ray passed beside where it passes, by `TOLERANCE` of
-its reach in the scene, and no more. Along the ray it may be off by as much, and on a triangle of length L and height h by
-another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.spawn` explains, at most L:
+its reach in the scene, and no more. Along the ray it may be off by as much, and on a triangle of length L and height h, as
+seen along the ray, by another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.spawn` explains, at most L:
 
 * a *false hit* is a hit whose point on the ray is farther than that from its triangle;
 * a *miss* is a ray with no hit, or with one behind the reference's, of which that is also true for the rays around it, moved
@@ -78,7 +78,8 @@ class Verification:
         hits: how many of them hit, as the reference has it.
         misses, false_hits: wrong answers, by kind.
         undecided: rays that rounding may decide either way, by kind.
-        t_error: largest error of t, as a share of it, among rays that meet the same triangle at more than 6 degrees.
+        t_error: largest error of the distance to a hit, as a share of the ray's reach in the scene, among rays that meet the
+            same triangle as the reference at more than 6 degrees.
         mesh: what there is in the mesh: "open edges" (holes), "edges of more than two triangles", "duplicate triangles",
             "triangles without area", "slivers" (a thousand times as long as high).
         explained: of the faults, how many are at triangles of these sorts.
@@ -121,7 +122,7 @@ class Verification:
         for kind in self.rays:
             table.add_row(kind, *(f"{column[kind]:,}" for column in columns))
         console.print(table)
-        console.print(f"largest error of t: {self.t_error:.2g} of t", highlight=False)
+        console.print(f"largest error of a distance: {self.t_error:.2g} of the ray's reach in the scene", highlight=False)
         found = Table("in the mesh", title_justify="left")
         for column in ("number", "faults there"):
             found.add_column(column, justify="right")
@@ -205,12 +206,13 @@ class Check:
             (self.missed if sure else self.undecided)[ray] = True
 
     def sliver_errors(self) -> np.ndarray:
-        """(N,) how much farther hits may be off along the ray because their triangle is long and thin; 0 for misses."""
+        """(N,) how much farther hits may be off along the ray because it sees their triangle long and thin; 0 for misses."""
         corners = self.vertices[self.faces[self.primitive]]
         edges = np.roll(corners, -1, axis=1) - corners
         longest = np.linalg.norm(edges, axis=2).max(axis=1)
-        height = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / np.maximum(longest, np.finfo(float).tiny)
-        thin = np.minimum(longest * longest * SLIVER_ERROR, longest * height) / np.maximum(height, np.finfo(float).tiny)
+        seen = np.abs((np.cross(edges[:, 0], edges[:, 1]) * self.directions).sum(axis=1))  # area by length, times two
+        height = seen / np.maximum(longest * self.lengths, np.finfo(float).tiny)
+        thin = longest * np.minimum(longest * SLIVER_ERROR, height) / np.maximum(height, np.finfo(float).tiny)
         return np.where(self.primitive >= 0, thin, 0.0)
 
     def off_their_triangles(self) -> np.ndarray:
@@ -239,13 +241,14 @@ class Check:
         return bool((found * self.lengths[ray] < t * self.lengths[ray] - self.t_tolerance[ray]).all())
 
     def t_error(self) -> float:
-        """Largest error of t as a share of it, where it can be told."""
-        same = np.flatnonzero((self.primitive == self.expected) & (self.primitive >= 0) & (self.t_expected > 0))
+        """Largest error of the distance to a hit, as a share of the ray's reach, where it can be told."""
+        same = np.flatnonzero((self.primitive == self.expected) & (self.primitive >= 0))
         a, b, c = self.vertices[self.faces[self.primitive[same]]].transpose(1, 0, 2)
         normals, directions = np.cross(b - a, c - a), self.directions[same]
         sizes = np.linalg.norm(normals, axis=1) * self.lengths[same]
         same = same[np.abs((normals * directions).sum(axis=1)) > STEEP * sizes]
-        return float(np.abs(self.t[same] / self.t_expected[same] - 1.0).max(initial=0.0))
+        errors = np.abs(self.t[same] - self.t_expected[same]) * self.lengths[same]
+        return float((errors * TOLERANCE / self.tolerance[same]).max(initial=0.0))
 
     def fault(self, ray: int) -> Fault:
         """A wrong answer, for the report."""
