@@ -13,6 +13,9 @@ class SceneMesh:
     """Relative to `center`."""
     faces: wp.array(dtype=wp.vec3i)
     center: wp.vec3d
+    low: wp.vec3
+    """Lowest corner of all triangles, relative to `center`."""
+    high: wp.vec3
     geometry_first: wp.array(dtype=int)
     """(geometries + 1,) number of each geometry's first triangle."""
 
@@ -37,6 +40,42 @@ def hit_positions(
         b = wp.vec3d(mesh.vertices[face[1]])
         c = wp.vec3d(mesh.vertices[face[2]])
         point = mesh.center + (a + u * (b - a) + v * (c - a))
+    positions[i] = point
+
+
+GRAZING = wp.constant(wp.float64(1e-4))
+"""Sine of the angle between ray and triangle below which the weights say where a hit lies, not the plane."""
+
+
+@wp.kernel
+def meet_planes(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    ray: wp.array(dtype=int),
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    positions: wp.array(dtype=wp.vec3d),
+):
+    """Item: a hit. Where its ray meets the plane of its triangle, all in float64.
+
+    Where the angle between the two is too small for that, and for a triangle without area, the point of the triangle with
+    the weights `uv`.
+    """
+    i = first + wp.tid()
+    face = faces[primitive[i]]
+    a = vertices[face[0]]
+    edge1 = vertices[face[1]] - a
+    edge2 = vertices[face[2]] - a
+    normal = wp.cross(edge1, edge2)
+    origin = origins[ray[i]]
+    direction = directions[ray[i]]
+    slope = wp.dot(normal, direction)
+    point = a + wp.float64(uv[i][0]) * edge1 + wp.float64(uv[i][1]) * edge2
+    if wp.abs(slope) > GRAZING * wp.length(normal) * wp.length(direction):
+        point = origin + (wp.dot(normal, a - origin) / slope) * direction
     positions[i] = point
 
 

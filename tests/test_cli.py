@@ -42,8 +42,8 @@ def model(tmp_path):
 def test_version_and_help():
     assert run("--version").output == f"wrt {wrt.__version__}\n"
     text = run("--help").output
-    assert all(command in text for command in ("render", "info", "list"))
-    for command in ("render", "info", "list"):
+    assert all(command in text for command in ("render", "info", "verify", "list"))
+    for command in ("render", "info", "verify", "list"):
         result = run(command, "--help")
         assert result.exit_code == 0
         assert "Usage:" in result.output

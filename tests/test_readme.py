@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -34,6 +35,10 @@ def test_python_examples(tmp_path, monkeypatch):
     assert (names["number"] == names["lists"].count).all()
     assert names["three"].count.max() <= 3 < names["number"].max()
     assert 0.01 < names["inside"].mean() < 0.9
+    assert names["matrix"].shape == (len(names["points"]),) * 2
+    assert names["matrix"].diagonal().all()
+    assert set(names["index_ray"]) == set(np.flatnonzero(names["number"][:1000]))
+    np.testing.assert_array_equal(names["answer"]["t_hit"], names["hits"].t)
     assert Image.open("model.png").size == (640, 480)
 
 

@@ -5,6 +5,8 @@
     hits = scene.intersect(origins, directions)     # hits.t, hits.primitive_id, hits.uv, hits.position, hits.normal
     dark = scene.occluded(origins, directions)      # bool
     lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
+    seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for rays that go on
+    print(scene.verify())                           # against brute force in float64
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
 Names are loaded when they are first used, so that `import wrt` costs little more than `import warp`.
@@ -24,9 +26,12 @@ _HOME = {
     "KdTree": "wrt.accelerator",
     "OrthographicCamera": "wrt.camera",
     "PinholeCamera": "wrt.camera",
+    "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
+    "RaycastingScene": "wrt.adapters.open3d_rays",
     "Scene": "wrt.scene",
     "TriangleMesh": "wrt.mesh",
+    "Verification": "wrt.verification",
     "get_num_threads": "wrt.kernels.launch",
     "render": "wrt.rendering",
     "save_image": "wrt.image",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -113,6 +114,47 @@ class Hits:
         out = self._empty(wp.vec3)
         self._launch(hit_normals, self._mesh, self.batch.primitive, out)
         return self._as_dtype(out)
+
+    def spawn(self, directions: Any) -> Any:
+        """Origins of rays that leave the hits: near them, off the surface to the side that the direction points to.
+
+        The distance is bound by rounding (`wrt.kernels.spawn`): some 5e-7 of the point's reach in the scene, more on slivers.
+        A ray from there meets its own triangle no more, at whatever angle, if that is not a needle of a length of a
+        thousand heights; in the corner of two walls it starts on this side of both. A direction in the triangle's plane goes
+        with the front.
+
+            d = ...  # (N, 3), or (samples, N, 3)
+            dark = scene.occluded(hits.spawn(d), d)
+
+        Args:
+            directions: (..., 3), of any length; their leading shape broadcasts against that of the hits, or ends with it.
+
+        Returns:
+            (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. NumPy if hits and directions
+            are, else Warp. Rounded to float32, far from the scene's centre, they would not keep their distance.
+
+        Raises:
+            TypeError: directions are no array of real numbers.
+            ValueError: wrong shapes, an array on another device.
+        """
+        from wrt.kernels.spawn import spawn_origins
+        from wrt.rays import Rays, to_device
+
+        if isinstance(directions, wp.array):
+            rays = to_device(Rays(np.zeros(3, dtype=np.float32), directions), self._device, np.zeros(3))
+            shape = rays.shape if rays.batch.direction_stride else self.shape
+        else:
+            origins = np.broadcast_to(np.float32(0.0), (*self.shape, 3))
+            rays = to_device(Rays(origins, directions), self._device, np.zeros(3))
+            shape = rays.shape
+        if shape[len(shape) - len(self.shape) :] != self.shape:
+            raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
+        count = int(np.prod(shape))
+        out = empty(count, wp.vec3d, self._device)
+        inputs = [self._mesh, self.batch.primitive, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
+        with use_threads(self._num_threads):
+            launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
+        return shaped(out, replace(rays, shape=shape, is_warp=rays.is_warp or self._rays.is_warp))
 
     @cached_property
     def counters(self) -> dict[str, Any]:

@@ -82,8 +82,8 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
         TypeError: an argument is not an array of real numbers.
         ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device.
     """
-    origins = _as_array(rays.origins, "origins", device)
-    directions = _as_array(rays.directions, "directions", device)
+    origins = as_vectors(rays.origins, "origins", device)
+    directions = as_vectors(rays.directions, "directions", device)
     is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
     t_min = _as_range(rays.t_min, "t_min", device)
     t_max = _as_range(rays.t_max, "t_max", device)
@@ -151,7 +151,7 @@ def _is_float64(values: np.ndarray | wp.array) -> bool:
     return values.dtype == np.float64 if isinstance(values, np.ndarray) else values.dtype is wp.vec3d
 
 
-def _as_array(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
+def as_vectors(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
     """`values` as a Warp array of vectors or a NumPy array (..., 3) of float32 or float64."""
     if not isinstance(values, (np.ndarray, wp.array)) and hasattr(values, "__dlpack__"):
         values = wp.from_dlpack(values)

@@ -211,8 +211,6 @@ class _Tile:
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
     look = surface.Appearance()
     look.mesh = scene.device_mesh
-    low, high = scene.bounds - scene.center
-    look.low, look.high = wp.vec3(*low), wp.vec3(*high)
     look.smooth = crease_angle is not None
     if crease_angle is not None:
         look.corner_normals = corner_normals(scene, crease_angle)

@@ -3,6 +3,7 @@
     wrt render -o teapot.png        the built-in teapot
     wrt render bunny.ply -o b.png   any mesh file
     wrt info bunny.ply              the mesh and its tree
+    wrt verify bunny.ply            hits against brute force in float64
     wrt list                        every builder, traversal, triangle test and built-in scene
     wrt bench bunny.ply             against other ray tracers
 
@@ -78,6 +79,7 @@ def main() -> None:
 for command in (
     LazyCommand("render", "wrt.cli.render", "render", "Renders a mesh file or a built-in scene to a picture."),
     LazyCommand("info", "wrt.cli.figures", "info", "Shows figures of a mesh and of its tree."),
+    LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
     LazyCommand("bench", "wrt.bench.command", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):

@@ -1,0 +1,270 @@
+"""Open3D's `t.geometry.RaycastingScene`, method for method, on NumPy arrays and answered by a `wrt.Scene`.
+
+Rays are one array (..., 6) of origin and direction; answers are dictionaries with Open3D's keys, shapes and types. What
+differs: arrays are NumPy's, so that there is no `.numpy()` to call on them; each crossing is counted exactly once, at edges and
+vertices too; coincident triangles are hit each; the lists of hits are sorted by t; float64 rays are taken as they are.
+
+Distances (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not here: for
+inside or outside there is `wrt.Scene.contains`.
+
+References:
+    Q.-Y. Zhou, J. Park, V. Koltun: Open3D: A modern library for 3D data processing. arXiv:1801.09847, 2018 (the interface).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrt.kernels.launch import check_num_threads, use_threads
+from wrt.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from wrt.scene import Scene
+
+
+class RaycastingScene:
+    """Ray queries of several meshes, with the methods of Open3D's `t.geometry.RaycastingScene`.
+
+    `rays` is (..., 6), real: origin and direction, of any length; t counts in units of it. Any leading shape is kept. A ray
+    with a NaN or an infinity, or with a direction of zero, misses; so does every ray in an empty scene. The tree is built at
+    the first query after triangles were added. Open3D's distance queries are left out.
+
+    Args:
+        nthreads: threads on the CPU, 0 for `wrt.get_num_threads()`; every query may ask for its own number.
+        device: a Warp device or its name; None for Warp's default device.
+    """
+
+    INVALID_ID = 0xFFFFFFFF
+    """Geometry and primitive id of a miss."""
+
+    def __init__(self, nthreads: int = 0, device: str | None = None) -> None:
+        self._nthreads, self._device = _as_threads(nthreads), device
+        self._meshes: list[TriangleMesh] = []
+
+    def __repr__(self) -> str:
+        return f"RaycastingScene({len(self._meshes)} geometries)"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "scene"}
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """The `wrt.Scene` of the triangles added so far; None if there are none."""
+        from wrt.scene import Scene
+
+        return Scene(self._meshes, device=self._device) if self._meshes else None
+
+    def add_triangles(self, *args: Any, **kwargs: Any) -> int:
+        """Adds a mesh: `add_triangles(mesh)` or `add_triangles(vertex_positions, triangle_indices)`.
+
+        Args:
+            mesh: an Open3D tensor mesh, a `wrt.TriangleMesh`, or a trimesh.Trimesh.
+            vertex_positions: (V, 3) real.
+            triangle_indices: (F, 3) integer.
+
+        Returns:
+            The geometry id: 0 for the first mesh, then 1 ...
+
+        Raises:
+            TypeError: other arguments than these.
+            ValueError: bad geometry, as for `wrt.TriangleMesh`.
+        """
+        if len(args) + len(kwargs) == 1:
+            mesh = _as_mesh(*args, **kwargs)
+        elif len(args) + len(kwargs) == 2:
+            mesh = _mesh_of_arrays(*args, **kwargs)
+        else:
+            raise TypeError("pass add_triangles(mesh) or add_triangles(vertex_positions, triangle_indices)")
+        self._meshes.append(mesh)
+        self.__dict__.pop("scene", None)
+        return len(self._meshes) - 1
+
+    def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+        """Closest hits.
+
+        Returns:
+            `t_hit` (...) float32, inf for a miss; `geometry_ids` and `primitive_ids` (...) uint32, `INVALID_ID` for a miss;
+            `primitive_uvs` (..., 2) float32, weights of the triangle's second and third vertex; `primitive_normals`
+            (..., 3) float32, unit, by the triangle's winding. The last two are 0 for a miss.
+
+        Raises:
+            TypeError: rays are no array of real numbers, or nthreads is no int.
+            ValueError: wrong shape, or a negative nthreads.
+        """
+        origins, directions = _split(rays)
+        shape = origins.shape[:-1]
+        with self._threads(nthreads):
+            if self.scene is None:
+                return {
+                    "t_hit": np.full(shape, np.inf, dtype=np.float32),
+                    "geometry_ids": np.full(shape, self.INVALID_ID, dtype=np.uint32),
+                    "primitive_ids": np.full(shape, self.INVALID_ID, dtype=np.uint32),
+                    "primitive_uvs": np.zeros((*shape, 2), dtype=np.float32),
+                    "primitive_normals": np.zeros((*shape, 3), dtype=np.float32),
+                }
+            hits = self.scene.intersect(origins, directions)
+            return {
+                "t_hit": hits.t,
+                "geometry_ids": hits.geometry_id.view(np.uint32),  # -1 is INVALID_ID
+                "primitive_ids": hits.primitive_id.view(np.uint32),
+                "primitive_uvs": hits.uv,
+                "primitive_normals": hits.normal.astype(np.float32, copy=False),
+            }
+
+    def test_occlusions(self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int = 0) -> np.ndarray:
+        """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and a negative or NaN range."""
+        origins, directions = _split(rays)
+        with self._threads(nthreads):
+            if self.scene is None:
+                return np.zeros(origins.shape[:-1], dtype=bool)
+            return self.scene.occluded(origins, directions, t_min=tnear, t_max=tfar)
+
+    def count_intersections(self, rays: Any, nthreads: int = 0) -> np.ndarray:
+        """Number of hits of each ray: (...) int32. Errors as in `cast_rays`."""
+        origins, directions = _split(rays)
+        with self._threads(nthreads):
+            if self.scene is None:
+                return np.zeros(origins.shape[:-1], dtype=np.int32)
+            return self.scene.count(origins, directions)
+
+    def list_intersections(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
+        """All M hits of N rays, ray after ray, each ray's sorted by t.
+
+        Returns:
+            `ray_splits` (N + 1,) uint32, where each ray's hits begin; `ray_ids` (M,) uint32, index of the ray in the
+            flattened batch; `t_hit` (M,) float32; `geometry_ids` and `primitive_ids` (M,) uint32; `primitive_uvs` (M, 2)
+            float32. Errors as in `cast_rays`.
+        """
+        origins, directions = _split(rays)
+        with self._threads(nthreads):
+            if self.scene is None:
+                none = np.zeros(0, dtype=np.uint32)
+                ids = {name: none.copy() for name in ("ray_ids", "geometry_ids", "primitive_ids")}
+                splits = np.zeros(int(np.prod(origins.shape[:-1])) + 1, dtype=np.uint32)
+                none = np.zeros((0, 2), dtype=np.float32)
+                return {"ray_splits": splits, **ids, "t_hit": none[:, 0], "primitive_uvs": none}
+            lists = self.scene.intersect_all(origins, directions)
+            return {
+                "ray_splits": lists.offsets.astype(np.uint32),
+                "ray_ids": lists.ray_id.view(np.uint32),
+                "t_hit": lists.t,
+                "geometry_ids": lists.geometry_id.view(np.uint32),
+                "primitive_ids": lists.primitive_id.view(np.uint32),
+                "primitive_uvs": lists.uv,
+            }
+
+    @staticmethod
+    def create_rays_pinhole(*args: Any, **kwargs: Any) -> np.ndarray:
+        """Rays through the middles of a pinhole camera's pixels: (height_px, width_px, 6) float32.
+
+        Either `create_rays_pinhole(intrinsic_matrix, extrinsic_matrix, width_px, height_px)` or
+        `create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)`, as in Open3D: directions have length 1 along the
+        optical axis, x grows from column to column, y from row to row. By the second form rows grow towards `up`.
+
+        Args:
+            intrinsic_matrix: (3, 3), upper triangular, in pixels.
+            extrinsic_matrix: (4, 4), rigid, from the world to the camera.
+            fov_deg: horizontal field of view in degrees, between 0 and 180, both excluded.
+            center, eye, up: (3,): the point in the picture's middle, the camera's position, the direction of growing rows.
+            width_px, height_px: pixels.
+
+        Raises:
+            TypeError: other arguments than these.
+            ValueError: wrong shapes, matrices without an inverse, no view, no pixels.
+        """
+        if len(args) + len(kwargs) == 4:
+            return _rays_of_matrices(*args, **kwargs)
+        if len(args) + len(kwargs) == 6:
+            return _rays_of_view(*args, **kwargs)
+        raise TypeError(
+            "pass create_rays_pinhole(intrinsic_matrix, extrinsic_matrix, width_px, height_px) or "
+            "create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)"
+        )
+
+    def _threads(self, nthreads: int) -> Any:
+        return use_threads(_as_threads(nthreads) or self._nthreads or None)
+
+
+def _as_threads(nthreads: int) -> int:
+    if nthreads is None or (isinstance(nthreads, (int, np.integer)) and nthreads == 0):
+        return 0
+    return check_num_threads(nthreads, "nthreads")
+
+
+def _as_numpy(values: Any) -> Any:
+    """An Open3D tensor, or any other with a method `numpy`, as a NumPy array; everything else as it is."""
+    return values.numpy() if callable(getattr(values, "numpy", None)) else values
+
+
+def _as_mesh(mesh: Any) -> TriangleMesh:
+    if isinstance(mesh, TriangleMesh):
+        return mesh
+    if hasattr(mesh, "vertex") and hasattr(mesh, "triangle"):
+        return _mesh_of_arrays(mesh.vertex["positions"], mesh.triangle["indices"])
+    if hasattr(mesh, "vertices") and hasattr(mesh, "faces"):
+        return _mesh_of_arrays(mesh.vertices, mesh.faces)
+    raise TypeError(
+        f"mesh must be an open3d.t.geometry.TriangleMesh, a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; "
+        "pass arrays as add_triangles(vertex_positions, triangle_indices)"
+    )
+
+
+def _mesh_of_arrays(vertex_positions: Any, triangle_indices: Any) -> TriangleMesh:
+    """A mesh of copies: it stays as it is when the caller's arrays change."""
+    return TriangleMesh(np.array(_as_numpy(vertex_positions)), np.array(_as_numpy(triangle_indices)))
+
+
+def _split(rays: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Origins and directions of rays (..., 6)."""
+    rays = np.asarray(_as_numpy(rays))
+    if rays.dtype.kind not in "fiu":
+        raise TypeError(f"rays must hold real numbers, not {rays.dtype}; convert them to float32")
+    if rays.ndim == 0 or rays.shape[-1] != 6:
+        raise ValueError(f"rays must have shape (..., 6), origin and direction, not {rays.shape}")
+    return rays[..., :3], rays[..., 3:]
+
+
+def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: int, height_px: int) -> np.ndarray:
+    """Rays R^-1 K^-1 (x, y, 1) from the point that the camera's matrix [R t] takes to 0."""
+    inverses = []
+    for name, matrix, size in (("intrinsic_matrix", intrinsic_matrix, 3), ("extrinsic_matrix", extrinsic_matrix, 4)):
+        matrix = np.asarray(_as_numpy(matrix), dtype=np.float64)
+        if matrix.shape != (size, size) or not np.isfinite(matrix).all():
+            raise ValueError(f"{name} must be a finite {size} x {size} matrix, not of shape {matrix.shape}")
+        try:
+            inverses.append(np.linalg.inv(matrix))
+        except np.linalg.LinAlgError:
+            raise ValueError(f"{name} has no inverse: {matrix.tolist()}") from None
+    for name, pixels in (("width_px", width_px), ("height_px", height_px)):
+        if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or pixels < 1:
+            raise ValueError(f"{name} must be a positive int, not {pixels!r}")
+    to_camera, to_world = inverses
+    x, y = np.arange(width_px) + 0.5, np.arange(height_px) + 0.5
+    across, down, corner = (to_world[:3, :3] @ to_camera).T
+    rays = np.empty((height_px, width_px, 6), dtype=np.float32)
+    rays[..., :3] = to_world[:3, 3]
+    rays[..., 3:] = x[None, :, None] * across + (y[:, None, None] * down + corner)
+    return rays
+
+
+def _rays_of_view(fov_deg: float, center: Any, eye: Any, up: Any, width_px: int, height_px: int) -> np.ndarray:
+    """The matrices of a camera at `eye` that looks at `center`, and their rays."""
+    center, eye, up = (np.asarray(_as_numpy(vector), dtype=np.float64) for vector in (center, eye, up))
+    for name, vector in (("center", center), ("eye", eye), ("up", up)):
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ValueError(f"{name} must be three finite numbers, not {vector.tolist()}")
+    if not 0.0 < fov_deg < 180.0:
+        raise ValueError(f"fov_deg must lie between 0 and 180, not {fov_deg}")
+    ahead, across = center - eye, np.cross(up, center - eye)
+    if not across.any():
+        raise ValueError("the view direction center - eye and up must be neither zero nor parallel")
+    rows = [across, np.cross(ahead, across), ahead]
+    rotation = np.stack([row / np.linalg.norm(row) for row in rows])
+    extrinsic = np.eye(4)
+    extrinsic[:3, :3], extrinsic[:3, 3] = rotation, -rotation @ eye
+    focal = 0.5 * width_px / np.tan(0.5 * np.radians(fov_deg))
+    intrinsic = [[focal, 0.0, 0.5 * width_px], [0.0, focal, 0.5 * height_px], [0.0, 0.0, 1.0]]
+    return _rays_of_matrices(intrinsic, extrinsic, width_px, height_px)

@@ -1,0 +1,35 @@
+"""`wrt verify`: a mesh file against brute force, on this machine."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from typing import Any
+
+import click
+
+from wrt.cli.arguments import busy, load_mesh, make_scene, model_options, start_warp
+
+
+@click.command()
+@model_options
+@click.option("--samples", default=1000, show_default=True, type=click.IntRange(4), help="Rays, a quarter of each kind.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Of the rays.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+def verify(samples: int, seed: int, as_json: bool, **given: Any) -> int:
+    """Checks hits on MODEL (or on a built-in scene) against brute force in float64.
+
+    Rays are random, aimed at vertices and edges, and grazing. The exit status is 1 if an answer is wrong.
+    """
+    start_warp(given["device"])
+    mesh, _ = load_mesh(given)
+    scene = make_scene(mesh, given)
+    with busy("comparing with brute force"):
+        report = scene.verify(samples, seed)
+    if as_json:
+        click.echo(json.dumps({"ok": report.ok, **asdict(report)}, indent=1))
+    else:
+        from rich.console import Console
+
+        report.print(Console())
+    return 0 if report.ok else 1

@@ -1,0 +1,359 @@
+"""Self-check: a scene's answers on its own mesh and machine, against brute force in float64.
+
+**Rays.** Random ones through the scene's box; rays aimed at vertices and at points on edges, where a test that is not
+watertight loses hits; rays that graze a triangle almost in its plane. All start from float32 points relative to the scene's
+centre, so that the scene and the reference ask about the same rays.
+
+**Reference.** Every triangle, by the watertight test's arithmetic in float64 (`nearest64`), on the vertices as they were given.
+
+**What is a fault.** The scene rounds to float32, and may answer as if a ray passed beside where it passes, by `TOLERANCE` of
+its reach in the scene, and no more. Along the ray it may be off by as much, and on a triangle of length L and height h, as
+seen along the ray, by another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.spawn` explains, at most L:
+
+* a *false hit* is a hit whose point on the ray is farther than that from its triangle;
+* a *miss* is a ray with no hit, or with one behind the reference's, of which that is also true for the rays around it, moved
+  sideways by twice as much in eight directions: they all meet something nearer. Where they do not (at silhouettes and at the
+  rims of holes) rounding may decide either way; these rays are counted as undecided.
+
+`occluded` must say the same as `intersect`; where it does not, that is a miss or a false hit too.
+
+References:
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from wrt.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from wrt.scene import Scene
+
+TOLERANCE = 2.0**-21
+"""Distance by which an answer may be off, as a share of the ray's reach: eight roundings of half a unit in the last place."""
+
+SLIVER_ERROR = 2.0**-22
+"""Units in the last place, times a few."""
+
+STEEP = 0.1
+"""Sine of the angle between ray and triangle from which on errors of t are measured: below, they grow without bound."""
+
+SLIVER = 1000.0
+"""Length by height from which on a triangle counts as a sliver."""
+
+EXAMPLES = 5
+"""Faults that a report keeps."""
+
+MISS, FALSE_HIT = "miss", "false hit"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A wrong answer, to be looked at.
+
+    Attributes:
+        kind: "miss" or "false hit".
+        origin, direction: the ray, in the scene's coordinates.
+        triangle: its answer, numbered through all meshes of the scene; -1 for none.
+        expected: the reference's triangle; -1 for none.
+    """
+
+    kind: str
+    origin: tuple[float, ...]
+    direction: tuple[float, ...]
+    triangle: int
+    expected: int
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What `Scene.verify` found; `str()` of it is a table.
+
+    Attributes:
+        rays: number of rays by kind: "random", "vertices", "edges", "grazing".
+        hits: how many of them hit, as the reference has it.
+        misses, false_hits: wrong answers, by kind.
+        undecided: rays that rounding may decide either way, by kind.
+        t_error: largest error of the distance to a hit, as a share of the ray's reach in the scene, among rays that meet the
+            same triangle as the reference at more than 6 degrees.
+        mesh: what there is in the mesh: "open edges" (holes), "edges of more than two triangles", "duplicate triangles",
+            "triangles without area", "slivers" (a thousand times as long as high).
+        explained: of the faults, how many are at triangles of these sorts.
+        faults: the first few wrong answers.
+    """
+
+    rays: dict[str, int]
+    hits: dict[str, int]
+    misses: dict[str, int]
+    false_hits: dict[str, int]
+    undecided: dict[str, int]
+    t_error: float
+    mesh: dict[str, int]
+    explained: dict[str, int]
+    faults: tuple[Fault, ...]
+
+    @property
+    def ok(self) -> bool:
+        """Whether no answer was wrong."""
+        return not any((*self.misses.values(), *self.false_hits.values()))
+
+    def __str__(self) -> str:
+        from io import StringIO
+
+        from rich.console import Console
+
+        console = Console(file=StringIO(), width=100, color_system=None)
+        with console.capture() as capture:
+            self.print(console)
+        return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+    def print(self, console: object) -> None:
+        """Prints the tables to a `rich.console.Console`."""
+        from rich.table import Table
+
+        table = Table("rays aimed at", title="Against brute force in float64", title_justify="left")
+        for column in ("rays", "hit", "misses", "false hits", "undecided"):
+            table.add_column(column, justify="right")
+        columns = (self.rays, self.hits, self.misses, self.false_hits, self.undecided)
+        for kind in self.rays:
+            table.add_row(kind, *(f"{column[kind]:,}" for column in columns))
+        console.print(table)
+        console.print(f"largest error of a distance: {self.t_error:.2g} of the ray's reach in the scene", highlight=False)
+        found = Table("in the mesh", title_justify="left")
+        for column in ("number", "faults there"):
+            found.add_column(column, justify="right")
+        for sort, number in self.mesh.items():
+            found.add_row(sort, f"{number:,}", f"{self.explained[sort]:,}")
+        console.print(found)
+        for fault in self.faults:
+            ray = f"origin {list(fault.origin)}, direction {list(fault.direction)}"
+            line = f"{fault.kind}: triangle {fault.triangle} instead of {fault.expected}, {ray}"
+            console.print(line, highlight=False, markup=False)
+        console.print("no answer is wrong" if self.ok else "answers are WRONG", highlight=False)
+
+
+def verify(scene: Scene, samples: int, seed: int) -> Verification:
+    """Checks a scene; see `wrt.Scene.verify`."""
+    for name, value, least in (("samples", samples, len(KINDS)), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+            raise TypeError(f"{name} must be an int, not {type(value).__name__}")
+        if value < least:
+            raise ValueError(f"{name} is {value}; it must be at least {least}")
+    joined = TriangleMesh.concatenate(scene.meshes)
+    vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces
+    sizes = [samples // len(KINDS) + (number < samples % len(KINDS)) for number in range(len(KINDS))]
+    rng = np.random.default_rng(seed)
+    parts = [make(rng, vertices[faces], size) for make, size in zip(KINDS.values(), sizes, strict=True)]
+    origins, directions = (np.concatenate(values).astype(np.float32) for values in zip(*parts, strict=True))
+    origins, directions = origins.astype(np.float64), directions.astype(np.float64)
+    check = Check(scene, vertices, faces, origins, directions)
+    kind_of = np.repeat(np.arange(len(KINDS)), sizes)
+
+    def by_kind(marked: np.ndarray) -> dict[str, int]:
+        return dict(zip(KINDS, np.bincount(kind_of[marked], minlength=len(KINDS)).tolist(), strict=True))
+
+    sorts = sorts_of_triangles(joined)
+    wrong = np.flatnonzero(check.missed | check.false)
+    there = np.where(check.false, check.primitive, check.expected)[wrong]
+    return Verification(
+        rays=by_kind(np.ones(samples, dtype=bool)),
+        hits=by_kind(check.expected >= 0),
+        misses=by_kind(check.missed),
+        false_hits=by_kind(check.false),
+        undecided=by_kind(check.undecided),
+        t_error=check.t_error(),
+        mesh={sort: number for sort, (number, _) in sorts.items()},
+        explained={sort: int(marked[there[there >= 0]].sum()) for sort, (_, marked) in sorts.items()},
+        faults=tuple(check.fault(ray) for ray in wrong[:EXAMPLES]),
+    )
+
+
+class Check:
+    """A scene's answers about rays relative to its centre, beside the reference's.
+
+    Attributes:
+        primitive, t: (N,) the scene's answers.
+        expected, t_expected: (N,) the reference's.
+        missed, false, undecided: (N,) bool, as the module's docstring says.
+    """
+
+    def __init__(
+        self, scene: Scene, vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    ) -> None:
+        self.center, self.vertices, self.faces = scene.center, vertices, faces
+        self.origins, self.directions = origins, directions
+        hits = scene.intersect(origins + scene.center, directions)
+        occluded = scene.occluded(origins + scene.center, directions)
+        self.primitive, self.t = hits.batch.primitive.numpy(), hits.t.astype(np.float64)
+        self.expected, self.t_expected = nearest64(vertices, faces, origins, directions)
+        low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
+        self.tolerance = TOLERANCE * np.maximum(np.abs(low - origins), np.abs(high - origins)).max(axis=1)
+        self.lengths = np.linalg.norm(directions, axis=1)
+        self.t_tolerance = self.tolerance + self.sliver_errors()
+        self.false = self.off_their_triangles() | (occluded & (self.expected < 0) & ~hits.is_hit)
+        found = np.flatnonzero(self.expected >= 0)
+        nearest = self.t_expected[found] * self.lengths[found] + self.t_tolerance[found]
+        behind = np.zeros(len(origins), dtype=bool)
+        behind[found] = self.t[found] * self.lengths[found] > nearest
+        suspects = np.flatnonzero(behind | ((self.expected >= 0) & ~occluded))
+        self.missed, self.undecided = np.zeros(len(origins), dtype=bool), np.zeros(len(origins), dtype=bool)
+        for ray in suspects:
+            sure = self.is_covered(ray, self.t[ray] if occluded[ray] else np.inf)
+            (self.missed if sure else self.undecided)[ray] = True
+
+    def sliver_errors(self) -> np.ndarray:
+        """(N,) how much farther hits may be off along the ray because it sees their triangle long and thin; 0 for misses."""
+        corners = self.vertices[self.faces[self.primitive]]
+        edges = np.roll(corners, -1, axis=1) - corners
+        longest = np.linalg.norm(edges, axis=2).max(axis=1)
+        seen = np.abs((np.cross(edges[:, 0], edges[:, 1]) * self.directions).sum(axis=1))  # area by length, times two
+        height = seen / np.maximum(longest * self.lengths, np.finfo(float).tiny)
+        thin = longest * np.minimum(longest * SLIVER_ERROR, height) / np.maximum(height, np.finfo(float).tiny)
+        return np.where(self.primitive >= 0, thin, 0.0)
+
+    def off_their_triangles(self) -> np.ndarray:
+        """(N,) bool: hits whose point is too far from their triangle."""
+        import trimesh
+
+        off, hit = np.zeros(len(self.t), dtype=bool), np.flatnonzero(self.primitive >= 0)
+        if len(hit):
+            points = self.origins[hit] + self.t[hit, None] * self.directions[hit]
+            corners = self.vertices[self.faces[self.primitive[hit]]]
+            # in units of each ray's tolerance, because trimesh takes small lengths for 0, whatever the mesh's size
+            corners = (corners - points[:, None]) / self.t_tolerance[hit, None, None]
+            nearest = trimesh.triangles.closest_point(corners, np.zeros_like(points))
+            off[hit] = ~(np.linalg.norm(nearest, axis=1) <= 1.0)
+        return off
+
+    def is_covered(self, ray: int, t: float) -> bool:
+        """Whether the eight rays around this one all meet something before `t`."""
+        direction = self.directions[ray] / self.lengths[ray]
+        across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+        across /= np.linalg.norm(across)
+        angles = np.arange(8) * (np.pi / 4)
+        around = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(direction, across)
+        origins = self.origins[ray] + 2.0 * self.tolerance[ray] * around
+        _, found = nearest64(self.vertices, self.faces, origins, np.tile(self.directions[ray], (8, 1)))
+        return bool((found * self.lengths[ray] < t * self.lengths[ray] - self.t_tolerance[ray]).all())
+
+    def t_error(self) -> float:
+        """Largest error of the distance to a hit, as a share of the ray's reach, where it can be told."""
+        same = np.flatnonzero((self.primitive == self.expected) & (self.primitive >= 0))
+        a, b, c = self.vertices[self.faces[self.primitive[same]]].transpose(1, 0, 2)
+        normals, directions = np.cross(b - a, c - a), self.directions[same]
+        sizes = np.linalg.norm(normals, axis=1) * self.lengths[same]
+        same = same[np.abs((normals * directions).sum(axis=1)) > STEEP * sizes]
+        errors = np.abs(self.t[same] - self.t_expected[same]) * self.lengths[same]
+        return float((errors * TOLERANCE / self.tolerance[same]).max(initial=0.0))
+
+    def fault(self, ray: int) -> Fault:
+        """A wrong answer, for the report."""
+        origin, direction = (self.origins[ray] + self.center).tolist(), self.directions[ray].tolist()
+        kind = FALSE_HIT if self.false[ray] else MISS
+        return Fault(kind, tuple(origin), tuple(direction), int(self.primitive[ray]), int(self.expected[ray]))
+
+
+def nearest64(
+    vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest hits at t >= 0 by brute force in float64, edges included: ((N,) triangle or -1, (N,) t or inf)."""
+    triangle, t = np.full(len(origins), -1), np.full(len(origins), np.inf)
+    columns, corners = np.ascontiguousarray(vertices.T), np.ascontiguousarray(faces.T)
+    for ray, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
+        z = int(np.abs(direction).argmax())
+        if not 0.0 < abs(direction[z]) < np.inf:
+            continue
+        x, y = (z + 1) % 3, (z + 2) % 3
+        depth = (columns[z] - origin[z]) / direction[z]
+        px = (columns[x] - origin[x]) - direction[x] * depth
+        py = (columns[y] - origin[y]) - direction[y] * depth
+        # seen along the ray: a triangle all of whose corners are on one side of an axis through 0 does not hold 0
+        side = (px > 0) + 2 * (px < 0) + 4 * (py > 0) + 8 * (py < 0).astype(np.uint8)
+        chosen = np.flatnonzero((side[corners[0]] & side[corners[1]] & side[corners[2]]) == 0)
+        qx, qy, along = (values[corners[:, chosen]] for values in (px, py, depth))
+        areas = np.stack([qx[i] * qy[j] - qy[i] * qx[j] for i, j in ((1, 2), (2, 0), (0, 1))])
+        total = areas.sum(axis=0)
+        inside = ((areas >= 0).all(axis=0) | (areas <= 0).all(axis=0)) & (total != 0)
+        at = (areas[:, inside] * along[:, inside]).sum(axis=0) / total[inside]
+        at[at < 0] = np.inf
+        if at.min(initial=np.inf) < np.inf:
+            t[ray], triangle[ray] = at.min(), chosen[inside][at.argmin()]
+    return triangle, t
+
+
+# -- rays --------------------------------------------------------------------------------------------------------------
+
+
+def random_rays(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """From in and around the box of the triangles (F, 3, 3) to points in it."""
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    size = (high - low).max()
+    origins = rng.uniform(low - 0.5 * size, high + 0.5 * size, (count, 3))
+    return origins, rng.uniform(low, high, (count, 3)) - origins
+
+
+def rays_at_vertices(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """From the same places to corners of triangles."""
+    return _aimed(rng, corners, count, 0.0)
+
+
+def rays_at_edges(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """From the same places to points on edges."""
+    return _aimed(rng, corners, count, rng.random((count, 1)))
+
+
+def _aimed(
+    rng: np.random.Generator, corners: np.ndarray, count: int, weight: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    origins = random_rays(rng, corners, count)[0].astype(np.float32).astype(np.float64)
+    face, corner = rng.integers(0, len(corners), count), rng.integers(0, 3, count)
+    a, b = corners[face, corner], corners[face, (corner + 1) % 3]
+    return origins, a + weight * (b - a) - origins
+
+
+def grazing_rays(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """To points of triangles, almost in their planes: at angles from a tenth to a millionth of a radian."""
+    a, b, c = corners[rng.integers(0, len(corners), count)].transpose(1, 0, 2)
+    points = np.einsum("kn,kni->ni", rng.dirichlet((1, 1, 1), count).T, np.stack([a, b, c]))
+    size = (corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()
+    unit = [edge / np.maximum(np.abs(edge).max(axis=1, keepdims=True), np.finfo(float).tiny) for edge in (b - a, c - a)]
+    normals = np.cross(*unit)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    along = unit[0] * rng.uniform(-1, 1, (count, 1)) + unit[1] * rng.uniform(-1, 1, (count, 1))
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+    directions = along + normals * 10.0 ** rng.uniform(-6, -1, (count, 1)) * rng.choice([-1.0, 1.0], (count, 1))
+    return points - size * rng.uniform(0.1, 1.5, (count, 1)) * directions, directions
+
+
+KINDS = {"random": random_rays, "vertices": rays_at_vertices, "edges": rays_at_edges, "grazing": grazing_rays}
+
+
+# -- the mesh ----------------------------------------------------------------------------------------------------------
+
+
+def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
+    """What rays may stumble over: how many, and which triangles (F,) bool; by positions, as `TriangleMesh.summary` counts."""
+    from trimesh.grouping import hashable_rows
+
+    surface = mesh.welded().to_trimesh()
+    _, edge, uses = np.unique(hashable_rows(surface.edges_sorted), return_inverse=True, return_counts=True)
+    uses_of_edges = uses[edge].reshape(-1, 3)
+    _, same, copies = np.unique(hashable_rows(np.sort(surface.faces, axis=1)), return_inverse=True, return_counts=True)
+    repeated = copies[same] > 1
+    flat = ~mesh.face_normals.any(axis=1)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    scale = np.maximum(longest, np.finfo(float).tiny)
+    edges = (corners[:, 1:] - corners[:, :1]) / scale[:, None, None]
+    slivers = (np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) * SLIVER < 1.0) & ~flat
+    return {
+        "open edges": (int((uses == 1).sum()), (uses_of_edges == 1).any(axis=1)),
+        "edges of more than two triangles": (int((uses > 2).sum()), (uses_of_edges > 2).any(axis=1)),
+        "duplicate triangles": (int((copies - 1).sum()), repeated),
+        "triangles without area": (int(flat.sum()), flat),
+        "slivers": (int(slivers.sum()), slivers),
+    }
