@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import in_place, sweep
+from wrt.builders.kdtree import in_place, sorting_sweep, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 
@@ -32,14 +32,13 @@ class KdTreeBuilder:
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
 
 
+WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
+
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
-        KdTreeBuilder(
-            "sweep",
-            "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006), O(N log^2 N)",
-            sweep.build,
-        ),
+        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
+        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
     )
 }
