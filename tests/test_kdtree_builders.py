@@ -10,7 +10,7 @@ from conftest import snapped_soup
 import wrt
 from wrt.builders.common import StopRules
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.kdtree import KDTREE_BUILDERS, in_place
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, reference_levels, scanning
 from wrt.builders.kdtree.events import sorted_events
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 from wrt.builders.triangles import triangle_boxes
@@ -19,6 +19,9 @@ from wrt.kernels.launch import use_threads
 
 EXACT = ("in_place", "sweep")
 """Builders that evaluate every plane at which a box begins or ends."""
+
+PARALLEL = ("binned",)
+"""Builders that scan references, on all threads."""
 
 
 def boxes_of(mesh: wrt.TriangleMesh):
@@ -31,6 +34,13 @@ def build(mesh: wrt.TriangleMesh, builder: str = "in_place", **options):
     description = wrt.KdTree(builder=builder, **options)
     config = description.config(width=8)
     return KDTREE_BUILDERS[builder].build(boxes_of(mesh), config), config
+
+
+def scattered_soup(count: int, seed: int) -> wrt.TriangleMesh:
+    """Small random triangles all over a large cube."""
+    rng = np.random.default_rng(seed)
+    corners = rng.random((count, 1, 3)) * 40 + rng.random((count, 3, 3))
+    return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
 
 
 def leaf_lists(tree) -> dict[int, list[int]]:
@@ -175,12 +185,29 @@ def test_threads_and_tasks_do_not_show(threads, monkeypatch):
         np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
-def test_small_arenas_are_enlarged(monkeypatch):
+@pytest.mark.parametrize("builder", PARALLEL)
+def test_threads_and_chunks_do_not_show(builder, monkeypatch):
+    """Bit for bit the same tree with one thread and with several, whatever the chunks and the tasks."""
+    mesh = scattered_soup(6000, seed=2)
+    monkeypatch.setattr(binned, "SAMPLED", 1000)
+    with use_threads(1):
+        reference, _ = build(mesh, builder)
+    for threads, chunk, least in ((2, 8192, 4096), (3, 100, 64), (8, 7, 1000)):
+        monkeypatch.setattr(reference_levels, "CHUNK", chunk)
+        monkeypatch.setattr(binned, "LEAST_LARGE", least)
+        with use_threads(threads):
+            tree, _ = build(mesh, builder)
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+@pytest.mark.parametrize(("builder", "module"), [("in_place", in_place), ("binned", scanning)])
+def test_small_shares_are_enlarged(builder, module, monkeypatch):
     """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
     mesh = wrt.scenes.build("teapot_in_stadium", level=4)
-    reference, _ = build(mesh)
-    monkeypatch.setattr(in_place, "SPARE_ROOM", 0.01)
-    tree, _ = build(mesh)
+    reference, _ = build(mesh, builder)
+    monkeypatch.setattr(module, "SPARE_ROOM", 0.01)
+    tree, _ = build(mesh, builder)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 

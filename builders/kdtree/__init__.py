@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import in_place, sorting_sweep, sweep
+from wrt.builders.kdtree import binned, in_place, sorting_sweep, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 
@@ -38,6 +38,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
+        KdTreeBuilder("binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
     )
