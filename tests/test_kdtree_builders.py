@@ -17,8 +17,11 @@ from wrt.builders.triangles import triangle_boxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import use_threads
 
-EXACT = ("in_place", "sweep")
+EXACT = ("in_place", "sweep", "naive")
 """Builders that evaluate every plane at which a box begins or ends."""
+
+MEDIANS = ("spatial_median", "object_median")
+"""Builders that do not choose planes by their cost."""
 
 PARALLEL = ("binned",)
 """Builders that scan references, on all threads."""
@@ -229,7 +232,7 @@ def test_tiny_and_flat_meshes(builder, count):
         assert set().union(*leaf_lists(tree).values()) == set(range(count))
 
 
-@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+@pytest.mark.parametrize("builder", [name for name in KDTREE_BUILDERS if name not in MEDIANS])
 def test_surface_area_cost_of_a_known_split(builder):
     """Two far-apart clusters: the empty middle is cut off, and the cost is the textbook's, worked out by hand."""
     corners = np.array([[[0, 0, 0], [1, 1, 0], [1, 0, 1]], [[9, 0, 0], [10, 1, 0], [10, 0, 1]]], dtype=np.float32)
@@ -242,6 +245,27 @@ def test_surface_area_cost_of_a_known_split(builder):
     assert statistics.sah_cost == pytest.approx(1 + rest / root + 2 * 10 * cluster / root)
     assert statistics.depth_histogram.tolist() == [0, 1, 2]
     assert statistics.leaf_size_histogram.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("axis", ["longest", "round_robin"])
+def test_medians(axis):
+    """Boxes in a row along y: the first planes are those of the definition, worked out in NumPy."""
+    middle = np.array([0.0, 1.0, 2.0, 3.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+    corners = np.zeros((9, 3, 3))
+    corners[:, :, 1] = middle[:, None] + [-0.25, 0.25, 0.0]
+    corners[:, 1, 0] = 5.0
+    corners[:, 2, 2] = np.arange(9) + 1.0
+    mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(27).reshape(-1, 3))
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    centers = (corners.min(1) + corners.max(1)) / 2
+    for builder in MEDIANS:
+        tree, _ = build(mesh, builder, width=1, block_cost=10.0, bad_splits=9, max_depth=2, axis=axis)
+        flat = unpack(tree)
+        first = 0 if axis == "round_robin" else 1
+        assert flat.axis[0] == first
+        expected = np.median(centers[:, first]) if builder == "object_median" else (low[first] + high[first]) / 2
+        assert flat.position[0] == pytest.approx(expected)
+        assert flat.axis[flat.left[0]] == 1
 
 
 def test_empty_space_bonus_cuts_more_empty_space():
@@ -280,6 +304,7 @@ def test_stop_rules():
         lambda: StopRules(bad_splits=-1),
         lambda: wrt.KdTree(builder="none such"),
         lambda: wrt.KdTree(width=5),
+        lambda: wrt.KdTree(builder="spatial_median", axis="shortest"),
     ],
 )
 def test_bad_configurations(make):

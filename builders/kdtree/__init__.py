@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import binned, in_place, sorting_sweep, sweep
+from wrt.builders.kdtree import binned, in_place, medians, naive, sorting_sweep, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 
@@ -34,6 +34,8 @@ class KdTreeBuilder:
 
 WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
 
+FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
+
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
@@ -41,5 +43,8 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder("binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
+        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build),
+        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial),
+        KdTreeBuilder("object_median", FUSSELL, medians.build_object),
     )
 }

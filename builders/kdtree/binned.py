@@ -51,11 +51,11 @@ LEAST_LARGE = 4096
 @wp.func
 def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     """The best plane of a node."""
-    if frame.triangles <= lists.bins:
+    if frame.triangles <= lists.rules.bins:
         return search_exactly(cost, lists, number, frame)
-    step = sample_step(frame.triangles, lists.sampled)
-    bin_range(lists.reference, frame.first[0], frame.triangles, step, place(frame, lists.bins), lists.counter, number)
-    return best_bin_plane(cost, frame, lists.counter, number, lists.bins, step)
+    step = sample_step(frame.triangles, lists.rules.sampled)
+    bin_range(lists.reference, frame.first[0], frame.triangles, step, place(frame, lists.rules.bins), lists.counter, number)
+    return best_bin_plane(cost, frame, lists.counter, number, lists.rules.bins, step)
 
 
 METHOD = scanning(search)

@@ -22,6 +22,18 @@ HEAD = f"""{FOR_LANES}
 
 
 @wp.struct
+class SearchRules:
+    """Options of searches; each uses what concerns it."""
+
+    bins: int
+    """Bins of an axis."""
+    sampled: int
+    """Triangles of a node from which on only some of them are counted; 0: all are."""
+    round_robin: bool
+    """Whether levels take turns in the axes; else the longest one is split."""
+
+
+@wp.struct
 class ReferenceLists:
     """Lists of all tasks, each in its own share, and room for the search."""
 
@@ -31,10 +43,7 @@ class ReferenceLists:
     """(tasks, counters): a task's bins."""
     value: wp.array2d(dtype=float)
     """(tasks, values): what a task's search writes down."""
-    bins: int
-    """Bins of an axis, for searches that bin."""
-    sampled: int
-    """Triangles of a node from which on only some of them are counted."""
+    rules: SearchRules
 
 
 @wp.struct

@@ -16,7 +16,7 @@ import warp as wp
 from wrt.builders.common import BuildStats, KdTree
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.bins import counters_for
-from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.reference_lists import ReferenceLists
 from wrt.builders.kdtree.subtrees import STACK, Frame, Method, Reservation, Result, Task, make_build_subtrees
@@ -80,6 +80,11 @@ class Phases:
         self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
 
 
+def one_task(method: Method, triangles: int, values: int) -> Scan:
+    """A build by one thread: the whole tree is one task."""
+    return Scan(method, LevelRules(large=triangles, bins=1, sampled=0), values)
+
+
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
@@ -108,8 +113,9 @@ def build_tasks(
     count = len(roots)
     room = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
     lists = ReferenceLists()
-    lists.bins = scan.levels.bins
-    lists.sampled = scan.levels.sampled
+    lists.rules.bins = scan.levels.bins
+    lists.rules.sampled = scan.levels.sampled
+    lists.rules.round_robin = config.axis == ROUND_ROBIN
     lists.reference = wp.empty(8 * room.entries, dtype=float, device=device)
     lists.counter = wp.empty((count, counters_for(scan.levels.bins)), dtype=int, device=device)
     lists.value = wp.empty((count, scan.values), dtype=float, device=device)
