@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import binned, in_place, medians, naive, sorting_sweep, sweep
+from wrt.builders.kdtree import adaptive_sampling, binned, in_place, medians, naive, sorting_sweep, streaming, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 
@@ -41,6 +41,16 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     for builder in (
         KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
         KdTreeBuilder("binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build),
+        KdTreeBuilder(
+            "streaming",
+            "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
+            streaming.build,
+        ),
+        KdTreeBuilder(
+            "adaptive_sampling",
+            "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
+            adaptive_sampling.build,
+        ),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
         KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build),

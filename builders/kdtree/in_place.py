@@ -21,14 +21,10 @@ References:
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from time import perf_counter
-
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import BuildStats, KdTree, StopLimits
+from wrt.builders.common import KdTree, Phases, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
 from wrt.builders.kdtree import fill as fill_phase
 from wrt.builders.kdtree import levels as level_phase
@@ -38,7 +34,7 @@ from wrt.builders.kdtree.event_lists import EVENTS, EventLists
 from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
-from wrt.builders.kdtree.subtrees import STACK, Frame, Reservation, Result, make_build_subtrees
+from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
 
@@ -79,7 +75,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
         with builder.phase("fill"):
             room, lists, frames = builder.fill(events, membership, spare)
         with builder.phase("subtrees"):
-            results = builder.build_subtrees(room, lists, frames)
+            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
@@ -87,8 +83,8 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
         nodes, primitive = assemble(builder.levels[:-1], room, results, config.cost.width)
     boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
     work = [lists.event, lists.triangle, lists.side, room.parts.nodes, room.parts.primitive]
-    builder.stats.reserve(*boxes, *work, nodes, primitive)
-    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats)
+    builder.phase.stats.reserve(*boxes, *work, nodes, primitive)
+    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
 
 
 class InPlaceBuilder:
@@ -100,7 +96,7 @@ class InPlaceBuilder:
         self.cost: SplitCost = config.cost.struct()
         self.limits: StopLimits = config.stop.limits(triangles.count)
         self.width = config.cost.width
-        self.stats = BuildStats()
+        self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""
         root = LiveNode()
@@ -108,14 +104,6 @@ class InPlaceBuilder:
         root.high = wp.vec3(*triangles.high)
         root.triangles = triangles.count
         self.live = wp.array([root], dtype=LiveNode, device=self.device)
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Adds the time of a phase to the statistics."""
-        start = perf_counter()
-        yield
-        wp.synchronize_device(self.device)
-        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
@@ -194,12 +182,3 @@ class InPlaceBuilder:
         self.run(fill_phase.count_task_events, 3 * chunks, events, membership, places)
         self.run(fill_phase.scan_task_events, len(tasks), tasks, places, frames, chunk=64)
         self.run(fill_phase.fill_task_events, 3 * chunks, events, membership, local, places, lists)
-
-    def build_subtrees(self, room: Reservation, lists: EventLists, frames: wp.array) -> wp.array:
-        """Builds all subtrees; returns what each task made."""
-        count = len(room.tasks)
-        stack = wp.empty((count, STACK), dtype=Frame, device=self.device)
-        results = wp.empty(count, dtype=Result, device=self.device)
-        inputs = [self.cost, self.limits, room.tasks, frames, lists, room.parts, stack, results]
-        launch(make_build_subtrees(EVENTS), count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
-        return results

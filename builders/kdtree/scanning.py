@@ -5,21 +5,18 @@ the builder's own search, `assembly` puts the parts together. A builder without 
 to be a task, and is then one thread's work.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from time import perf_counter
 
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import BuildStats, KdTree
+from wrt.builders.common import KdTree, Phases
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.bins import counters_for
 from wrt.builders.kdtree.config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.reference_lists import ReferenceLists
-from wrt.builders.kdtree.subtrees import STACK, Frame, Method, Reservation, Result, Task, make_build_subtrees
+from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import launch, load
 
@@ -57,32 +54,18 @@ class Scan:
         method: how subtrees are built.
         levels: how the top is split.
         values: floats that a search in a node of the largest task writes down.
+        counters: counters that it needs behind those of the bins.
     """
 
     method: Method
     levels: LevelRules
     values: int
+    counters: int = 0
 
 
-class Phases:
-    """Times the phases of a build."""
-
-    def __init__(self, device: wp.Device) -> None:
-        self.device = device
-        self.stats = BuildStats()
-
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        """Adds the time of a phase to the statistics."""
-        start = perf_counter()
-        yield
-        wp.synchronize_device(self.device)
-        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
-
-
-def one_task(method: Method, triangles: int, values: int) -> Scan:
+def one_task(method: Method, triangles: int, values: int, bins: int = 1, counters: int = 0) -> Scan:
     """A build by one thread: the whole tree is one task."""
-    return Scan(method, LevelRules(large=triangles, bins=1, sampled=0), values)
+    return Scan(method, LevelRules(large=triangles, bins=bins, sampled=0), values, counters)
 
 
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
@@ -117,15 +100,12 @@ def build_tasks(
     lists.rules.sampled = scan.levels.sampled
     lists.rules.round_robin = config.axis == ROUND_ROBIN
     lists.reference = wp.empty(8 * room.entries, dtype=float, device=device)
-    lists.counter = wp.empty((count, counters_for(scan.levels.bins)), dtype=int, device=device)
+    lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
     lists.value = wp.empty((count, scan.values), dtype=float, device=device)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = room.rooms["lists_first"]
     roots["top"] = room.rooms["lists_first"] + roots["triangles"]
     frames = wp.array(roots, dtype=Frame, device=device)
     launch(copy_lists, count, [top.references, source, room.tasks, frames, lists], device=device, chunk=1)
-    stack = wp.empty((count, STACK), dtype=Frame, device=device)
-    results = wp.empty(count, dtype=Result, device=device)
-    inputs = [config.cost.struct(), config.stop.limits(triangles), room.tasks, frames, lists, room.parts, stack, results]
-    launch(make_build_subtrees(scan.method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
+    results = build_subtrees(scan.method, triangles, config, room, frames, lists)
     return room, lists, results

@@ -16,13 +16,16 @@ References:
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import warp as wp
 
 from wrt.builders.common import StopLimits, bad_splits_after
 from wrt.builders.cost import SplitCost, no_split
+from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.kernels import kdtree
+from wrt.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -210,3 +213,25 @@ class Reservation:
         if f"{name}_capacity" in self.rooms.dtype.names:
             self.rooms[f"{name}_capacity"] = capacity
         return int(capacity.sum())
+
+
+def build_subtrees(
+    method: Method, triangles: int, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
+) -> wp.array:
+    """Builds all subtrees, the threads taking them from one pool; returns what each task made.
+
+    Args:
+        method: how they are built.
+        triangles: triangles of the mesh.
+        config: cost model and stop rules.
+        room: the tasks and their shares.
+        frames: (tasks,) their roots.
+        memory: the lists, as the method has them.
+    """
+    device, count = frames.device, len(frames)
+    stack = wp.empty((count, STACK), dtype=Frame, device=device)
+    results = wp.empty(count, dtype=Result, device=device)
+    rules = [config.cost.struct(), config.stop.limits(triangles)]
+    inputs = [*rules, room.tasks, frames, memory, room.parts, stack, results]
+    launch(make_build_subtrees(method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
+    return results
