@@ -23,9 +23,6 @@ EXACT = ("in_place", "sweep", "naive")
 MEDIANS = ("spatial_median", "object_median")
 """Builders that do not choose planes by their cost."""
 
-FEW = 5000
-"""Triangles up to which the naive builder is put to the test."""
-
 PARALLEL = ("binned", "streaming")
 """Builders that scan references, on all threads."""
 
@@ -126,8 +123,8 @@ def test_events_are_sorted():
 @pytest.mark.parametrize("width", [1, 8])
 def test_invariants(scene_mesh, builder, width):
     """Leaves tile the root's box; every triangle is in every leaf whose inside its box meets, and in at least one leaf."""
-    if builder == "naive" and scene_mesh.triangle_count > FEW:
-        pytest.skip("too many triangles for an O(N^2) build")
+    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+        pytest.skip("too many triangles for this builder")
     tree, config = build(scene_mesh, builder, width=width, block_cost=1.5 if width == 1 else 0.5)
     flat = unpack(tree)
     leaf = flat.is_leaf
@@ -165,7 +162,7 @@ def test_exact_builders_equal_the_judge(scene_mesh, options):
     judge, config = build(scene_mesh, "sorting_sweep", **options)
     cost = kdtree_statistics(judge, scene_mesh.triangle_count, config.cost).sah_cost
     for builder in EXACT:
-        if builder == "naive" and scene_mesh.triangle_count > FEW:
+        if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
             continue
         tree, _ = build(scene_mesh, builder, **options)
         np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
@@ -238,6 +235,43 @@ def test_tiny_and_flat_meshes(builder, count):
         mesh = wrt.TriangleMesh(shaped.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
         tree, _ = build(mesh, builder, width=1, block_cost=3.0)
         assert set().union(*leaf_lists(tree).values()) == set(range(count))
+
+
+def hard_meshes() -> dict[str, wrt.TriangleMesh]:
+    """Around the sizes at which searches change, and shapes that tempt builders to divide without end."""
+    rng = np.random.default_rng(7)
+    sizes = (31, 32, 33, 36, 37)
+    meshes = {f"{n} triangles": scattered_soup(n, seed=n) for n in sizes}
+    one = rng.random((1, 3, 3))
+    tiny = rng.random((3000, 1, 3)) * 0.01 + rng.random((3000, 3, 3)) * 1e-4
+    shapes = {
+        "identical": np.repeat(one, 3000, axis=0),
+        "coplanar": np.concatenate([rng.random((3000, 3, 2)), np.full((3000, 3, 1), 0.5)], axis=2),
+        "one huge, many tiny": np.concatenate([np.array([[[-1e3, 0, 0], [1e3, 0, 0], [0, 1e3, 1e3]]]), tiny]),
+        "needles": rng.random((2000, 1, 3)) + rng.normal(size=(2000, 3, 1)) + 0.02 * rng.random((2000, 3, 3)),
+    }
+    for name, corners in shapes.items():
+        meshes[name] = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    return meshes
+
+
+@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+def test_hard_meshes(builder):
+    """The same hits as by brute force, and a bounded number of references."""
+    rng = np.random.default_rng(8)
+    for name, mesh in hard_meshes().items():
+        tree, _ = build(mesh, builder)
+        lists = leaf_lists(tree)
+        assert sum(map(len, lists.values())) <= 64 * mesh.triangle_count, name
+        scene = wrt.Scene(mesh, wrt.KdTree(builder=builder, width=8), device="cpu")
+        corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, 300)]]
+        targets = (rng.dirichlet([1, 1, 1], 300)[:, :, None] * corners).sum(axis=1)
+        origins = targets + rng.normal(size=(300, 3))
+        hits = scene.intersect(origins, targets - origins, traversal="single")
+        brute = scene.intersect(origins, targets - origins, traversal="brute")
+        np.testing.assert_array_equal(hits.t, brute.t, err_msg=name)
+        np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id, err_msg=name)
+        assert brute.is_hit.mean() > 0.5, name
 
 
 @pytest.mark.parametrize("builder", [name for name in KDTREE_BUILDERS if name not in MEDIANS])

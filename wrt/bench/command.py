@@ -23,7 +23,19 @@ SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
 
 
-@click.command()
+class BenchCommand(click.Command):
+    """`bench`, of which `bench builders` is a command of its own."""
+
+    def make_context(self, info_name: str | None, args: list[str], *rest: Any, **extra: Any) -> click.Context:
+        """The context of the command that is meant."""
+        if args[:1] == ["builders"]:
+            from wrt.bench.kdtree_builders import builders_command
+
+            return builders_command.make_context(f"{info_name} builders", args[1:], *rest, **extra)
+        return super().make_context(info_name, args, *rest, **extra)
+
+
+@click.command(cls=BenchCommand)
 @click.argument("model", required=False)
 @click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
 @click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
@@ -53,7 +65,8 @@ def bench(
     """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
-    which they agree beside it. "engines" are wrt's own traversals and triangle tests, one by one.
+    which they agree beside it. "engines" are wrt's own traversals and triangle tests, one by one. `wrt bench builders` compares
+    kd-tree builders.
     """
     from rich.console import Console
 
