@@ -1,7 +1,10 @@
 """What builders take and give: stop rules, the finished tree, and what the build cost."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import log2
+from time import perf_counter
 
 import warp as wp
 
@@ -82,6 +85,22 @@ class BuildStats:
     def reserve(self, *arrays: wp.array) -> None:
         """Notes arrays that are held at the same time."""
         self.peak_bytes = max(self.peak_bytes, sum(array.capacity for array in arrays))
+
+
+class Phases:
+    """Times the phases of a build."""
+
+    def __init__(self, device: wp.Device) -> None:
+        self.device = device
+        self.stats = BuildStats()
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Adds the time of a phase to the statistics."""
+        start = perf_counter()
+        yield
+        wp.synchronize_device(self.device)
+        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
 
 
 @dataclass

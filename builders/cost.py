@@ -145,23 +145,22 @@ def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, ri
 
 
 @wp.func
-def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
+def cheaper_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int, planar_left: bool, best: Split):
     """`best`, or a split at `position` if that is strictly inside the box and cheaper."""
     if position > frame.low and position < frame.high:
-        price = plane_cost(cost, frame, position, left, planar + right)
+        price = plane_cost(cost, frame, position, left, right)
         if price < best.cost:
             best.cost = price
             best.axis = frame.axis
             best.position = position
-            best.planar_left = False
+            best.planar_left = planar_left
             best.left = left
-            best.right = planar + right
-        price = plane_cost(cost, frame, position, left + planar, right)
-        if price < best.cost:
-            best.cost = price
-            best.axis = frame.axis
-            best.position = position
-            best.planar_left = True
-            best.left = left + planar
             best.right = right
     return best
+
+
+@wp.func
+def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
+    """`cheaper_split` with the planar triangles on the right, then on the left."""
+    best = cheaper_split(cost, frame, position, left, planar + right, False, best)
+    return cheaper_split(cost, frame, position, left + planar, right, True, best)

@@ -149,6 +149,34 @@ def test_info_of_real_statistics(model):
     assert json.loads(run("info", "--json", "--level", 2).stdout)["tree"]["nodes"] > 0
 
 
+def test_bench_builders(tmp_path):
+    """Ratios refer to the sweep; exact builders cost the same; growth is shown from the smallest mesh on."""
+    file = tmp_path / "builders.json"
+    names = [part for name in ("in_place", "binned", "spatial_median") for part in ("--builder", name)]
+    result = run("bench", "builders", "wood", *names, "--size", 16, "--rounds", 1, "--threads", 1, "--json", file)
+    assert result.exit_code == 0, result.output
+    found = json.loads(file.read_text())
+    rows = {row["builder"]: row for row in found["builders"]}
+    assert [*rows] == ["sweep", "in_place", "binned", "spatial_median"]
+    assert all(name in result.output for name in rows)
+    assert rows["sweep"]["build_ratio"] == rows["sweep"]["sah_ratio"] == 1.0
+    assert rows["in_place"]["sah_ratio"] == 1.0 < rows["binned"]["sah_ratio"] < rows["spatial_median"]["sah_ratio"]
+    for row in rows.values():
+        assert row["seconds"] > 0
+        assert row["peak_bytes"] > row["tree_bytes"] > 0
+        assert set(row["trace_ratios"]) == {"near", "random"}
+    assert run("bench", "builders", "--builder", "none such").exit_code == 2
+
+
+def test_growth_of_builders():
+    from wrt.bench.kdtree_builders import measure_growth
+
+    small, naive = measure_growth(["binned", "naive"], sizes=(500, 20_000), rounds=1)
+    assert small.triangles[0] < small.triangles[1]
+    assert naive.triangles == small.triangles[:1]  # more than can be waited for
+    assert small.per_n_log_n[0] == naive.per_n_log_n[0] == 1.0
+
+
 def test_bench_is_imported_when_called():
     pytest.importorskip("wrt.bench.command")
     assert "bench" in run("--help").output

@@ -11,6 +11,9 @@ from conftest import ENGINE_TESTS
 
 import wrt.builders
 import wrt.kernels
+from wrt.builders.kdtree import adaptive_sampling, binned, medians, naive
+from wrt.builders.kdtree.event_lists import EVENTS
+from wrt.builders.kdtree.subtrees import make_build_subtrees
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
@@ -24,6 +27,8 @@ from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
+
+KDTREE_METHODS = (EVENTS, binned.METHOD, naive.METHOD, medians.SPACE, medians.OBJECTS, adaptive_sampling.METHOD)
 
 
 def modules_with_kernels() -> list[str]:
@@ -46,6 +51,11 @@ def compile_to_ptx(module, folder) -> str:
 @pytest.mark.parametrize("name", modules_with_kernels())
 def test_module(name, tmp_path):
     assert ".entry" in compile_to_ptx(importlib.import_module(name), tmp_path)
+
+
+@pytest.mark.parametrize("method", KDTREE_METHODS, ids=lambda method: method.search.key)
+def test_kdtree_subtrees(method, tmp_path):
+    assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
 
 
 ANSWERS = [

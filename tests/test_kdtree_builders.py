@@ -10,12 +10,21 @@ from conftest import snapped_soup
 import wrt
 from wrt.builders.common import StopRules
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.kdtree import KDTREE_BUILDERS, in_place
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, reference_levels, scanning, streaming
 from wrt.builders.kdtree.events import sorted_events
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 from wrt.builders.triangles import triangle_boxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import use_threads
+
+EXACT = ("in_place", "sweep", "naive")
+"""Builders that evaluate every plane at which a box begins or ends."""
+
+MEDIANS = ("spatial_median", "object_median")
+"""Builders that do not choose planes by their cost."""
+
+PARALLEL = ("binned", "streaming")
+"""Builders that scan references, on all threads."""
 
 
 def boxes_of(mesh: wrt.TriangleMesh):
@@ -28,6 +37,13 @@ def build(mesh: wrt.TriangleMesh, builder: str = "in_place", **options):
     description = wrt.KdTree(builder=builder, **options)
     config = description.config(width=8)
     return KDTREE_BUILDERS[builder].build(boxes_of(mesh), config), config
+
+
+def scattered_soup(count: int, seed: int) -> wrt.TriangleMesh:
+    """Small random triangles all over a large cube."""
+    rng = np.random.default_rng(seed)
+    corners = rng.random((count, 1, 3)) * 40 + rng.random((count, 3, 3))
+    return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
 
 
 def leaf_lists(tree) -> dict[int, list[int]]:
@@ -107,6 +123,8 @@ def test_events_are_sorted():
 @pytest.mark.parametrize("width", [1, 8])
 def test_invariants(scene_mesh, builder, width):
     """Leaves tile the root's box; every triangle is in every leaf whose inside its box meets, and in at least one leaf."""
+    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+        pytest.skip("too many triangles for this builder")
     tree, config = build(scene_mesh, builder, width=width, block_cost=1.5 if width == 1 else 0.5)
     flat = unpack(tree)
     leaf = flat.is_leaf
@@ -139,21 +157,25 @@ def test_invariants(scene_mesh, builder, width):
 @pytest.mark.parametrize(
     "options", [{}, {"width": 1, "block_cost": 1.5}, {"bad_splits": 5}, {"empty_factor": 1.0}, {"max_depth": 6}]
 )
-def test_in_place_equals_the_judge(scene_mesh, options):
-    """The in-place build makes the serial sweep's tree: the same nodes to the bit, the same leaf lists, the same cost."""
-    tree, config = build(scene_mesh, "in_place", **options)
-    judge, _ = build(scene_mesh, "sweep", **options)
-    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-    assert leaf_lists(tree) == leaf_lists(judge)
-    costs = [kdtree_statistics(t, scene_mesh.triangle_count, config.cost).sah_cost for t in (tree, judge)]
-    assert costs[0] == costs[1]
+def test_exact_builders_equal_the_judge(scene_mesh, options):
+    """They make the sorting sweep's tree: the same nodes to the bit, the same leaf lists, the same cost."""
+    judge, config = build(scene_mesh, "sorting_sweep", **options)
+    cost = kdtree_statistics(judge, scene_mesh.triangle_count, config.cost).sah_cost
+    for builder in EXACT:
+        if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+            continue
+        tree, _ = build(scene_mesh, builder, **options)
+        np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+        assert leaf_lists(tree) == leaf_lists(judge)
+        assert kdtree_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost == cost
 
 
-def test_in_place_equals_the_judge_on_the_bunny(bunny):
-    tree, _ = build(bunny, "in_place", width=16)
-    judge, _ = build(bunny, "sweep", width=16)
-    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-    assert leaf_lists(tree) == leaf_lists(judge)
+def test_exact_builders_equal_the_judge_on_the_bunny(bunny):
+    judge, _ = build(bunny, "sorting_sweep", width=16)
+    for builder in ("in_place", "sweep"):
+        tree, _ = build(bunny, builder, width=16)
+        np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+        assert leaf_lists(tree) == leaf_lists(judge)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
@@ -170,12 +192,30 @@ def test_threads_and_tasks_do_not_show(threads, monkeypatch):
         np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
-def test_small_arenas_are_enlarged(monkeypatch):
+@pytest.mark.parametrize("builder", PARALLEL)
+def test_threads_and_chunks_do_not_show(builder, monkeypatch):
+    """Bit for bit the same tree with one thread and with several, whatever the chunks and the tasks."""
+    mesh = scattered_soup(6000, seed=2)
+    monkeypatch.setattr(binned, "SAMPLED", 1000)
+    monkeypatch.setattr(streaming, "EXACT", 500)
+    with use_threads(1):
+        reference, _ = build(mesh, builder)
+    for threads, chunk, least in ((2, 8192, 4096), (3, 100, 64), (8, 7, 1000)):
+        monkeypatch.setattr(reference_levels, "CHUNK", chunk)
+        monkeypatch.setattr(binned, "LEAST_LARGE", least)
+        with use_threads(threads):
+            tree, _ = build(mesh, builder)
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+@pytest.mark.parametrize(("builder", "module"), [("in_place", in_place), ("binned", scanning), ("streaming", streaming)])
+def test_small_shares_are_enlarged(builder, module, monkeypatch):
     """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
     mesh = wrt.scenes.build("teapot_in_stadium", level=4)
-    reference, _ = build(mesh)
-    monkeypatch.setattr(in_place, "SPARE_ROOM", 0.01)
-    tree, _ = build(mesh)
+    reference, _ = build(mesh, builder)
+    monkeypatch.setattr(module, "SPARE_ROOM", 0.4 if builder == "streaming" else 0.01)
+    tree, _ = build(mesh, builder)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
@@ -197,7 +237,44 @@ def test_tiny_and_flat_meshes(builder, count):
         assert set().union(*leaf_lists(tree).values()) == set(range(count))
 
 
+def hard_meshes() -> dict[str, wrt.TriangleMesh]:
+    """Around the sizes at which searches change, and shapes that tempt builders to divide without end."""
+    rng = np.random.default_rng(7)
+    sizes = (31, 32, 33, 36, 37)
+    meshes = {f"{n} triangles": scattered_soup(n, seed=n) for n in sizes}
+    one = rng.random((1, 3, 3))
+    tiny = rng.random((3000, 1, 3)) * 0.01 + rng.random((3000, 3, 3)) * 1e-4
+    shapes = {
+        "identical": np.repeat(one, 3000, axis=0),
+        "coplanar": np.insert(rng.random((3000, 1, 2)) + 0.05 * rng.random((3000, 3, 2)), 2, 0.5, axis=2),
+        "one huge, many tiny": np.concatenate([np.array([[[-1e3, 0, 0], [1e3, 0, 0], [0, 1e3, 1e3]]]), tiny]),
+        "needles": rng.random((2000, 1, 3)) + rng.normal(size=(2000, 3, 1)) + 0.02 * rng.random((2000, 3, 3)),
+    }
+    for name, corners in shapes.items():
+        meshes[name] = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    return meshes
+
+
 @pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+def test_hard_meshes(builder):
+    """The same hits as by brute force, and a bounded number of references."""
+    rng = np.random.default_rng(8)
+    for name, mesh in hard_meshes().items():
+        tree, _ = build(mesh, builder)
+        lists = leaf_lists(tree)
+        assert sum(map(len, lists.values())) <= 64 * mesh.triangle_count, name
+        scene = wrt.Scene(mesh, wrt.KdTree(builder=builder, width=8), device="cpu")
+        corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, 300)]]
+        targets = (rng.dirichlet([1, 1, 1], 300)[:, :, None] * corners).sum(axis=1)
+        origins = targets + rng.normal(size=(300, 3))
+        hits = scene.intersect(origins, targets - origins, traversal="single")
+        brute = scene.intersect(origins, targets - origins, traversal="brute")
+        np.testing.assert_array_equal(hits.t, brute.t, err_msg=name)
+        np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id, err_msg=name)
+        assert brute.is_hit.mean() > 0.5, name
+
+
+@pytest.mark.parametrize("builder", [name for name in KDTREE_BUILDERS if name not in MEDIANS])
 def test_surface_area_cost_of_a_known_split(builder):
     """Two far-apart clusters: the empty middle is cut off, and the cost is the textbook's, worked out by hand."""
     corners = np.array([[[0, 0, 0], [1, 1, 0], [1, 0, 1]], [[9, 0, 0], [10, 1, 0], [10, 0, 1]]], dtype=np.float32)
@@ -210,6 +287,27 @@ def test_surface_area_cost_of_a_known_split(builder):
     assert statistics.sah_cost == pytest.approx(1 + rest / root + 2 * 10 * cluster / root)
     assert statistics.depth_histogram.tolist() == [0, 1, 2]
     assert statistics.leaf_size_histogram.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("axis", ["longest", "round_robin"])
+def test_medians(axis):
+    """Boxes in a row along y: the first planes are those of the definition, worked out in NumPy."""
+    middle = np.array([0.0, 1.0, 2.0, 3.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+    corners = np.zeros((9, 3, 3))
+    corners[:, :, 1] = middle[:, None] + [-0.25, 0.25, 0.0]
+    corners[:, 1, 0] = 5.0
+    corners[:, 2, 2] = np.arange(9) + 1.0
+    mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(27).reshape(-1, 3))
+    low, high = corners.min((0, 1)), corners.max((0, 1))
+    centers = (corners.min(1) + corners.max(1)) / 2
+    for builder in MEDIANS:
+        tree, _ = build(mesh, builder, width=1, block_cost=10.0, bad_splits=9, max_depth=2, axis=axis)
+        flat = unpack(tree)
+        first = 0 if axis == "round_robin" else 1
+        assert flat.axis[0] == first
+        expected = np.median(centers[:, first]) if builder == "object_median" else (low[first] + high[first]) / 2
+        assert flat.position[0] == pytest.approx(expected)
+        assert flat.axis[flat.left[0]] == 1
 
 
 def test_empty_space_bonus_cuts_more_empty_space():
@@ -248,6 +346,7 @@ def test_stop_rules():
         lambda: StopRules(bad_splits=-1),
         lambda: wrt.KdTree(builder="none such"),
         lambda: wrt.KdTree(width=5),
+        lambda: wrt.KdTree(builder="spatial_median", axis="shortest"),
     ],
 )
 def test_bad_configurations(make):

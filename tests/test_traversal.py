@@ -12,8 +12,18 @@ from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-TREES = [wrt.KdTree(builder=name) for name in KDTREE_BUILDERS] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]
+TREES = [wrt.KdTree(builder="in_place"), wrt.KdTree(builder="binned")] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]
 WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]
+
+
+@pytest.mark.parametrize("builder", KDTREE_BUILDERS)
+def test_every_kdtree_builder_gives_the_same_hits(scene_mesh, builder):
+    if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
+        pytest.skip("too many triangles for this builder")
+    scene = wrt.Scene(scene_mesh, wrt.KdTree(builder=builder), device="cpu")
+    origins, directions = mixed_rays(scene_mesh, 3000)
+    expected = scene.intersect(origins, directions, traversal="brute")
+    assert_same_hits(scene.intersect(origins, directions, traversal="single"), expected)
 
 
 @pytest.mark.parametrize("triangle_test", ENGINE_TESTS)

@@ -26,9 +26,11 @@ class KdTree:
         empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
         max_depth: greatest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
         bad_splits: splits that do not pay by themselves allowed on the way to a leaf.
+        axis: "longest" or "round_robin": which axis the builders `spatial_median` and `object_median` split; the others
+            try all three.
 
     Raises:
-        ValueError: unknown builder, or a value out of its range.
+        ValueError: unknown builder or axis, or a value out of its range.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -40,6 +42,7 @@ class KdTree:
     empty_factor: float = 0.8
     max_depth: int | None = None
     bad_splits: int = 1
+    axis: str = "longest"
 
     def __post_init__(self) -> None:
         from wrt.builders.kdtree import KDTREE_BUILDERS
@@ -59,7 +62,7 @@ class KdTree:
             width=width if self.width is None else self.width,
             empty_factor=self.empty_factor,
         )
-        return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits))
+        return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits), self.axis)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree where the boxes are."""

@@ -21,10 +21,6 @@ References:
         ACM Transactions on Graphics 33(4), 2014.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from time import perf_counter
-
 import numpy as np
 import warp as wp
 
@@ -37,7 +33,7 @@ from wrt.builders.bvh.config import BvhConfig
 from wrt.builders.bvh.levels import Chunk, LiveNode, Totals
 from wrt.builders.bvh.subtrees import STACK, Frame
 from wrt.builders.bvh.tree import empty_tree
-from wrt.builders.common import BuildStats, Bvh
+from wrt.builders.common import Bvh, Phases
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
 
@@ -74,7 +70,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     with builder.phase("subtrees"):
         builder.build_subtrees()
     with builder.phase("collapse"):
-        tree = collapse(builder.result(), triangles, config, builder.stats)
+        tree = collapse(builder.result(), triangles, config, builder.phase.stats)
     return tree
 
 
@@ -85,7 +81,7 @@ class BinnedBuilder:
         self.triangles = triangles
         self.device = triangles.boxes.low.device
         self.rules = config.struct()
-        self.stats = BuildStats()
+        self.phase = Phases(self.device)
         self.tree = empty_tree(triangles.count, self.device)
         threads = get_num_threads()
         self.chunk = max(LEAST_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
@@ -93,14 +89,6 @@ class BinnedBuilder:
         self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
         """Two buffers of references."""
         self.top: wp.array | None = None
-
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Adds the time of a phase to the statistics."""
-        start = perf_counter()
-        yield
-        wp.synchronize_device(self.device)
-        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""

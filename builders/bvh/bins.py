@@ -1,8 +1,7 @@
 """The innermost loops of the binned build: a range of triangles is binned, its best plane found, the range partitioned.
 
-**Data.** A triangle is a reference of 8 floats, (low, id, -high, 0): two to a cache line, moved as a whole, so that every
-range is read in order. Its centroid, doubled, is low + high. A bin is 8 floats too: the box of its triangles grows by one
-minimum of 8 lanes (Wald 2007, section 3; the trick with -high is old: it makes two comparisons one).
+**Data.** A triangle is a reference of 8 floats (`wrt.builders.references`). Its centroid, doubled, is low + high. A bin is 8
+floats too: the box of its triangles grows by one minimum of 8 lanes (Wald 2007, section 3).
 
 **Same bits everywhere.** `Placement` says which bin a centroid falls into. Binning and partition evaluate the same
 expression, so what was counted on the left of a plane goes to the left. Minima and counts do not depend on the order, so
@@ -31,9 +30,6 @@ SLOT_BINS = 3 * MAX_BINS
 FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)
 """A node of at most FEW triangles gets FEW_BINS bins: clearing and sweeping more would cost more than they improve."""
-
-ID_OFFSET = 0x00800000
-"""Added to a triangle's id, so that its bits are those of a normal float: arithmetic on lanes nobody needs stays fast."""
 
 _HEAD = f"""{FOR_LANES}
     constexpr int W = 8;
@@ -355,18 +351,4 @@ def partition_range(
     right_at: int,
 ):
     """Moves a range to the two sides of a plane, in order; writes the boxes of their doubled centroids to `domain`."""
-    ...
-
-
-@wp.func_native(
-    f"""
-    for (int i = 0; i < count; ++i) {{
-        int bits;
-        memcpy(&bits, references.data + (size_t)(begin + i) * 8 + 3, 4);
-        order.data[first + i] = bits - {ID_OFFSET};
-    }}
-"""
-)
-def write_order(references: wp.array(dtype=float), begin: int, count: int, order: wp.array(dtype=int), first: int):
-    """The triangle ids of a range."""
     ...

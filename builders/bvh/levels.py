@@ -16,7 +16,6 @@ the split that a task would give it.
 import warp as wp
 
 from wrt.builders.bvh.bins import (
-    ID_OFFSET,
     SLOT_BINS,
     Placement,
     Plane,
@@ -34,6 +33,7 @@ from wrt.builders.bvh.bins import (
 from wrt.builders.bvh.config import BuildRules
 from wrt.builders.bvh.subtrees import Frame
 from wrt.builders.bvh.tree import BinaryTree, half_area, must_halve
+from wrt.builders.references import write_references
 from wrt.builders.triangles import Boxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.memory import load_float, store_float
@@ -80,26 +80,6 @@ def make_references(
     end = wp.min(triangles, begin + size)
     write_references(boxes, begin, end, references)
     centroid_domain(references, begin, end - begin, parts, 2 * chunk)
-
-
-@wp.func_native(
-    f"""
-    const size_t n = boxes.low.shape[1];
-    for (size_t i = begin; i < (size_t)end; ++i) {{
-        float* to = references.data + i * 8;
-        const int bits = (int)i + {ID_OFFSET};
-        for (size_t axis = 0; axis < 3; ++axis) {{
-            to[axis] = boxes.low.data[axis * n + i];
-            to[4 + axis] = -boxes.high.data[axis * n + i];
-        }}
-        memcpy(to + 3, &bits, 4);
-        to[7] = 0.0f;
-    }}
-"""
-)
-def write_references(boxes: Boxes, begin: int, end: int, references: wp.array(dtype=float)):
-    """The references of triangles begin .. end - 1."""
-    ...
 
 
 @wp.func

@@ -19,10 +19,10 @@ from wrt.builders.bvh.bins import (
     place,
     range_box,
     write_child_boxes,
-    write_order,
 )
 from wrt.builders.bvh.config import BuildRules
 from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, middle, must_halve
+from wrt.builders.references import write_order
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
 

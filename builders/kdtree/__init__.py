@@ -12,9 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import in_place, sweep
+from wrt.builders.kdtree import adaptive_sampling, binned, in_place, medians, naive, sorting_sweep, streaming, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.kdtree import MAX_INDEX
 
 
 @dataclass(frozen=True)
@@ -25,21 +26,38 @@ class KdTreeBuilder:
         name: key in `KDTREE_BUILDERS`.
         paper: authors, title, year.
         build: (boxes, config) -> tree.
+        most_triangles: beyond so many it takes too long to be put to the test; it still builds.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
+    most_triangles: int = MAX_INDEX
 
+
+WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
+
+FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
+        KdTreeBuilder("binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build),
         KdTreeBuilder(
-            "sweep",
-            "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006), O(N log^2 N)",
-            sweep.build,
+            "streaming",
+            "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
+            streaming.build,
         ),
+        KdTreeBuilder(
+            "adaptive_sampling",
+            "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
+            adaptive_sampling.build,
+        ),
+        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
+        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
+        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000),
+        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial),
+        KdTreeBuilder("object_median", FUSSELL, medians.build_object),
     )
 }

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrt.builders.kdtree.subtrees import Arena, Result, Task
+from wrt.builders.kdtree.subtrees import Parts, Reservation, Result, Task
 from wrt.kernels import kdtree
 from wrt.kernels.launch import launch
 
@@ -15,7 +15,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.kernel
 def copy_subtrees(
     first: int,
-    arena: Arena,
+    parts: Parts,
     tasks: wp.array(dtype=Task),
     results: wp.array(dtype=Result),
     node_base: wp.array(dtype=int),
@@ -28,7 +28,7 @@ def copy_subtrees(
     number = first + wp.tid()
     task = tasks[number]
     for i in range(results[number].nodes):
-        node = arena.nodes[task.nodes_first + i]
+        node = parts.nodes[task.nodes_first + i]
         axis = kdtree.split_axis(node)
         if axis == kdtree.LEAF:
             node = kdtree.leaf_node(kdtree.first_block(node) + block_base[number], kdtree.leaf_triangles(node))
@@ -36,7 +36,7 @@ def copy_subtrees(
             node = kdtree.inner_node(axis, kdtree.split_position(node), kdtree.right_child(node) + node_base[number])
         nodes[node_base[number] + i] = node
     for i in range(results[number].blocks * width):
-        primitive[block_base[number] * width + i] = arena.primitive[task.blocks_first * width + i]
+        primitive[block_base[number] * width + i] = parts.primitive[task.blocks_first * width + i]
 
 
 @wp.kernel
@@ -98,11 +98,9 @@ def number_top(levels: list[np.ndarray], node_counts: np.ndarray, block_counts: 
     return top
 
 
-def assemble(
-    levels: list[np.ndarray], arena: Arena, tasks: wp.array, results: wp.array, width: int
-) -> tuple[wp.array, wp.array]:
-    """The finished tree's nodes and leaf lists."""
-    device = tasks.device
+def assemble(levels: list[np.ndarray], room: Reservation, results: wp.array, width: int) -> tuple[wp.array, wp.array]:
+    """The finished tree's nodes and leaf lists; `levels` as in `number_top`."""
+    device = results.device
     made = results.numpy()
     top = number_top(levels, made["nodes"], made["blocks"])
     nodes = wp.empty(top.nodes, dtype=wp.vec2i, device=device)
@@ -113,8 +111,8 @@ def assemble(
 
     launch(
         copy_subtrees,
-        len(tasks),
-        [arena, tasks, results, array(top.node_base, int), array(top.block_base, int), width, nodes, primitive],
+        len(results),
+        [room.parts, room.tasks, results, array(top.node_base, int), array(top.block_base, int), width, nodes, primitive],
         device=device,
         chunk=1,
     )

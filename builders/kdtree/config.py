@@ -5,10 +5,29 @@ from dataclasses import dataclass, field
 from wrt.builders.common import StopRules
 from wrt.builders.cost import SurfaceAreaCost
 
+LONGEST = "longest"
+ROUND_ROBIN = "round_robin"
+AXES = {LONGEST: "the node's longest axis", ROUND_ROBIN: "x, y, z in turn, level by level"}
+"""Which axis a median split takes."""
+
 
 @dataclass(frozen=True)
 class KdTreeConfig:
-    """Cost model and stop rules: the same for every kd-tree builder."""
+    """Cost model and stop rules, the same for every kd-tree builder.
+
+    Attributes:
+        cost: what a split is worth.
+        stop: when a node becomes a leaf.
+        axis: key in `AXES`, for builders that split at a median; the others try all axes.
+
+    Raises:
+        ValueError: unknown axis.
+    """
 
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
     stop: StopRules = field(default_factory=StopRules)
+    axis: str = LONGEST
+
+    def __post_init__(self) -> None:
+        if self.axis not in AXES:
+            raise ValueError(f"axis is {self.axis!r}; choose from {', '.join(AXES)}")

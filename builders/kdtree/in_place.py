@@ -21,23 +21,20 @@ References:
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from time import perf_counter
-
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import BuildStats, KdTree, StopLimits
+from wrt.builders.common import KdTree, Phases, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
+from wrt.builders.kdtree import fill as fill_phase
 from wrt.builders.kdtree import levels as level_phase
-from wrt.builders.kdtree import subtrees as subtree_phase
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.event_lists import EVENTS, EventLists
 from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
-from wrt.builders.kdtree.subtrees import STACK, Arena, Frame, Result, Task
+from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
 
@@ -56,33 +53,38 @@ EVEN = 4
 TRIANGLES = 1 << 16
 """Triangles whose classification is worth a second thread."""
 
-KERNELS = (emit_events, level_phase.search_planes, subtree_phase.build_subtrees, copy_subtrees)
+KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, make_build_subtrees(EVENTS), copy_subtrees)
 """One kernel of each module: compiling them is no phase of the build."""
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
+    return build_in_place(triangles, config, TASKS_PER_THREAD * get_num_threads())
+
+
+def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
+    """Builds the tree; levels are split together until there are so many tasks."""
     builder = InPlaceBuilder(triangles, config)
     load(KERNELS, builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
-        membership = builder.build_levels(events)
+        membership = builder.build_levels(events, least_tasks)
     spare = SPARE_ROOM
     while True:
         with builder.phase("fill"):
-            arena, tasks, event_counts = builder.fill(events, membership, spare)
+            room, lists, frames = builder.fill(events, membership, spare)
         with builder.phase("subtrees"):
-            results = builder.build_subtrees(arena, tasks, event_counts)
+            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
     with builder.phase("assemble"):
-        nodes, primitive = assemble(builder.levels[:-1], arena, tasks, results, config.cost.width)
-    lists = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
-    work = [arena.event, arena.triangle, arena.side, arena.nodes, arena.primitive]
-    builder.stats.reserve(*lists, *work, nodes, primitive)
-    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.stats)
+        nodes, primitive = assemble(builder.levels[:-1], room, results, config.cost.width)
+    boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
+    work = [lists.event, lists.triangle, lists.side, room.parts.nodes, room.parts.primitive]
+    builder.phase.stats.reserve(*boxes, *work, nodes, primitive)
+    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
 
 
 class InPlaceBuilder:
@@ -94,7 +96,7 @@ class InPlaceBuilder:
         self.cost: SplitCost = config.cost.struct()
         self.limits: StopLimits = config.stop.limits(triangles.count)
         self.width = config.cost.width
-        self.stats = BuildStats()
+        self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""
         root = LiveNode()
@@ -103,26 +105,18 @@ class InPlaceBuilder:
         root.triangles = triangles.count
         self.live = wp.array([root], dtype=LiveNode, device=self.device)
 
-    @contextmanager
-    def phase(self, name: str) -> Iterator[None]:
-        """Adds the time of a phase to the statistics."""
-        start = perf_counter()
-        yield
-        wp.synchronize_device(self.device)
-        self.stats.seconds[name] = self.stats.seconds.get(name, 0.0) + perf_counter() - start
-
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
         launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=EVEN)
 
-    def build_levels(self, events: Events) -> Membership:
+    def build_levels(self, events: Events, least_tasks: int) -> Membership:
         """Builds level after level until there are enough live nodes; returns which of them each triangle lies in."""
         count = self.triangles.count
         membership = Membership()
         membership.first = wp.array(np.arange(count + 1, dtype=np.int32), dtype=int, device=self.device)
         membership.node = wp.zeros(count, dtype=int, device=self.device)
-        open_nodes, tasks = 1, TASKS_PER_THREAD * get_num_threads()
-        while 0 < open_nodes < tasks and len(self.levels) < MAX_LEVELS:
+        open_nodes = 1
+        while 0 < open_nodes < least_tasks and len(self.levels) < MAX_LEVELS:
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(2, dtype=int, device=self.device)
@@ -160,51 +154,31 @@ class InPlaceBuilder:
         self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=TRIANGLES)
         return new
 
-    def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Arena, wp.array, wp.array]:
-        """Makes one task of each live node: its triangles, its events, and room to work in."""
-        sizes = self.levels[-1]["triangles"].astype(np.int64)
-        rooms = np.zeros(len(sizes), dtype=Task.numpy_dtype())
+    def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
+        """Makes one task of each live node: its triangles, its events, and room to work in; and the roots of the tasks."""
+        room = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
+        lists = EventLists()
+        lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=self.device)
+        lists.triangle = wp.empty(room.triangles, dtype=int, device=self.device)
+        lists.side = wp.empty(room.triangles, dtype=wp.uint8, device=self.device)
+        frames = wp.empty(len(room.tasks), dtype=Frame, device=self.device)
+        self.run(fill_phase.make_roots, len(room.tasks), self.live, frames, chunk=64)
+        self.copy_to_tasks(events, membership, room.tasks, lists, frames)
+        return room, lists, frames
 
-        def reserve(name: str, capacity: np.ndarray) -> int:
-            rooms[f"{name}_first"] = np.cumsum(capacity) - capacity
-            if f"{name}_capacity" in rooms.dtype.names:
-                rooms[f"{name}_capacity"] = capacity
-            return int(capacity.sum())
-
-        arena = Arena()
-        total = reserve("events", ((1 + spare) * 6 * sizes).astype(np.int64) + 64)
-        arena.event = wp.empty(total, dtype=wp.vec2i, device=self.device)
-        total = reserve("triangles", sizes)
-        arena.triangle = wp.empty(total, dtype=int, device=self.device)
-        arena.side = wp.empty(total, dtype=wp.uint8, device=self.device)
-        total = reserve("nodes", (spare * sizes).astype(np.int64) + 64)
-        arena.nodes = wp.empty(total, dtype=wp.vec2i, device=self.device)
-        total = reserve("blocks", ((1 + spare) * 2 * sizes / self.width).astype(np.int64) + 64)
-        arena.primitive = wp.empty(total * self.width, dtype=int, device=self.device)
-        tasks = wp.array(rooms, dtype=Task, device=self.device)
-        return arena, tasks, self.copy_to_tasks(events, membership, tasks, arena)
-
-    def copy_to_tasks(self, events: Events, membership: Membership, tasks: wp.array, arena: Arena) -> wp.array:
-        """Copies triangles and events to their tasks; returns each task's number of events per axis."""
+    def copy_to_tasks(
+        self, events: Events, membership: Membership, tasks: wp.array, lists: EventLists, frames: wp.array
+    ) -> None:
+        """Copies triangles and events to their tasks."""
         count, device = self.triangles.count, self.device
         chunks = -(-count // CHUNK)
         places = wp.empty((chunks, len(tasks)), dtype=int, device=device)
         local = wp.empty(len(membership.node), dtype=int, device=device)
-        self.run(subtree_phase.count_task_triangles, chunks, count, membership, places)
-        self.run(subtree_phase.scan_task_triangles, len(tasks), tasks, places, chunk=64)
-        self.run(subtree_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, arena)
+        self.run(fill_phase.count_task_triangles, chunks, count, membership, places)
+        self.run(fill_phase.scan_task_triangles, len(tasks), tasks, places, chunk=64)
+        self.run(fill_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, lists)
         chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
         places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)
-        totals = wp.zeros(len(tasks), dtype=wp.vec3i, device=device)
-        self.run(subtree_phase.count_task_events, 3 * chunks, events, membership, places)
-        self.run(subtree_phase.scan_task_events, len(tasks), tasks, places, totals, chunk=64)
-        self.run(subtree_phase.fill_task_events, 3 * chunks, events, membership, local, places, arena)
-        return totals
-
-    def build_subtrees(self, arena: Arena, tasks: wp.array, event_counts: wp.array) -> wp.array:
-        """Builds all subtrees; returns what each task made."""
-        stack = wp.empty((len(tasks), STACK), dtype=Frame, device=self.device)
-        results = wp.empty(len(tasks), dtype=Result, device=self.device)
-        inputs = [self.cost, self.limits, self.live, tasks, event_counts, arena, stack, results]
-        launch(subtree_phase.build_subtrees, len(tasks), inputs, device=self.device, chunk=1, chunks_per_thread=len(tasks))
-        return results
+        self.run(fill_phase.count_task_events, 3 * chunks, events, membership, places)
+        self.run(fill_phase.scan_task_events, len(tasks), tasks, places, frames, chunk=64)
+        self.run(fill_phase.fill_task_events, 3 * chunks, events, membership, local, places, lists)

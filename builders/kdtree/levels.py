@@ -41,7 +41,7 @@ class LiveNode:
     bad_splits: int
     depth: int
     finished: bool
-    """True once the node is known to be a leaf; it then waits for the end of the levels."""
+    """True once the node is known to be a leaf; it then waits for the end of the levels, and for its task to find the same."""
     left: int
     """Live index of its left child on the next level (the right one follows); of itself if it is finished."""
     split: Split
@@ -161,7 +161,8 @@ def decide(
         bad = bad_splits_after(limits, cost, node.depth, node.triangles, node.bad_splits, best)
         node.split = best
         node.finished = bad < 0
-        node.bad_splits = wp.max(bad, 0)
+        if bad >= 0:
+            node.bad_splits = bad
         nodes[index] = node
 
 

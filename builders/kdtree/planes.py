@@ -1,4 +1,4 @@
-"""The planes of a sweep, one event at a time: what the judge (`sweep`) does in groups, without looking ahead.
+"""The planes of a sweep, one event at a time: what the judge (`sorting_sweep`) does in groups, without looking ahead.
 
 At a position with e ends, p planar triangles and s starts, the counts that matter are those after all ends and before all
 starts. Events come in the order end, planar, start. A plane evaluated after only some of the ends has more triangles on

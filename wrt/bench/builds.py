@@ -30,10 +30,10 @@ SMALL = 256
 """Triangles of the mesh that warms builders up."""
 
 
-def builder_peers(peers: Sequence[Peer], threads: int, device: str) -> list[Peer]:
-    """Every builder of the table with all threads and with one, then the peers; Open3D with one thread too."""
+def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: str) -> list[Peer]:
+    """Every builder that suits so many triangles, with all threads and with one, then the peers; Open3D with one thread too."""
     counts = dict.fromkeys((threads, 1))
-    descriptions = [Bvh(builder=name) for name in BVH_BUILDERS] + [KdTree(builder=name) for name in KDTREE_BUILDERS]
+    descriptions = [Bvh(builder=name) for name in BVH_BUILDERS] + kdtree_descriptions(triangles)
     found: list[Peer] = [
         Engine(count, device, name=builder_name(description), accelerator=description)
         for description in descriptions
@@ -47,6 +47,11 @@ def builder_peers(peers: Sequence[Peer], threads: int, device: str) -> list[Peer
     return found
 
 
+def kdtree_descriptions(triangles: int) -> list[KdTree]:
+    """Every kd-tree builder that can be waited for with so many triangles."""
+    return [KdTree(builder=name) for name, builder in KDTREE_BUILDERS.items() if triangles <= builder.most_triangles]
+
+
 def ask_builds(
     peers: Sequence[Peer],
     mesh: TriangleMesh,
@@ -56,7 +61,7 @@ def ask_builds(
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> Question:
     """Times the builds; ratios refer to wrt's default builder with all threads."""
-    builders = {label(peer): peer for peer in builder_peers(peers, threads, device)}
+    builders = {label(peer): peer for peer in builder_peers(peers, mesh.triangle_count, threads, device)}
     small = TriangleMesh(mesh.vertices, mesh.faces[:SMALL])
     contenders = []
     for name, peer in builders.items():

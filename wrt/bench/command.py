@@ -20,7 +20,10 @@ from wrt.mesh import TriangleMesh
 DEFAULT_MODELS = ("teapot", "atrium", "wood")
 """Built-in scenes that are measured when no model is named."""
 
-COMPARISONS = {"triangle-tests": ("wrt.bench.triangle_command", "triangle_tests")}
+COMPARISONS = {
+    "triangle-tests": ("wrt.bench.triangle_command", "triangle_tests"),
+    "builders": ("wrt.bench.kdtree_builders", "builders_command"),
+}
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 
 
@@ -74,7 +77,8 @@ def bench(
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
     which they agree beside it. "engines" are wrt's own traversals, one by one.
 
-    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, with options of its own.
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders; both
+    have options of their own.
     """
     from rich.console import Console
 

@@ -1,0 +1,172 @@
+"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark, Stoll 2006; survey, section 4.2).
+
+**Problem.** The cost along an axis is known exactly only at every end of every box; a few evenly spaced samples miss its steps.
+
+**Algorithm.** Let C_L and C_R be the triangles to the left and to the right of a plane. A first scan of the node takes 8 evenly
+spaced samples an axis. C_L - C_R climbs from -n to n; 8 more samples go where it climbs most: of 8 levels evenly spaced from
+-n to n, each gives one sample to the segment in which it is crossed, and the samples of a segment divide it evenly. A second
+scan counts at all 16. Between two samples C_L and C_R are taken as linear; the areas of both sides are, so the cost is a
+quadratic, whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
+One thread.
+
+**Complexity.** O(N) a level: two scans, the second of which compares with 16 planes at a time.
+
+**What we changed.** The samples divide the box of a node's triangles instead of the node's own, so its faces, which cut off
+empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the price of its minimum does not.
+
+References:
+    W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
+        IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import warp as wp
+
+from wrt.builders.common import KdTree
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.kdtree.bins import bin_count, bin_range, place
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scanning import build_scanning, one_task
+from wrt.builders.kdtree.subtrees import Frame
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+EXACT = wp.constant(36)
+"""Triangles of a node up to which every plane is tried."""
+
+UNIFORM = wp.constant(8)
+"""Samples of the first scan, and as many of the second, along an axis."""
+
+SAMPLES = wp.constant(16)
+"""Samples along an axis; the second scan compares with all of them at a time."""
+
+
+@wp.func
+def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
+    """Writes the positions of an axis' 16 samples down, ascending, after the first scan."""
+    low = frame.inner_low[axis]
+    width = (frame.inner_high[axis] - low) / float(UNIFORM + 1)
+    level_gap = 2.0 * float(frame.triangles) / float(UNIFORM)
+    left = int(0)
+    right = int(frame.triangles)
+    to = int(0)
+    crossed = int(0)
+    for segment in range(UNIFORM + 1):
+        left += bin_count(lists.counter, number, axis * (UNIFORM + 1) + segment)
+        right -= bin_count(lists.counter, number, (3 + axis) * (UNIFORM + 1) + UNIFORM - segment)
+        begin = low + width * float(segment)
+        below = int(crossed)  # levels are -n + (i + 1/2) gap, i = 0 .. 7
+        while crossed < UNIFORM and (
+            segment == UNIFORM or float(left - right) >= (float(crossed) + 0.5) * level_gap - float(frame.triangles)
+        ):
+            crossed += 1
+        extra = crossed - below
+        for i in range(extra):
+            lists.value[number, to] = begin + width * (float(i + 1) / float(extra + 1))
+            to += 1
+        if segment < UNIFORM:
+            lists.value[number, to] = low + width * float(segment + 1)
+            to += 1
+
+
+@wp.func_native(
+    f"""{FOR_LANES}
+    constexpr int W = {int(SAMPLES)};
+    const float* __restrict__ position = lists.value.data + (size_t)number * lists.value.shape[1];
+    const float* __restrict__ from = lists.reference.data + (size_t)first * 8 + axis;
+    int left[W], right[W];
+    WRT_FOR_LANES(j) {{ left[j] = 0; right[j] = 0; }}
+    for (int i = 0; i < count; ++i, from += 8) {{
+        const float low = from[0], high = -from[4];
+        WRT_FOR_LANES(j) {{
+            left[j] += low < position[j];
+            right[j] += high > position[j];
+        }}
+    }}
+    int* to = lists.counter.data + (size_t)number * lists.counter.shape[1] + at;
+    for (int j = 0; j < W; ++j) {{ to[j] = left[j]; to[W + j] = right[j]; }}
+"""
+)
+def count_samples(lists: ReferenceLists, number: int, first: int, count: int, axis: int, at: int):
+    """The second scan: at every sample, the triangles to its left, and behind these counts those to its right."""
+    ...
+
+
+@wp.struct
+class Sample:
+    """A position and the triangles on both sides of it."""
+
+    position: float
+    left: float
+    right: float
+
+
+@wp.func
+def lowest_between(along: AxisFrame, a: Sample, b: Sample):
+    """Where, from 0 at a to 1 at b, the quadratic between two samples is lowest."""
+    grown = (b.position - a.position) * along.rim
+    area_left = along.face + (a.position - along.low) * along.rim
+    area_right = along.face + (along.high - a.position) * along.rim
+    more_left = b.left - a.left
+    more_right = b.right - a.right
+    curvature = grown * (more_left - more_right)
+    slope = area_left * more_left + grown * a.left + area_right * more_right - grown * a.right
+    return wp.where(curvature > 0.0, wp.clamp(-0.5 * slope / curvature, 0.0, 1.0), wp.where(slope < 0.0, 1.0, 0.0))
+
+
+@wp.func
+def try_segment(cost: SplitCost, along: AxisFrame, a: Sample, b: Sample, best: Split):
+    """The better of `best` and the lowest point between two samples."""
+    at = lowest_between(along, a, b)
+    position = a.position + (b.position - a.position) * at
+    left = int(wp.ceil(a.left + (b.left - a.left) * at))
+    right = int(wp.ceil(a.right + (b.right - a.right) * at))
+    return cheaper_split(cost, along, position, left, right, False, best)
+
+
+@wp.func
+def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, at: int, best: Split):
+    """The best of `best` and the planes of one axis, whose samples are placed and counted."""
+    along = axis_frame(axis, frame.low, frame.high)
+    total = float(frame.triangles)
+    best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
+    a = Sample(frame.inner_low[axis], 0.0, total)
+    for i in range(SAMPLES):
+        left = bin_count(lists.counter, number, at + i)
+        right = wp.max(bin_count(lists.counter, number, at + SAMPLES + i), frame.triangles - left)
+        b = Sample(lists.value[number, i], float(left), float(right))
+        best = try_segment(cost, along, a, b, best)
+        best = cheaper_split(cost, along, b.position, left, right, False, best)
+        a = b
+    best = try_segment(cost, along, a, Sample(frame.inner_high[axis], total, 0.0), best)
+    return cheaper_split(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
+
+
+@wp.func
+def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+    """The best plane of a node."""
+    if frame.triangles <= EXACT:
+        return search_exactly(cost, lists, number, frame)
+    bins = lists.rules.bins
+    bin_range(lists.reference, frame.first[0], frame.triangles, 1, place(frame, bins), lists.counter, number)
+    best = no_split()
+    for axis in range(3):
+        place_samples(lists, number, frame, axis)
+        # the first scan's counts of later axes lie behind those of this one and of earlier ones
+        count_samples(lists, number, frame.first[0], frame.triangles, axis, 6 * bins)
+        best = search_axis(cost, lists, number, frame, axis, 6 * bins, best)
+    return best
+
+
+METHOD = scanning(search)
+
+
+def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree on the device that holds the boxes, on one thread of it."""
+    return build_scanning(
+        triangles, config, one_task(METHOD, triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES))
+    )

@@ -1,0 +1,125 @@
+"""Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006, O(N log N); survey, Algorithms
+4.1.4 and 4.1.5).
+
+A node has a list an axis. Search sweeps the three of them; classify marks every triangle from the list of the split axis;
+partition splits each list between the children in one pass. A part of a sorted list is sorted, and boxes are not clipped to
+nodes, so nothing has to be merged or sorted again.
+
+References:
+    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
+        IEEE Symposium on Interactive Ray Tracing 2006.
+"""
+
+import warp as wp
+
+from wrt.builders.cost import Split, SplitCost, axis_frame, no_split
+from wrt.builders.kdtree.events import END, START
+from wrt.builders.kdtree.planes import close_planar, start_sweep, sweep_event
+from wrt.builders.kdtree.subtrees import Frame, Method, Parts, Task
+from wrt.kernels.memory import load_byte, load_pair, store_byte, store_pair
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class EventLists:
+    """Lists of all tasks, each in its own share."""
+
+    event: wp.array(dtype=wp.vec2i)
+    """Events: bits of the position, and index of the triangle within the task << 2 | type."""
+    triangle: wp.array(dtype=int)
+    """Ids of a task's triangles, ascending."""
+    side: wp.array(dtype=wp.uint8)
+    """Scratch of the classify phase, one per triangle of a task: 1 left, 2 right, 3 both."""
+
+
+@wp.func
+def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
+    """The best plane of a node: one sweep per axis."""
+    best = no_split()
+    for axis in range(3):
+        along = axis_frame(axis, frame.low, frame.high)
+        sweep = start_sweep(0, frame.triangles)
+        sweep.best = best
+        for i in range(frame.first[axis], frame.first[axis] + frame.count[axis]):
+            event = load_pair(lists.event, i)
+            sweep_event(cost, along, event[1] & 3, wp.cast(event[0], wp.float32), sweep)
+        close_planar(cost, along, sweep)
+        best = sweep.best
+    return best
+
+
+@wp.func
+def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
+    """Marks the children of every triangle of the node, from its events along the split axis."""
+    position = split.position
+    begin = frame.first[split.axis]
+    for i in range(begin, begin + frame.count[split.axis]):
+        event = load_pair(lists.event, i)
+        at = wp.cast(event[0], wp.float32)
+        kind = event[1] & 3
+        side = sides_first + (event[1] >> 2)
+        if kind == START:
+            store_byte(lists.side, side, wp.where(at >= position, wp.uint8(2), wp.uint8(3)))
+        elif kind == END:
+            if at <= position:
+                store_byte(lists.side, side, wp.uint8(1))
+        else:
+            in_left = at < position or (at == position and split.planar_left)
+            store_byte(lists.side, side, wp.where(in_left, wp.uint8(1), wp.uint8(2)))
+
+
+@wp.func
+def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
+    """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
+
+    One of `to_left` and `to_right` is `begin`: that child's events are compacted in place."""
+    left = int(to_left)
+    right = int(to_right)
+    for i in range(begin, begin + count):
+        event = load_pair(lists.event, i)
+        side = int(load_byte(lists.side, sides_first + (event[1] >> 2)))
+        # written whether wanted or not, kept by moving the end: no branch to mispredict
+        store_pair(lists.event, left, event)
+        left += side & 1
+        store_pair(lists.event, right, event)
+        right += side >> 1
+    return wp.vec2i(left - to_left, right - to_right)
+
+
+@wp.func
+def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Classify and partition: gives the children their lists."""
+    classify(lists, task.triangles_first, frame, split)
+    append_left = split.left < split.right
+    to = int(frame.top)
+    for axis in range(3):
+        if append_left:
+            left.first[axis] = to
+        else:
+            right.first[axis] = to
+        count = partition(
+            lists, task.triangles_first, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
+        )
+        left.count[axis] = count[0]
+        right.count[axis] = count[1]
+        to += wp.where(append_left, count[0], count[1])
+    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    left.top = to
+    right.top = wp.where(append_left, frame.top, to)
+    left.triangles = split.left
+    right.triangles = split.right
+
+
+@wp.func
+def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
+    """Lists the node's triangles, by the position at which they begin in x."""
+    to = int(begin)
+    for i in range(frame.first[0], frame.first[0] + frame.count[0]):
+        value = load_pair(lists.event, i)[1]
+        if (value & 3) != END:
+            parts.primitive[to] = lists.triangle[task.triangles_first + (value >> 2)]
+            to += 1
+
+
+EVENTS = Method(EventLists, search, divide, emit_leaf)

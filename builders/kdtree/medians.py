@@ -1,0 +1,130 @@
+"""Median splits: a node is halved, in space or in number, and the cost only says when to stop (survey, chapter 4).
+
+**Algorithm.** The spatial median is the middle of the node's box along an axis; the object median is the plane with as many
+triangles on one side as on the other, here the median of the boxes' middles. The axis is the longest of the node, or x, y, z in
+turn (`KdTreeConfig.axis`): the longest was long thought the better one, and Wald (2004) found that it need not be. An axis
+on which no plane divides the node is passed over. One thread.
+
+**Complexity.** O(N) a level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N)
+on average, for the other.
+
+**What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
+(`wrt.builders.common.StopRules`), so that trees differ by their planes alone.
+
+References:
+    D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
+    C. A. R. Hoare: Algorithm 65: Find. Communications of the ACM 4(7), 1961.
+    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import warp as wp
+
+from wrt.builders.common import KdTree
+from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.reference_lists import ReferenceLists, Sides, measure_sides, scanning
+from wrt.builders.kdtree.scanning import build_scanning, one_task
+from wrt.builders.kdtree.subtrees import Frame
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.boxes import INFINITY
+from wrt.kernels.memory import load_float
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def first_axis(lists: ReferenceLists, frame: Frame):
+    """The axis that is to be split, if it can be."""
+    if lists.rules.round_robin:
+        return frame.depth % 3
+    size = frame.high - frame.low
+    longest = wp.where(size[1] > size[0], 1, 0)
+    return wp.where(size[2] > size[longest], 2, longest)
+
+
+@wp.func
+def split_at(cost: SplitCost, lists: ReferenceLists, frame: Frame, axis: int, position: float):
+    """The split at a position, with planar triangles on the right; `no_split()` if it is not inside the node."""
+    sides = Sides()
+    measure_sides(lists.reference, frame.first[0], frame.triangles, axis, position, False, sides)
+    along = axis_frame(axis, frame.low, frame.high)
+    return cheaper_split(cost, along, position, sides.left, sides.right, False, no_split())
+
+
+@wp.func
+def search_space(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+    """The plane that halves the node."""
+    split = no_split()
+    axis = first_axis(lists, frame)
+    for _turn in range(3):
+        if frame.triangles > 0 and split.cost == INFINITY:
+            split = split_at(cost, lists, frame, axis, 0.5 * (frame.low[axis] + frame.high[axis]))
+        axis = (axis + 1) % 3
+    return split
+
+
+@wp.func
+def select(lists: ReferenceLists, number: int, count: int, rank: int):
+    """The value of a rank among the first `count` of a task's values, which are reordered."""
+    begin = int(0)
+    end = count - 1
+    while begin < end:
+        pivot = lists.value[number, (begin + end) / 2]
+        i = int(begin)
+        j = int(end)
+        while i <= j:
+            while lists.value[number, i] < pivot:
+                i += 1
+            while lists.value[number, j] > pivot:
+                j -= 1
+            if i <= j:
+                swapped = lists.value[number, i]
+                lists.value[number, i] = lists.value[number, j]
+                lists.value[number, j] = swapped
+                i += 1
+                j -= 1
+        # [begin, j] <= pivot <= [i, end], and what lies between is the pivot
+        if rank <= j:
+            end = j
+        elif rank >= i:
+            begin = i
+        else:
+            begin = rank
+            end = rank
+    return lists.value[number, rank]
+
+
+@wp.func
+def median_position(lists: ReferenceLists, number: int, frame: Frame, axis: int):
+    """The median of the middles of the node's triangles."""
+    for i in range(frame.triangles):
+        at = (frame.first[0] + i) * 8 + axis
+        lists.value[number, i] = 0.5 * (load_float(lists.reference, at) - load_float(lists.reference, at + 4))
+    return select(lists, number, frame.triangles, frame.triangles / 2)
+
+
+@wp.func
+def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+    """The plane that halves the number of triangles."""
+    split = no_split()
+    axis = first_axis(lists, frame)
+    for _turn in range(3):
+        if frame.triangles > 0 and split.cost == INFINITY:
+            split = split_at(cost, lists, frame, axis, median_position(lists, number, frame, axis))
+        axis = (axis + 1) % 3
+    return split
+
+
+SPACE = scanning(search_space)
+OBJECTS = scanning(search_objects)
+
+
+def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree of spatial medians on the device that holds the boxes, on one thread of it."""
+    return build_scanning(triangles, config, one_task(SPACE, triangles.count, values=1))
+
+
+def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree of object medians on the device that holds the boxes, on one thread of it."""
+    return build_scanning(triangles, config, one_task(OBJECTS, triangles.count, values=triangles.count))

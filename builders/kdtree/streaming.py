@@ -1,0 +1,78 @@
+"""Streaming build of an SAH kd-tree: sampled breadth first, then exact (Popov et al. 2006; survey, Algorithm 4.2.1).
+
+**Problem.** The lists of large nodes do not fit the caches, and a sorting build reads them in an order that the plane decides.
+
+**Algorithm.** While nodes are large, level after level: boxes stream through memory once; 1024 samples an axis count where they
+begin and end, and the cost is evaluated at the samples. Triangles are copied to their children's part of a second buffer
+(`reference_levels`). A node of at most 8192 triangles is a task: its events are sorted, and its subtree is built depth first
+with all planes (`event_lists`), in memory that stays in the cache.
+
+**Complexity.** O(N log N), of which the sequential top takes O(N) a level.
+
+**What we changed.** The next level is sampled in a pass of its own, because the box of a node's triangles, which the samples
+divide, is known only after the copy; the paper samples the node's box while it copies. Boxes are not clipped. The paper gives
+whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of threads.
+
+References:
+    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
+        IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.common import KdTree, Phases
+from wrt.builders.kdtree.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.event_lists import EVENTS, EventLists
+from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
+from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.task_events import list_task_events
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.launch import launch, load
+
+SAMPLES = 1024
+"""Bins an axis, with a sample between any two."""
+
+EXACT = 8192
+"""Triangles of a node up to which every plane is tried."""
+
+SPARE_ROOM = 1.5
+"""Room that a task has for its work, as a multiple of its own lists, at least a third; doubled whenever that was too little."""
+
+
+def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree on the device that holds the boxes."""
+    phase = Phases(triangles.boxes.low.device)
+    load((bin_chunks, list_task_events, copy_subtrees, make_build_subtrees(EVENTS)), phase.device)
+    with phase("top levels"):
+        top = split_top(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
+    spare = SPARE_ROOM
+    while True:
+        with phase("sort"):
+            room, lists, frames = list_events(top, config.cost.width, spare)
+        with phase("subtrees"):
+            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
+        if not results.numpy()["overflow"].any():
+            break
+        spare *= 2.0
+    with phase("assemble"):
+        nodes, primitive = assemble(top.levels[:-1], room, results, config.cost.width)
+    work = [top.references, lists.event, lists.triangle, lists.side, room.parts.nodes, room.parts.primitive]
+    phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, nodes, primitive)
+    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
+
+
+def list_events(top: TopLevels, width: int, spare: float) -> tuple[Reservation, EventLists, wp.array]:
+    """Makes one task of each node of the last level: its share, its sorted events, and the roots of the tasks."""
+    device, roots = top.references.device, top.levels[-1]["frame"]
+    room = Reservation(roots["triangles"], 6, spare, width, device)
+    lists = EventLists()
+    lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=device)
+    lists.triangle = wp.empty(room.triangles, dtype=int, device=device)
+    lists.side = wp.empty(room.triangles, dtype=wp.uint8, device=device)
+    source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
+    frames = wp.array(roots, dtype=Frame, device=device)
+    launch(list_task_events, len(roots), [top.references, source, room.tasks, frames, lists], device=device, chunk=1)
+    return room, lists, frames

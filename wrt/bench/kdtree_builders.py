@@ -1,0 +1,249 @@
+"""`wrt bench builders`: what a kd-tree builder costs and what its tree is worth, beside the O(N log N) sweep in the same run.
+
+Builders take turns on the same boxes, then on the same rays; times are ratios of medians over rounds (`measure`). The SAH cost
+is the same for all: the default cost model's, whatever the builder minimised. Builders that would not end are left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from math import log2
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wrt.accelerator import KdTree
+from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
+from wrt.bench.measure import Contender, take_turns
+from wrt.bench.workloads import WorkloadMaker
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.launch import MAX_THREADS, get_num_threads
+from wrt.mesh import TriangleMesh
+from wrt.scene import Scene
+
+REFERENCE = "sweep"
+"""The builder that all figures refer to."""
+
+RAYS = ("near", "random")
+"""Workloads that trees are traced with: a camera's rays, and rays from anywhere to anywhere."""
+
+GROWTH = (1_000, 10_000, 100_000, 1_000_000)
+"""Triangles of the teapots on which growth is shown, about."""
+
+
+@dataclass(frozen=True)
+class BuilderFigures:
+    """One builder's figures; ratios are to `REFERENCE`.
+
+    Attributes:
+        builder: key in `KDTREE_BUILDERS`.
+        seconds: of a build from a mesh in memory, median of the rounds.
+        build_ratio: build time; above 1 is slower.
+        sah_cost, sah_ratio: expected cost of a ray.
+        tree_bytes, peak_bytes: memory per triangle, of the finished tree and during the build.
+        trace_ratios: time of each workload; above 1 is slower.
+    """
+
+    builder: str
+    seconds: float
+    build_ratio: float | None
+    sah_cost: float
+    sah_ratio: float
+    tree_bytes: float
+    peak_bytes: float
+    trace_ratios: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How a builder's time grows.
+
+    Attributes:
+        builder: key in `KDTREE_BUILDERS`.
+        triangles: of each mesh.
+        seconds: of each build, least of the rounds.
+        per_n_log_n: seconds / (n log2 n), as multiples of the first: constant if the time grows like that.
+    """
+
+    builder: str
+    triangles: list[int]
+    seconds: list[float]
+    per_n_log_n: list[float]
+
+
+def compare_builders(
+    mesh: TriangleMesh,
+    builders: Sequence[str],
+    *,
+    rounds: int = 5,
+    threads: int = 1,
+    size: int = 512,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> list[BuilderFigures]:
+    """Builds and traces; `REFERENCE` takes part in any case.
+
+    Args:
+        mesh: what trees are built of.
+        builders: keys in `KDTREE_BUILDERS`.
+        rounds: turns of each builder.
+        threads: CPU threads.
+        size: each workload has size * size rays.
+        on_turn: told the name of each builder before its turn.
+
+    Raises:
+        ValueError: a size that does not divide into tiles.
+    """
+    workloads = list(WorkloadMaker(mesh, size=size).make(RAYS))
+    names = dict.fromkeys((REFERENCE, *builders))
+    scenes: dict[str, Scene] = {}
+
+    def build(name: str) -> None:
+        scenes[name] = Scene(mesh, KdTree(builder=name), device="cpu", num_threads=threads)
+
+    contenders = [Contender(name, lambda name=name: build(name)) for name in names]
+    timings = take_turns(contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
+    traced: dict[str, dict[str, Any]] = {}
+    for rays in workloads:
+        tracing = [
+            Contender(name, lambda scene=scenes[name], rays=rays: scene.intersect(rays.origins, rays.directions))
+            for name in names
+        ]
+        traced[rays.name] = take_turns(tracing, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
+    statistics = {name: scenes[name].statistics() for name in names}
+    costs = {name: statistics[name].tree.sah_cost for name in names}
+    return [
+        BuilderFigures(
+            name,
+            timings[name].median,
+            timings[name].ratio_to(timings[REFERENCE]),
+            costs[name],
+            costs[name] / costs[REFERENCE],
+            scenes[name].tree.bytes / mesh.triangle_count,
+            scenes[name].tree.stats.peak_bytes / mesh.triangle_count,
+            {rays: timing[name].ratio_to(timing[REFERENCE]) for rays, timing in traced.items()},
+        )
+        for name in names
+    ]
+
+
+def measure_growth(
+    builders: Sequence[str],
+    sizes: Sequence[int] = GROWTH,
+    *,
+    rounds: int = 3,
+    threads: int = 1,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> list[Growth]:
+    """Builds teapots of about so many triangles; a builder is not asked for more than it can be waited for."""
+    from wrt import scenes
+
+    coarse = scenes.build("teapot", level=4).triangle_count
+    meshes = [scenes.build("teapot", level=max(1, round(4 * (size / coarse) ** 0.5))) for size in sizes]
+    grown = {name: Growth(name, [], [], []) for name in builders}
+    for mesh in meshes:
+        count = mesh.triangle_count
+        contenders = [
+            Contender(name, lambda name=name, mesh=mesh: Scene(mesh, KdTree(builder=name), device="cpu", num_threads=threads))
+            for name in builders
+            if count <= KDTREE_BUILDERS[name].most_triangles
+        ]
+        for name, timing in take_turns(contenders, rounds, budget=BUDGET, on_turn=on_turn).items():
+            least = min(timing.times)
+            grown[name].triangles.append(count)
+            grown[name].seconds.append(least)
+            first = grown[name].seconds[0] / n_log_n(grown[name].triangles[0])
+            grown[name].per_n_log_n.append(least / n_log_n(count) / first)
+    return [growth for growth in grown.values() if growth.triangles]
+
+
+def n_log_n(n: int) -> float:
+    """n log2 n."""
+    return n * log2(n)
+
+
+@click.command("builders")
+@click.argument("model", default="teapot")
+@click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
+@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each builder.")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+@click.option("--growth/--no-growth", default=False, show_default=True, help="Show growth from 10^3 to 10^6 triangles too.")
+@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+def builders_command(
+    model: str,
+    builders: tuple[str, ...],
+    size: int,
+    rounds: int,
+    threads: int | None,
+    growth: bool,
+    json_file: Path | None,
+) -> None:
+    """Compares kd-tree builders on MODEL, a mesh file or a built-in scene: time to build, cost, memory, time to trace.
+
+    Figures are ratios to the O(N log N) sweep in the same round; above 1 is slower, dearer or larger.
+    """
+    from rich.console import Console
+
+    from wrt.bench.loading import load_model, progress, usage_errors
+
+    mesh = load_model(model)
+    chosen = builders or tuple(description.builder for description in kdtree_descriptions(mesh.triangle_count))
+    count = threads or get_num_threads()
+    grown: list[Growth] = []
+    with progress() as on_turn, usage_errors():
+        figures = compare_builders(mesh, chosen, rounds=rounds, threads=count, size=size, on_turn=on_turn)
+        if growth:
+            grown = measure_growth(chosen, rounds=rounds, threads=count, on_turn=on_turn)
+    console = Console()
+    console = console if console.is_terminal else Console(width=180)
+    print_figures(figures, mesh, count, console)
+    if grown:
+        print_growth(grown, console)
+    if json_file is not None:
+        with usage_errors():
+            found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count}
+            found |= {"builders": [asdict(row) for row in figures], "growth": [asdict(row) for row in grown]}
+            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def print_figures(figures: Sequence[BuilderFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
+    """The table of builders."""
+    from wrt.bench.report import new_table, times
+
+    table = new_table(
+        ("builder",), ("build", "ms", "SAH cost", "of sweep's", "tree B", "peak B", *(f"trace {rays}" for rays in RAYS))
+    )
+    for row in figures:
+        table.add_row(
+            row.builder,
+            times(row.build_ratio),
+            f"{row.seconds * 1e3:.1f}",
+            f"{row.sah_cost:.2f}",
+            f"{row.sah_ratio:.3f}x",
+            f"{row.tree_bytes:.0f}",
+            f"{row.peak_bytes:.0f}",
+            *(times(row.trace_ratios[rays]) for rays in RAYS),
+        )
+    label = f"kd-tree builders: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
+    console.print(f"[bold]{label}[/bold]", highlight=False)
+    console.print(table)
+    console.print(f"Times are ratios to {REFERENCE}'s; bytes are per triangle.", style="dim", highlight=False)
+
+
+def print_growth(grown: Sequence[Growth], console: Any) -> None:
+    """The table of growth."""
+    from wrt.bench.report import new_table
+
+    sizes = max((growth.triangles for growth in grown), key=len)
+    table = new_table(("builder",), [f"{size:,}" for size in sizes])
+    for growth in grown:
+        cells = [
+            f"{seconds * 1e3:.1f} ms ({factor:.2f}x)"
+            for seconds, factor in zip(growth.seconds, growth.per_n_log_n, strict=True)
+        ]
+        table.add_row(growth.builder, *cells)
+    console.print("\n[bold]Growth: time to build, and time / (n log n) as a multiple of the first[/bold]", highlight=False)
+    console.print(table)
