@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import MAX_CHUNK, get_num_threads, launch
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, COUNT, Plan, plan_for, traversal_config, way_of
@@ -24,6 +24,7 @@ STREAMS_IN_A_ROW = 16
 """Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
 
 ITEMS_PER_THREAD = 8
+"""Items of streams that a thread has at least, if rays are many: enough to balance the load, each being a launch."""
 
 
 def trace(
@@ -102,6 +103,7 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
         device=scene.device,
         chunk=max(1, 1024 // grain),
         longest=max(1, longest // grain),
+        chunks_per_thread=2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD,
     )
 
 
