@@ -16,6 +16,11 @@ from wrt.kernels.kdtree import MAX_TREE_DEPTH, KdNodes
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+MAX_GROWTH = wp.constant(63.0)
+"""Triangles that lie across each other are straddled by every plane: without a bound, 3,000 of them that fill a square make
+7 million references, each split of which is worth its cost. (Meshes of surfaces, on average over all ways: 0.3 to 2.3.)"""
+
+
 @wp.struct
 class StopLimits:
     """`StopRules` for a given number of triangles, as kernels see them."""
@@ -30,7 +35,8 @@ class StopRules:
 
     A node is a leaf if no plane splits it, if it is as deep as allowed, or if its best split costs at least as much as
     the leaf and its ancestors have used up the allowance of such bad splits: a bad split may make good ones possible
-    (Wald and Havran 2006 call the alternative a local minimum), but not again and again.
+    (Wald and Havran 2006 call the alternative a local minimum), but not again and again. Nor is a node split if the splits on
+    the way to it would have multiplied its triangles by 64 (`Descent`).
 
     Attributes:
         max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a
@@ -59,14 +65,31 @@ class StopRules:
         return limits
 
 
+@wp.struct
+class Descent:
+    """What the splits on the way down from the root have used up of what is allowed; zeros at the root."""
+
+    bad_splits: int
+    growth: float
+    """By what the references of a node are multiplied on the way, (left + right) / triangles a split, less 1."""
+
+
 @wp.func
-def bad_splits_after(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, bad: int, split: Split):
-    """Bad splits on the path once the node is split this way; -1 if it becomes a leaf instead."""
-    if depth >= limits.depth or split.cost == INFINITY:
-        return -1
-    if split.cost < leaf_cost(cost, triangles):
-        return bad
-    return wp.where(bad < limits.bad_splits, bad + 1, -1)
+def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: Descent, split: Split):
+    """The way to the children of a node; its `bad_splits` are -1 if the node becomes a leaf instead.
+
+    What bounds the growth on every way bounds the references of all leaves together, to so many times the triangles.
+    """
+    below = Descent()
+    below.bad_splits = -1
+    if depth < limits.depth and split.cost < INFINITY:
+        below.growth = (1.0 + path.growth) * float(split.left + split.right) / float(triangles) - 1.0
+        if below.growth < MAX_GROWTH:
+            if split.cost < leaf_cost(cost, triangles):
+                below.bad_splits = path.bad_splits
+            elif path.bad_splits < limits.bad_splits:
+                below.bad_splits = path.bad_splits + 1
+    return below
 
 
 @dataclass

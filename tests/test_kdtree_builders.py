@@ -246,6 +246,7 @@ def hard_meshes() -> dict[str, wrt.TriangleMesh]:
     tiny = rng.random((3000, 1, 3)) * 0.01 + rng.random((3000, 3, 3)) * 1e-4
     shapes = {
         "identical": np.repeat(one, 3000, axis=0),
+        "across each other": np.insert(rng.random((3000, 3, 2)), 2, 0.5, axis=2),
         "coplanar": np.insert(rng.random((3000, 1, 2)) + 0.05 * rng.random((3000, 3, 2)), 2, 0.5, axis=2),
         "one huge, many tiny": np.concatenate([np.array([[[-1e3, 0, 0], [1e3, 0, 0], [0, 1e3, 1e3]]]), tiny]),
         "needles": rng.random((2000, 1, 3)) + rng.normal(size=(2000, 3, 1)) + 0.02 * rng.random((2000, 3, 3)),

@@ -19,7 +19,7 @@ References:
 
 import warp as wp
 
-from wrt.builders.common import StopLimits, bad_splits_after
+from wrt.builders.common import Descent, StopLimits, descend
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events import END, START, Events, event_position, event_value
 from wrt.builders.kdtree.planes import Sweep, close_planar, start_sweep, sweep_event
@@ -38,7 +38,7 @@ class LiveNode:
     low: wp.vec3
     high: wp.vec3
     triangles: int
-    bad_splits: int
+    path: Descent
     depth: int
     finished: bool
     """True once the node is known to be a leaf; it then waits for the end of the levels, and for its task to find the same."""
@@ -158,11 +158,11 @@ def decide(
                 candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
-        bad = bad_splits_after(limits, cost, node.depth, node.triangles, node.bad_splits, best)
+        below = descend(limits, cost, node.depth, node.triangles, node.path, best)
         node.split = best
-        node.finished = bad < 0
-        if bad >= 0:
-            node.bad_splits = bad
+        node.finished = below.bad_splits < 0
+        if below.bad_splits >= 0:
+            node.path = below
         nodes[index] = node
 
 

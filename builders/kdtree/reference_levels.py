@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import StopLimits, bad_splits_after
+from wrt.builders.common import StopLimits, descend
 from wrt.builders.cost import Split, SplitCost
 from wrt.builders.kdtree.bins import best_bin_plane, bin_range, counters_for, merge_bins, place
 from wrt.builders.kdtree.config import KdTreeConfig
@@ -137,10 +137,10 @@ def decide(
         merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
         step = sample_step(node.frame.triangles, sampled)
         node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
-        bad = bad_splits_after(limits, cost, node.frame.depth, node.frame.triangles, node.frame.bad_splits, node.split)
-        node.finished = bad < 0
-        if bad >= 0:
-            node.frame.bad_splits = bad
+        below = descend(limits, cost, node.frame.depth, node.frame.triangles, node.frame.path, node.split)
+        node.finished = below.bad_splits < 0
+        if below.bad_splits >= 0:
+            node.frame.path = below
         nodes[index] = node
 
 

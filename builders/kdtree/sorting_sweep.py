@@ -22,7 +22,7 @@ from time import perf_counter
 
 import warp as wp
 
-from wrt.builders.common import BuildStats, KdTree, StopLimits, bad_splits_after
+from wrt.builders.common import BuildStats, Descent, KdTree, StopLimits, descend
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.events import END, PLANAR, START
@@ -44,7 +44,7 @@ class Waiting:
     first: int
     """Where its list begins in `Workspace.triangle`."""
     triangles: int
-    bad_splits: int
+    path: Descent
     depth: int
     parent: int
     """Index of the node whose right child it is; -1 if it is a left child or the root."""
@@ -187,8 +187,8 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
             parent = work.nodes[node.parent]
             work.nodes[node.parent] = kdtree.inner_node(kdtree.split_axis(parent), kdtree.split_position(parent), nodes)
         split = find_plane(cost, boxes, work, node)
-        bad = bad_splits_after(limits, cost, node.depth, node.triangles, node.bad_splits, split)
-        if bad < 0:
+        below = descend(limits, cost, node.depth, node.triangles, node.path, split)
+        if below.bad_splits < 0:
             work.nodes[nodes] = kdtree.leaf_node(lanes / width, node.triangles)
             for i in range(node.triangles):
                 work.primitive[lanes] = work.triangle[node.first + i]
@@ -220,8 +220,8 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
                     right.triangles += 1
             left.high[split.axis] = split.position
             right.low[split.axis] = split.position
-            left.bad_splits = bad
-            right.bad_splits = bad
+            left.path = below
+            right.path = below
             left.depth += 1
             right.depth += 1
             left.parent = -1

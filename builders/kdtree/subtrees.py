@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import StopLimits, bad_splits_after
+from wrt.builders.common import Descent, StopLimits, descend
 from wrt.builders.cost import SplitCost, no_split
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.kernels import kdtree
@@ -80,7 +80,7 @@ class Frame:
     top: int
     """Where the task's share is free while the node is built."""
     triangles: int
-    bad_splits: int
+    path: Descent
     depth: int
     parent: int
     """Index of the node whose right child it is; -1 for the root."""
@@ -139,12 +139,12 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
             split = no_split()
             if frame.depth < limits.depth:
                 split = search(cost, memory, number, frame)
-            bad = bad_splits_after(limits, cost, frame.depth, frame.triangles, frame.bad_splits, split)
+            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, split)
             index = result.nodes
             result.nodes += 1
             if frame.parent >= 0:
                 link_right(parts, task.nodes_first + frame.parent, index)
-            if bad < 0:
+            if below.bad_splits < 0:
                 parts.nodes[task.nodes_first + index] = kdtree.leaf_node(result.blocks, frame.triangles)
                 begin = (task.blocks_first + result.blocks) * width
                 emit_leaf(memory, task, frame, parts, begin)
@@ -161,8 +161,8 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
                 right = frame
                 left.high[split.axis] = split.position
                 right.low[split.axis] = split.position
-                left.bad_splits = bad
-                right.bad_splits = bad
+                left.path = below
+                right.path = below
                 left.depth += 1
                 right.depth += 1
                 left.parent = -1
