@@ -41,7 +41,7 @@ BINS = 32
 SAMPLED = 10_000
 """Triangles of a node from which on only some of them are counted."""
 
-TASKS_PER_THREAD = 4
+TASKS_PER_THREAD = 2
 """A node of more than its share of triangles, if there were so many tasks a thread, is split by all threads together."""
 
 LEAST_LARGE = 4096
