@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+import re
 
 import pytest
 import warp as wp
@@ -14,6 +15,7 @@ import wrt.kernels
 from wrt.builders.kdtree import adaptive_sampling, binned, medians, naive
 from wrt.builders.kdtree.event_lists import EVENTS
 from wrt.builders.kdtree.subtrees import make_build_subtrees
+from wrt.kernels.launch import CUDA_BLOCK
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
@@ -75,6 +77,16 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text, "a fused multiply-add breaks watertightness and the equality of devices"
+
+
+@pytest.mark.parametrize("query", NEAREST_QUERIES)
+def test_stacks_in_shared_memory(query, tmp_path):
+    """As a scene on CUDA asks for them: nothing but the block's memory holds waiting children."""
+    config = TraversalConfig("woop", 2, query, levels=24, block=CUDA_BLOCK)
+    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
+    words = 2 * (config.levels * (config.width - 1) + 1) * CUDA_BLOCK
+    assert re.search(rf"\.shared\b.*\[{4 * words}\]", text)
+    assert "fma.rn.f32" not in text
 
 
 @pytest.mark.parametrize("shared_origin", [False, True])

@@ -82,9 +82,6 @@ PAPER_TABLE_3 = {
 }
 """Per cent of the tests that are no hits, exit by exit."""
 
-PAPER_TABLE_4 = {"Möller": {"bunny": 0.155, "dragon": 0.150}, "Proposed": {"bunny": 0.150, "dragon": 0.146}}
-"""Seconds, with a tree."""
-
 
 def table_1() -> list[Row]:
     """Operations and bytes: counted in the steps that are compiled, beside the paper's."""
