@@ -1,0 +1,230 @@
+"""What can be asked of a scene: closest hits, occlusion, all hits, counts, inside tests, visibility, a check of itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from wrt.hits import Hits, shaped
+from wrt.kernels.launch import use_threads
+from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
+from wrt.rays import Rays, to_device
+from wrt.tables import lookup
+from wrt.tracing import trace
+
+if TYPE_CHECKING:
+    from wrt.all_hits import AllHits
+    from wrt.verification import Verification
+
+
+class Queries:
+    """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it."""
+
+    def intersect(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        counters: bool = False,
+    ) -> Hits:
+        """Closest hits.
+
+        Among hits at the same t, the smaller geometry, then the smaller triangle wins: neither the tree, the traversal
+        nor the number of threads shows in the result. A ray with a NaN or an infinity, or with a direction of zero, misses.
+
+        Args:
+            origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
+            directions: (..., 3), of any length; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
+                the plan's triangle test then counts.
+            triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            counters: whether to count each ray's work (`Hits.counters`).
+
+        Raises:
+            TypeError: an argument is of a wrong type.
+            ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test)
+            batch, work = trace(self, plan, buffers, CLOSEST, counters)
+        return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
+
+    def occluded(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Any:
+        """Whether anything is hit: (...) bool, a NumPy array if the rays were, else a Warp array.
+
+        Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test)
+            batch, _ = trace(self, plan, buffers, ANY)
+        return shaped(batch.occluded, buffers)
+
+    def intersect_all(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        max_hits: int | None = None,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> AllHits:
+        """All hits of each ray, sorted by t, then geometry, then triangle.
+
+        Each crossing of a surface is one hit: a ray that meets an edge or a vertex hits exactly one of the triangles that it
+        passes into there, so that the line through a closed surface has an even number of hits. Coincident triangles are hit
+        each; a triangle that is seen edge-on is not. (`intersect` may name another of the triangles at an edge.)
+
+        Args:
+            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`; not every traversal and triangle
+                test answers this.
+            max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
+                time: all are found.
+
+        Raises:
+            TypeError: an argument is of a wrong type.
+            ValueError: as `intersect`; a traversal or triangle test that does not answer this; more than 2^31 - 1 hits.
+        """
+        from wrt.all_hits import AllHits, check_max_hits, find_all
+
+        bound, rays = check_max_hits(max_hits), _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test, ALL)
+            batch, offsets = find_all(self, plan, buffers.batch, bound)
+        return AllHits(batch, offsets, buffers, self.device_mesh, plan, self.num_threads)
+
+    def count(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Any:
+        """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
+
+        What `intersect_all` would list, counted; arguments and errors as there.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        with use_threads(self.num_threads):
+            buffers = to_device(rays, self.device, self.center)
+            plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
+            batch, _ = trace(self, plan, buffers, COUNT)
+        return shaped(batch.counts, buffers)
+
+    def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
+        """Which points are inside: (...) bool, a NumPy array if the points were, else a Warp array.
+
+        By parity: inside are those from which a ray crosses the surface an odd number of times. If every mesh is closed
+        (`TriangleMesh.is_closed`), that does not depend on the ray's direction. If one is not, two of three directions
+        decide, which is a guess near its holes. Of several meshes, or shells within each other, a point is inside if it is
+        inside an odd number of them. Points nearer to the surface than float32 tells, relative to the scene's centre, may
+        count as either; a point with a NaN or an infinity is outside.
+
+        Args:
+            points: (..., 3).
+            traversal: as in `count`.
+
+        Raises:
+            TypeError: points are no array of real numbers.
+            ValueError: wrong shape, an array on another device, a traversal that does not count.
+        """
+        from wrt.inside import contains
+
+        return contains(self, points, traversal)
+
+    def visible(self, points_a: Any, points_b: Any) -> Any:
+        """Which pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
+
+            matrix = scene.visible(points[:, None], points[None, :])
+
+        A pair is visible if no triangle crosses the open segment between the two. The points may lie on surfaces: a triangle
+        whose plane passes through one of them within rounding (float32 relative to the scene's centre, float32 of the points
+        themselves if they are given so) does not hide it from the other. So two points in one flat wall see each other, and
+        what is on a wall is seen from both its sides. A point sees itself; one with a NaN or an infinity sees nothing.
+
+        Args:
+            points_a, points_b: (..., 3); leading shapes broadcast. Pairs go through memory in blocks.
+
+        Raises:
+            TypeError: points are no arrays of real numbers.
+            ValueError: wrong shapes, shapes that do not broadcast, an array on another device.
+        """
+        from wrt.visibility import visible
+
+        return visible(self, points_a, points_b)
+
+    def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
+        """Checks `intersect` and `occluded` against brute force in float64, on this mesh and this machine.
+
+            report = scene.verify()
+            print(report)
+            assert report.ok
+
+        A quarter of the rays each is random, aimed at vertices, aimed at edges, and grazing. The reference tests every
+        triangle, one ray at a time on one core: some 25 ms a ray for a million triangles; it takes 550 bytes a triangle.
+
+        Args:
+            samples: number of rays, at least 4.
+            seed: of the rays, at least 0.
+
+        Raises:
+            TypeError: samples or seed is no int.
+            ValueError: it is too small.
+        """
+        from wrt.verification import verify
+
+        return verify(self, samples, seed)
+
+    def explain(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        query: str = CLOSEST,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Plan:
+        """How these rays would be answered, and why; nothing is traced.
+
+        Args:
+            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`.
+        """
+        rays = _as_rays(origins, directions, t_min, t_max)
+        lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
+        with use_threads(self.num_threads):
+            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
+
+
+def _as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
+    if isinstance(origins, Rays):
+        if directions is not None:
+            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
+        return origins
+    if directions is None:
+        raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
+    return Rays(origins, directions, t_min, t_max)
