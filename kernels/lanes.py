@@ -20,6 +20,7 @@ FOR_LANES = """
 #define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
+#define WRT_SCALAR _Pragma("clang loop vectorize(disable)")
 #define WRT_LANES(name, pointer) const float* name = pointer
 #else
 #define WRT_ABS(x) fabsf(x)
@@ -30,6 +31,7 @@ FOR_LANES = """
         name[2 * j_] = v_.x; name[2 * j_ + 1] = v_.y; } \\
     else for (int j_ = 0; j_ < W; ++j_) name[j_] = (pointer)[j_]
 #define WRT_UNROLLED
+#define WRT_SCALAR
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) for (int i = 0; i < (n); ++i)
 #endif
@@ -43,7 +45,8 @@ FOR_LANES = """
 """Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
 would be put together again lane by lane, at a third of the speed). W is a constant of the snippet. `WRT_LANES(name, pointer)`
 names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are loaded four at a time, so a block of W floats
-must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even."""
+must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even. `WRT_SCALAR` before a loop keeps
+Clang from making gathers of it."""
 
 
 @wp.func_native("""

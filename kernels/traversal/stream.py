@@ -39,10 +39,10 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.boxes import RaySlabs
+from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -101,31 +101,6 @@ def stream_ray(triangle_test: str) -> type:
 
     StreamRay.__doc__ = """A ray as box and triangle tests want it. `best.t` is -inf if it needs no (more) tests."""
     return wp.struct(StreamRay)
-
-
-@cache
-def load_stream(triangle_test: str) -> wp.Function:
-    """`wp.func(rays, begin, count, low, high, stream)`: brings in the rays begin .. begin + count - 1; low, high: the scene."""
-    StreamRay = stream_ray(triangle_test)
-    prepare = TRIANGLE_TESTS[triangle_test].prepare
-
-    @wp.func_native("rays.data[k] = ray;")
-    def put_ray(rays: wp.array(dtype=StreamRay), k: int, ray: StreamRay): ...
-
-    @wp.func
-    def load(rays: RayBatch, begin: int, count: int, low: wp.vec3, high: wp.vec3, stream: wp.array(dtype=StreamRay)):
-        for k in range(count):
-            ray = load_ray(rays, begin + k)
-            own = StreamRay()
-            own.best = start(-INFINITY)
-            if ray.valid:
-                own.slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, low, high))
-                own.t_min = ray.t_min + 0.0  # turns -0 into +0: as an integer, -0 would be the least key of all
-                own.best.t = ray.t_max
-                own.state = prepare(ray.origin, ray.direction)
-            put_ray(stream, k, own)
-
-    return load
 
 
 @cache

@@ -34,8 +34,9 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, load_stream, round_up, store_stream, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, next_child
+from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import Pairs, pair_tester
 from wrt.kernels.triangle.records import TriangleBlocks
 

@@ -38,8 +38,9 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, load_stream, round_up, store_stream, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import filter_hits, filter_plane
+from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import PAIRS, Pairs, pair_tester
 from wrt.kernels.triangle.records import TriangleBlocks
 

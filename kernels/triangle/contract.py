@@ -32,6 +32,9 @@ class TestForm:
             records are made. Such a test sees only what lies ahead.
         ray_state: struct that `prepare` returns.
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
+        prepare_lanes: C++ that does the same for L rays of a stream at once: from directions dx, dy, dz, origins ox, oy, oz and
+            inverses ix, iy, iz, all indexed by the ray, it fills words[14], words[15] .. with the words of the ray's state,
+            in order; empty if rays are prepared one by one.
         lanes: one ray x W triangles, and W rays x one triangle.
     """
 
@@ -39,6 +42,7 @@ class TestForm:
     record: Record = VERTICES
     ray_state: type
     prepare: wp.Function
+    prepare_lanes: str = ""
     lanes: LaneForm | HandWritten
 
     @property

@@ -275,6 +275,25 @@ def make_block_test(width: int, crossing: bool) -> wp.Function:
     return woop_block
 
 
+PREPARE_LANES = """
+    WRT_FOR(L, k) {
+        const float x = dx[k], y = dy[k], z = dz[k], size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
+        const float px = ox[k], py = oy[k], pz = oz[k], jx = ix[k], jy = iy[k], jz = iz[k];
+        const bool xy = size_x >= size_y, main_x = xy & (size_x >= size_z), main_y = !xy & (size_y >= size_z);
+        const float major = main_x ? x : main_y ? y : z;
+        words[14][k] = main_x ? py : main_y ? pz : px;
+        words[15][k] = main_x ? pz : main_y ? px : py;
+        words[16][k] = main_x ? px : main_y ? py : pz;
+        ((int*)words[17])[k] = main_x ? 1 : main_y ? 2 : 0;
+        ((int*)words[18])[k] = main_x ? 2 : main_y ? 0 : 1;
+        ((int*)words[19])[k] = main_x ? 0 : main_y ? 1 : 2;
+        words[20][k] = (main_x ? y : main_y ? z : x) / major;
+        words[21][k] = (main_x ? z : main_y ? x : y) / major;
+        words[22][k] = main_x ? jx : main_y ? jy : jz;
+    }
+"""
+"""`prepare` for the rays of a stream."""
+
 CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
 """The forms by which a closed surface is crossed an even number of times."""
 
@@ -358,6 +377,7 @@ TEST = TriangleTest(
     accurate=True,
     ray_state=ShearedRay,
     prepare=prepare,
+    prepare_lanes=PREPARE_LANES,
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
     crossing=CROSSING,
