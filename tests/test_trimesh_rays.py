@@ -11,7 +11,6 @@ import trimesh
 from trimesh.ray import ray_triangle
 
 import wrt
-from wrt.adapters import trimesh_rays
 
 BODIES = {
     "box": trimesh.creation.box(),
@@ -197,35 +196,6 @@ def test_follows_the_mesh():
     assert mesh.ray.intersects_location(origin, down)[0][0, 2] == pytest.approx(3.5)
     mesh.update_faces(np.zeros(len(mesh.faces), dtype=bool))
     assert not mesh.ray.intersects_any(origin, down).any()
-
-
-@pytest.mark.parametrize(("width", "height"), [(80, 60), (64, 65)])
-def test_pictures_are_recognised(width, height):
-    """Rays of a camera, row by row, are traced as a picture, which shows in nothing but speed."""
-    mesh = BODIES["torus"]
-    rays = wrt.PinholeCamera.framing(wrt.TriangleMesh.from_trimesh(mesh), width, height).rays()
-    directions = rays.directions.reshape(-1, 3).astype(np.float64)
-    origins = np.tile(np.asarray(rays.origins, dtype=np.float64).reshape(3), (len(directions), 1))
-    eye, rows = trimesh_rays.as_picture(origins, directions)
-    assert eye.shape == (3,)
-    assert rows.shape == (height, width, 3)
-    ray = wrt.RayMeshIntersector(mesh)
-    expected = ray.scene.intersect(origins, directions)
-    assert 0.1 < expected.is_hit.mean() < 0.9
-    np.testing.assert_array_equal(ray.intersects_first(origins, directions), expected.primitive_id)
-    np.testing.assert_array_equal(ray.intersects_any(origins, directions), expected.is_hit)
-    shuffled = np.random.default_rng(0).permutation(len(directions))
-    for other_origins, other_directions in (
-        (origins + np.arange(len(origins))[:, None] * 1e-9, directions),
-        (origins, directions[shuffled]),
-        (origins[:-1], directions[:-1]),
-        (origins, np.tile(directions[:1], (len(origins), 1))),
-        (origins, np.full_like(directions, np.nan)),
-    ):
-        unchanged = trimesh_rays.as_picture(other_origins, other_directions)
-        assert unchanged[0] is other_origins
-        assert unchanged[1] is other_directions
-    np.testing.assert_array_equal(ray.intersects_first(origins, directions[shuffled]), expected.primitive_id[shuffled])
 
 
 def test_pickles_and_copies():

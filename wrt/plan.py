@@ -53,9 +53,6 @@ MAX_STREAM = 4096
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
 
-LEAST_PICTURE = 8
-"""Rows and columns from which on a batch is taken for a picture."""
-
 ORDERS = ("none", "cells", "tiles")
 
 CACHED_BYTES = 1 << 24
@@ -217,7 +214,7 @@ def choose_culling(scene: Scene, rays: RayBuffers, test: TriangleTest) -> str:
 def choose_order(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
     """Order of tracing."""
     if way.name == "packet":
-        return "tiles" if len(rays.shape) == 2 and min(rays.shape) >= LEAST_PICTURE else "none"
+        return "tiles" if rays.columns > 0 else "none"
     return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
 
 
@@ -262,8 +259,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         raise ValueError(f"plan.reorder is 'tiles', which goes with the traversal 'packet', not {plan.traversal!r}")
     if plan.reorder == "cells" and way.packets:
         raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
-    if plan.reorder == "tiles" and len(rays.shape) != 2:
-        raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns")
+    if plan.reorder == "tiles" and rays.columns == 0:
+        raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns to speak of")
     if plan.one_by_one and plan.traversal != "single":
         raise ValueError(f"plan.one_by_one goes with the traversal 'single', not {plan.traversal!r}")
     if way.streams and not 1 <= plan.stream <= MAX_STREAM:

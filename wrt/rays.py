@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import warp as wp
 
 from wrt.kernels.launch import launch
 from wrt.kernels.rays import RayBatch, center_float64_points
+from wrt.pictures import one_origin, picture_columns
 
 SAMPLE_PAIRS = 64
 """Pairs of neighbouring rays that are compared to guess whether a batch is coherent."""
@@ -74,6 +75,11 @@ class RayBuffers:
         """Number of rays."""
         return self.batch.count
 
+    @cached_property
+    def columns(self) -> int:
+        """Columns of the picture whose pixels the rays are, row by row; 0 if they are none."""
+        return picture_columns(self.shape, self.batch)
+
 
 def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     """Brings rays to the device, relative to `center` (origins in float64 become float32 only then).
@@ -88,6 +94,8 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     t_min = _as_range(rays.t_min, "t_min", device)
     t_max = _as_range(rays.t_max, "t_max", device)
     shape = _common_shape(origins, directions, t_min, t_max)
+    if device.is_cpu and isinstance(origins, np.ndarray):
+        origins = one_origin(origins)
     batch = RayBatch()
     batch.count = math.prod(shape)
     batch.center = wp.vec3d(*(float(x) for x in center))

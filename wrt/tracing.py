@@ -36,7 +36,7 @@ def trace(
     hits = new_hits(rays.count, query, device)
     kind = way_of(plan).counters
     work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
-    rays.columns = buffers.shape[1] if plan.reorder == "tiles" else 0
+    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
     if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None

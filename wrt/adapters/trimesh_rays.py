@@ -27,15 +27,6 @@ if TYPE_CHECKING:
 
     from wrt.scene import Scene
 
-JUMP = 4.0
-"""Directions of neighbouring pixels differ by no more than so many times as much as the first two."""
-
-LEAST_PICTURE = 4096
-"""Fewer rays are not looked at: there is no time to win."""
-
-LONGEST_ROW = 1 << 13
-"""Pixels of a row that is recognised."""
-
 
 class RayMeshIntersector:
     """Ray queries of one mesh, with the methods of `trimesh.ray.ray_triangle.RayMeshIntersector` and its Embree twin.
@@ -154,7 +145,7 @@ class RayMeshIntersector:
         scene = self.scene
         if scene is None:
             return np.full(len(origins), -1, dtype=np.int64)
-        return scene.intersect(*as_picture(origins, directions)).primitive_id.reshape(-1).astype(np.int64)
+        return scene.intersect(origins, directions).primitive_id.astype(np.int64)
 
     def intersects_any(self, ray_origins: Any, ray_directions: Any) -> np.ndarray:
         """Whether each ray hits anything: (n,) bool. Errors as in `intersects_id`."""
@@ -162,7 +153,7 @@ class RayMeshIntersector:
         scene = self.scene
         if scene is None:
             return np.zeros(len(origins), dtype=bool)
-        return scene.occluded(*as_picture(origins, directions)).reshape(-1)
+        return scene.occluded(origins, directions)
 
     def contains_points(self, points: Any) -> np.ndarray:
         """Which points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
@@ -194,26 +185,6 @@ def locate(
     with use_threads(scene.num_threads):
         launch(meet_planes, len(ray), [vertices, faces, *vectors[1:], *numbers, weights, points], device=device, chunk=4096)
     return points.numpy()
-
-
-def as_picture(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rays (n, 3) of a pinhole camera, row by row, in the picture's shape, one origin for all; other rays as they are.
-
-    trimesh's interface knows no shape, but neighbours in both dimensions are traced together, in half the time. A row ends
-    where directions jump; the next must begin beside the first, and the last as well.
-    """
-    count = len(directions)
-    if count < LEAST_PICTURE or not (origins == origins[0]).all():
-        return origins, directions
-    steps = np.abs(np.diff(directions[: LONGEST_ROW + 1], axis=0)).max(axis=1)
-    width = int(np.argmax(steps > JUMP * steps[0])) + 1
-    if width == 1 or count % width:
-        return origins, directions
-    first = directions[::width]
-    down = np.abs(np.diff(first, axis=0)).max(axis=1)
-    if not (down < JUMP * steps[0]).all():
-        return origins, directions
-    return origins[0], directions.reshape(-1, width, 3)
 
 
 def _checked_rays(origins: Any, directions: Any) -> tuple[np.ndarray, np.ndarray]:

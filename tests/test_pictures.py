@@ -1,0 +1,54 @@
+"""Flat lists of a camera's rays are traced as the picture that they are, which shows in nothing but speed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import assert_same_hits
+
+import wrt
+from wrt import pictures
+
+
+def flat_rays(mesh: wrt.TriangleMesh, width: int, height: int) -> tuple[np.ndarray, np.ndarray]:
+    rays = wrt.PinholeCamera.framing(mesh, width, height).rays()
+    directions = np.asarray(rays.directions).reshape(-1, 3)
+    return np.tile(np.reshape(rays.origins, 3), (len(directions), 1)), directions
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 60), (64, 65)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_pictures_are_recognised(width, height, dtype):
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, device="cpu")
+    origins, directions = (values.astype(dtype) for values in flat_rays(mesh, width, height))
+    plan = scene.explain(origins, directions)
+    assert plan.shared_origin
+    assert plan.reorder == "tiles"
+    hits = scene.intersect(origins, directions)
+    assert hits.t.shape == (width * height,)
+    assert 0.1 < hits.is_hit.mean() < 0.9
+    assert_same_hits(hits, scene.intersect(origins, directions, traversal="single"))
+    np.testing.assert_array_equal(scene.occluded(origins, directions), hits.is_hit)
+    shuffled = np.random.default_rng(0).permutation(len(directions))
+    last = origins + np.arange(len(origins))[:, None] * 1e-3
+    for other_origins, other_directions in (
+        (last, directions),
+        (origins, directions[shuffled]),
+        (origins[:-1], directions[:-1]),
+        (origins, np.tile(directions[:1], (len(origins), 1))),
+        (origins, np.full_like(directions, np.nan)),
+    ):
+        assert scene.explain(other_origins, other_directions).reorder != "tiles"
+    assert_same_hits(scene.intersect(last, directions), scene.intersect(last, directions, traversal="single"))
+
+
+def test_the_last_origin_counts():
+    """Origins are compared to the end, whatever the sample says; NaN is equal to nothing."""
+    origins = np.tile(np.float32([1.0, 2.0, 3.0]), (3 * pictures.BLOCK, 1))
+    assert pictures.one_origin(origins).strides[0] == 0
+    for value in (3.5, np.nan):
+        other = origins.copy()
+        other[-2, 2] = value
+        assert pictures.one_origin(other) is other
+    assert pictures.one_origin(np.full_like(origins, np.nan)).strides[0] != 0
