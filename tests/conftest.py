@@ -108,6 +108,19 @@ def mixed_rays(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.nd
     return origins, directions
 
 
+_BRUTE_FORCE: dict[tuple, wrt.Hits] = {}
+
+
+def brute_force(scene: wrt.Scene, rays: wrt.Rays, **options: str) -> wrt.Hits:
+    """Closest hits by brute force, worked out once for the same triangles, rays and options, whatever the scene's tree."""
+    arrays = [mesh.vertices for mesh in scene.meshes] + [mesh.faces for mesh in scene.meshes]
+    arrays += [rays.origins, rays.directions, rays.t_min, rays.t_max]
+    key = (*(hash(np.asarray(a).tobytes()) for a in arrays), str(scene.device), *options.items())
+    if key not in _BRUTE_FORCE:
+        _BRUTE_FORCE[key] = scene.intersect(rays, traversal="brute", **options)
+    return _BRUTE_FORCE[key]
+
+
 def assert_same_hits(hits: wrt.Hits, expected: wrt.Hits) -> None:
     """Equal to the bit."""
     np.testing.assert_array_equal(hits.primitive_id, expected.primitive_id)

@@ -136,12 +136,13 @@ def test_invariants(scene_mesh, builder, width):
     assert (position < flat.high[inner, flat.axis[inner]]).all()
     assert flat.depth.max() <= config.stop.limits(scene_mesh.triangle_count).depth <= kdtree.MAX_TREE_DEPTH
     corners = scene_mesh.vertices.astype(np.float32)[scene_mesh.faces].astype(np.float64)
-    low, high = corners.min(axis=1), corners.max(axis=1)
+    low, high = np.ascontiguousarray(corners.min(axis=1).T), np.ascontiguousarray(corners.max(axis=1).T)
     seen = np.zeros(scene_mesh.triangle_count, dtype=bool)
     lists = leaf_lists(tree)
     for node, ids in list(lists.items())[:: max(1, len(lists) // 400)]:
-        inside = ((low < flat.high[node]) & (high > flat.low[node])).all(axis=1)
-        touches = ((low <= flat.high[node]) & (high >= flat.low[node])).all(axis=1)
+        ends = list(zip(low, flat.high[node], high, flat.low[node], strict=True))
+        inside = np.logical_and.reduce([(a < b) & (c > d) for a, b, c, d in ends])
+        touches = np.logical_and.reduce([(a <= b) & (c >= d) for a, b, c, d in ends])
         listed = np.zeros_like(inside)
         listed[ids] = True
         assert len(set(ids)) == len(ids)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import SCENES, assert_same_hits
+from conftest import SCENES, assert_same_hits, brute_force
 from test_packets import beams, ragged
 
 import wrt
@@ -36,7 +36,7 @@ def wide_beams(mesh: wrt.TriangleMesh, count: int) -> tuple[np.ndarray, np.ndarr
 def test_beams_equal_brute_force(scene_mesh, device):
     scene = wrt.Scene(scene_mesh, "kdtree", device=device)
     rays = ragged(*wide_beams(scene_mesh, 24))
-    expected = scene.intersect(rays, traversal="brute")
+    expected = brute_force(scene, rays)
     assert expected.is_hit.mean() > 0.02
     for traversal in (*ENTRY_POINTS, "omnidirectional"):
         assert_same_hits(scene.intersect(rays, traversal=traversal), expected)
@@ -125,7 +125,7 @@ def test_mailboxes_never_show(mailbox, traversal, device):
         remembering = replace(plan, mailbox=mailbox)
         assert mailbox in str(remembering)
         hits = scene.intersect(rays, traversal=remembering, counters=True)
-        assert_same_hits(hits, scene.intersect(rays, traversal="brute"))
+        assert_same_hits(hits, brute_force(scene, rays))
         without = scene.intersect(rays, traversal=plan, counters=True).counters
         work = {name: counts.sum() for name, counts in hits.counters.items()}
         assert not without["avoided"].any()

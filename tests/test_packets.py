@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ENGINE_TESTS, SCENES, assert_same_hits, mixed_rays
+from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 
 import wrt
 import wrt.plan
@@ -76,7 +76,7 @@ def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
         mesh = make()
         scene = wrt.Scene(mesh, tree, device=device)
         rays = ragged(*beams(mesh, 60, own_origins))
-        expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
+        expected = brute_force(scene, rays, triangle_test=triangle_test)
         assert expected.is_hit.mean() > 0.05
         plan = packet_plan(scene, rays, triangle_test, culling=culling)
         assert plan.shared_origin != own_origins
@@ -108,13 +108,13 @@ def test_sizes_and_ranges(vectors, tree, device):
     mesh = wrt.scenes.build("atrium")
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = beams(mesh, 80, True, seed=1)
-    first = scene.intersect(origins, directions, traversal="brute")
+    first = brute_force(scene, wrt.Rays(origins, directions))
     rng = np.random.default_rng(2)
     shape = first.t.shape
     t_min = np.where(first.is_hit & (rng.random(shape) < 0.5), first.t, rng.random(shape)).astype(np.float32)
     t_max = np.where(rng.random(shape) < 0.3, t_min, t_min + rng.random(shape) - 0.1).clip(0).astype(np.float32)
     rays = wrt.Rays(origins, directions, t_min, t_max)
-    expected = scene.intersect(rays, traversal="brute")
+    expected = brute_force(scene, rays)
     plan = packet_plan(scene, rays, "woop")
     plan = replace(plan, packet=vectors * plan.width)
     assert_same_hits(scene.intersect(rays, traversal=plan), expected)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import ENGINE_TESTS, SCENES, assert_same_hits, mixed_rays
+from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 from test_packets import beams
 
 import wrt
@@ -24,7 +24,7 @@ def stream_plan(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str 
 
 
 def assert_equals_brute_force(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str = "woop") -> wrt.Hits:
-    expected = scene.intersect(rays, traversal="brute", triangle_test=triangle_test)
+    expected = brute_force(scene, rays, triangle_test=triangle_test)
     plan = stream_plan(scene, rays, size, triangle_test)
     assert_same_hits(scene.intersect(rays, traversal=plan), expected)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
