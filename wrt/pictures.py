@@ -59,10 +59,15 @@ def picture_columns(shape: tuple[int, ...], batch: RayBatch) -> int:
         return 0
     directions = batch.directions.numpy()
     with np.errstate(all="ignore"):
-        steps = np.abs(np.diff(directions[: LONGEST_ROW + 1], axis=0)).max(axis=1)
+        steps = _steps(directions[: LONGEST_ROW + 1])
         columns = int(np.argmax(steps > JUMP * steps[0])) + 1
         rows, rest = divmod(batch.count, columns)
         if rest or min(rows, columns) < LEAST_ROWS:
             return 0
-        down = np.abs(np.diff(directions[::columns], axis=0)).max(axis=1)
-        return columns if (down < JUMP * steps[0]).all() else 0
+        return columns if (_steps(directions[::columns]) < JUMP * steps[0]).all() else 0
+
+
+def _steps(vectors: np.ndarray) -> np.ndarray:
+    """Largest change of a component from each vector to the next; component by component, as rows of three are slow to NumPy."""
+    x, y, z = (np.abs(np.diff(vectors[:, axis])) for axis in range(3))
+    return np.maximum(np.maximum(x, y), z)
