@@ -68,6 +68,6 @@ def picture_columns(shape: tuple[int, ...], batch: RayBatch) -> int:
 
 
 def _steps(vectors: np.ndarray) -> np.ndarray:
-    """Largest change of a component from each vector to the next; component by component, as rows of three are slow to NumPy."""
+    """Largest change of a component from each vector to the next; component by component, as NumPy is slow on rows of three."""
     x, y, z = (np.abs(np.diff(vectors[:, axis])) for axis in range(3))
     return np.maximum(np.maximum(x, y), z)
