@@ -20,6 +20,47 @@ class SceneMesh:
     """(geometries + 1,) number of each geometry's first triangle."""
 
 
+@wp.func
+def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
+    """The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
+    nan = wp.float64(wp.nan)
+    point = wp.vec3d(nan, nan, nan)
+    if primitive >= 0:
+        face = mesh.faces[primitive]
+        u = wp.float64(uv[0])
+        v = wp.float64(uv[1])
+        a = wp.vec3d(mesh.vertices[face[0]])
+        b = wp.vec3d(mesh.vertices[face[1]])
+        c = wp.vec3d(mesh.vertices[face[2]])
+        point = mesh.center + (a + u * (b - a) + v * (c - a))
+    return point
+
+
+@wp.func
+def hit_normal(mesh: SceneMesh, primitive: int):
+    """Unit normal of a triangle by its winding; 0 for a miss and for a triangle without area."""
+    normal = wp.vec3d()
+    if primitive >= 0:
+        face = mesh.faces[primitive]
+        a = wp.vec3d(mesh.vertices[face[0]])
+        normal = wp.normalize(wp.cross(wp.vec3d(mesh.vertices[face[1]]) - a, wp.vec3d(mesh.vertices[face[2]]) - a))
+    return wp.vec3(normal)
+
+
+@wp.func
+def geometry_of(mesh: SceneMesh, primitive: int):
+    """Number of the geometry that a triangle, numbered through the scene, belongs to."""
+    low = int(0)
+    high = mesh.geometry_first.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) / 2
+        if mesh.geometry_first[middle] <= primitive:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
 @wp.kernel
 def hit_positions(
     first: int,
@@ -28,19 +69,9 @@ def hit_positions(
     uv: wp.array(dtype=wp.vec2),
     positions: wp.array(dtype=wp.vec3d),
 ):
-    """Item: a ray. The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
+    """Item: a ray. The point of its hit."""
     i = first + wp.tid()
-    nan = wp.float64(wp.nan)
-    point = wp.vec3d(nan, nan, nan)
-    if primitive[i] >= 0:
-        face = mesh.faces[primitive[i]]
-        u = wp.float64(uv[i][0])
-        v = wp.float64(uv[i][1])
-        a = wp.vec3d(mesh.vertices[face[0]])
-        b = wp.vec3d(mesh.vertices[face[1]])
-        c = wp.vec3d(mesh.vertices[face[2]])
-        point = mesh.center + (a + u * (b - a) + v * (c - a))
-    positions[i] = point
+    positions[i] = hit_position(mesh, primitive[i], uv[i])
 
 
 GRAZING = wp.constant(wp.float64(1e-4))
@@ -81,14 +112,9 @@ def meet_planes(
 
 @wp.kernel
 def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
-    """Item: a ray. Unit normal of the triangle by its winding; 0 for a miss and for a triangle without area."""
+    """Item: a ray. Normal of the triangle that it hits."""
     i = first + wp.tid()
-    normal = wp.vec3d()
-    if primitive[i] >= 0:
-        face = mesh.faces[primitive[i]]
-        a = wp.vec3d(mesh.vertices[face[0]])
-        normal = wp.normalize(wp.cross(wp.vec3d(mesh.vertices[face[1]]) - a, wp.vec3d(mesh.vertices[face[2]]) - a))
-    normals[i] = wp.vec3(normal)
+    normals[i] = hit_normal(mesh, primitive[i])
 
 
 @wp.kernel
@@ -104,16 +130,8 @@ def locate_geometry(
     found = int(-1)
     inside = int(-1)
     if primitive[i] >= 0:
-        low = int(0)
-        high = mesh.geometry_first.shape[0] - 1
-        while high - low > 1:
-            middle = (low + high) / 2
-            if mesh.geometry_first[middle] <= primitive[i]:
-                low = middle
-            else:
-                high = middle
-        found = low
-        inside = primitive[i] - mesh.geometry_first[low]
+        found = geometry_of(mesh, primitive[i])
+        inside = primitive[i] - mesh.geometry_first[found]
     geometry[i] = found
     local[i] = inside
 

@@ -67,6 +67,9 @@ class HitBatch:
     """Hits of each ray, those for which there was no room included."""
     room: int
     begins: wp.array(dtype=int)
+    after_t: float
+    """A query for the next hit looks for those that come after this one, by t, then by primitive; it writes nothing."""
+    after_primitive: int
 
 
 @wp.func
@@ -79,11 +82,22 @@ def is_finite(v: wp.vec3):
 @wp.func
 def load_ray(rays: RayBatch, i: int):
     """Ray number `i`, checked and relative to the scene's centre."""
+    return checked_ray(
+        wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center),
+        rays.directions[i * rays.direction_stride],
+        rays.t_min[i * rays.t_min_stride],
+        rays.t_max[i * rays.t_max_stride],
+    )
+
+
+@wp.func
+def checked_ray(origin: wp.vec3, direction: wp.vec3, t_min: float, t_max: float):
+    """A ray whose origin is relative to the scene's centre."""
     ray = Ray()
-    ray.origin = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
-    ray.direction = rays.directions[i * rays.direction_stride]
-    ray.t_min = rays.t_min[i * rays.t_min_stride]
-    ray.t_max = rays.t_max[i * rays.t_max_stride]
+    ray.origin = origin
+    ray.direction = direction
+    ray.t_min = t_min
+    ray.t_max = t_max
     size = wp.abs(ray.direction)
     ray.valid = (
         is_finite(ray.origin)

@@ -63,6 +63,29 @@ def keep_from_edges(weights: wp.vec3, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, dis
     return result / (result[0] + result[1] + result[2])
 
 
+@wp.func
+def spawn_origin(mesh: SceneMesh, primitive: int, uv: wp.vec2, direction: wp.vec3):
+    """Origin, in the caller's coordinates, of a ray that leaves a hit; NaN for a miss."""
+    nan = wp.float64(wp.nan)
+    origin = wp.vec3d(nan, nan, nan)
+    if primitive >= 0:
+        face = mesh.faces[primitive]
+        a = wp.vec3d(mesh.vertices[face[0]])
+        b = wp.vec3d(mesh.vertices[face[1]])
+        c = wp.vec3d(mesh.vertices[face[2]])
+        weights = wp.vec3(1.0 - uv[0] - uv[1], uv[0], uv[1])
+        near = wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c
+        offset = origin_offset(OFFSET, wp.vec3(near), mesh.low, mesh.high, a, b, c)
+        at = keep_from_edges(weights, a, b, c, INSET * offset)
+        toward = wp.vec3d(direction)
+        normal = wp.normalize(wp.cross(b - a, c - a))
+        if wp.length_sq(normal) == wp.float64(0.0):
+            normal = wp.normalize(toward)
+        side = wp.where(wp.dot(normal, toward) < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+        origin = mesh.center + (at[0] * a + at[1] * b + at[2] * c + (side * wp.float64(offset)) * normal)
+    return origin
+
+
 @wp.kernel
 def spawn_origins(
     first: int,
@@ -76,21 +99,4 @@ def spawn_origins(
     """Item: a ray that leaves hit number item modulo their number. Its origin in the caller's coordinates; NaN for a miss."""
     i = first + wp.tid()
     hit = i % primitive.shape[0]
-    nan = wp.float64(wp.nan)
-    origin = wp.vec3d(nan, nan, nan)
-    if primitive[hit] >= 0:
-        face = mesh.faces[primitive[hit]]
-        a = wp.vec3d(mesh.vertices[face[0]])
-        b = wp.vec3d(mesh.vertices[face[1]])
-        c = wp.vec3d(mesh.vertices[face[2]])
-        weights = wp.vec3(1.0 - uv[hit][0] - uv[hit][1], uv[hit][0], uv[hit][1])
-        near = wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c
-        offset = origin_offset(OFFSET, wp.vec3(near), mesh.low, mesh.high, a, b, c)
-        at = keep_from_edges(weights, a, b, c, INSET * offset)
-        toward = wp.vec3d(directions[i * direction_stride])
-        normal = wp.normalize(wp.cross(b - a, c - a))
-        if wp.length_sq(normal) == wp.float64(0.0):
-            normal = wp.normalize(toward)
-        side = wp.where(wp.dot(normal, toward) < wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
-        origin = mesh.center + (at[0] * a + at[1] * b + at[2] * c + (side * wp.float64(offset)) * normal)
-    origins[i] = origin
+    origins[i] = spawn_origin(mesh, primitive[hit], uv[hit], directions[i * direction_stride])

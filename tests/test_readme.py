@@ -27,9 +27,11 @@ def test_python_examples(tmp_path, monkeypatch):
     assert len(first.splitlines()) <= 12
     wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")
     monkeypatch.chdir(tmp_path)
-    names: dict = {}
-    for code in (first, *more):
-        exec(compile(code, "README.md", "exec"), names)
+    names: dict = {"__name__": "readme"}
+    for number, code in enumerate((first, *more)):
+        path = tmp_path / f"example_{number}.py"  # Warp reads the source of kernels
+        path.write_text(code, encoding="utf-8")
+        exec(compile(code, str(path), "exec"), names)
     assert names["hits"].is_hit.mean() > 0.3
     assert names["dark"].shape == (1_000_000,)
     assert (names["number"] == names["lists"].count).all()
@@ -39,6 +41,9 @@ def test_python_examples(tmp_path, monkeypatch):
     assert names["matrix"].diagonal().all()
     assert set(names["index_ray"]) == set(np.flatnonzero(names["number"][:1000]))
     np.testing.assert_array_equal(names["answer"]["t_hit"], names["hits"].t)
+    seen = names["scene"].intersect(names["camera"].rays()).is_hit
+    assert (names["picture"][~seen] == 0).all()
+    assert 0.3 < names["picture"][seen].mean() < 0.95
     assert Image.open("model.png").size == (640, 480)
 
 

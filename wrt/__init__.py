@@ -7,6 +7,7 @@
     lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
     seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for rays that go on
     print(scene.verify())                           # against brute force in float64
+    wrt.device.launch(kernel, n, [scene.handle(), ...])  # kernels of your own that trace rays: wrt.device.closest_hit ...
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
 Names are loaded when they are first used, so that `import wrt` costs little more than `import warp`.
@@ -32,6 +33,7 @@ _HOME = {
     "Scene": "wrt.scene",
     "TriangleMesh": "wrt.mesh",
     "Verification": "wrt.verification",
+    "device": "wrt",
     "get_num_threads": "wrt.kernels.launch",
     "render": "wrt.rendering",
     "save_image": "wrt.image",

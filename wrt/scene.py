@@ -58,7 +58,7 @@ class Scene(Queries):
         self.meshes = _as_meshes(geometry)
         self.accelerator = resolve_accelerator(accelerator)
         self.triangle_test = _as_test(triangle_test)
-        self.device = _as_device(device)
+        self.device = as_device(device)
         self.num_threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
         vertices, faces, first = _join(self.meshes)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -116,10 +116,19 @@ class Scene(Queries):
 
         return scene_statistics(self)
 
-    def triangles(self, plan: Plan, rays: RayBatch) -> TriangleBlocks:
+    def handle(self) -> Any:
+        """The scene for kernels of your own: what the functions of `wrt.device` take.
+
+        A struct that refers to the scene's arrays and keeps them alive; made in some 0.1 ms.
+        """
+        from wrt.device import handle_of
+
+        return handle_of(self)
+
+    def triangles(self, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
         """The triangles in the order of the tree's leaves ("none": of their ids), as the plan's triangle test stores them.
 
-        Made once; records that depend on the rays' shared origin are made again when it has changed.
+        Made once; records that depend on the rays' shared origin are made again when it has changed. Others need no rays.
         """
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks
@@ -163,7 +172,12 @@ def _as_test(name: str) -> str:
     return lookup(TRIANGLE_TESTS, name, "triangle_test").name
 
 
-def _as_device(device: str | wp.Device | None) -> wp.Device:
+def as_device(device: str | wp.Device | None) -> wp.Device:
+    """The device of that name; Warp's default device for None.
+
+    Raises:
+        ValueError: it is not there.
+    """
     wp.init()
     try:
         return wp.get_device(device)

@@ -8,8 +8,10 @@ CLOSEST = "closest"
 ANY = "any"
 COUNT = "count"
 ALL = "all"
+NEXT = "next"
 QUERIES = (CLOSEST, ANY, COUNT, ALL)
-"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them."""
+"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them. `NEXT`, the crossing
+that follows a given one, is asked only inside kernels (`wrt.kernels.device`), where the other is at hand."""
 
 NEAREST_QUERIES = (CLOSEST, ANY)
 """Those that need one hit: a triangle test's inclusive forms answer them."""
@@ -22,7 +24,7 @@ class TraversalConfig:
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
         width: triangles a block, and children of a wide node, 1 to 16.
-        query: one of `QUERIES`.
+        query: one of `QUERIES`, or `NEXT`.
         coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
         counters: whether work per ray is counted (`wrt.kernels.traversal.leaf.Counters`).
         levels: inner nodes on a path that the stack has room for; at least the depth of a wide tree.
@@ -52,4 +54,4 @@ class TraversalConfig:
     @property
     def crossing(self) -> bool:
         """Whether each crossing of a surface is wanted exactly once."""
-        return self.query in (COUNT, ALL)
+        return self.query in (COUNT, ALL, NEXT)

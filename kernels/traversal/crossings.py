@@ -1,4 +1,4 @@
-"""Crossings: what the queries "count" and "all" do with a hit, and how a kd-tree reports each of them once.
+"""Crossings: what the queries "count", "all" and "next" do with a hit, and how a kd-tree reports each of them once.
 
 **Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the same hit comes out. A
 count has no such luck. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one
@@ -16,6 +16,8 @@ the triangle straddles the plane, t is in the near interval or beyond its end, a
 does not, its box lies on one side, t is in the interval of the box, and rounding is monotone. A leaf whose interval holds t
 is visited. A triangle in the plane itself is in one of the children only; the one who asks has it.
 
+The next crossing needs none of that: found in two leaves it is still the same one.
+
 **Cost.** A leaf asks only about a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one in
 many thousands.
 """
@@ -29,8 +31,8 @@ from wrt.kernels.boxes import RaySlabs, cross_plane
 from wrt.kernels.kdtree import KdNodes
 from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.rays import HitBatch
-from wrt.kernels.traversal.config import ALL, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, clamp_block
+from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
@@ -48,9 +50,23 @@ def place_of(hits: wp.ref[HitBatch], i: int, number: int):
     return place
 
 
+@wp.func
+def take_next(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+    """Keeps the first of the crossings that come after the one that `hits` names."""
+    is_later = t > hits.after_t or (t == hits.after_t and primitive > hits.after_primitive)
+    if is_later and improves(t, primitive, hits.after_t, best):
+        best.t = t
+        best.primitive = primitive
+        best.u = u
+        best.v = v
+    return best
+
+
 @cache
 def take_crossing(config: TraversalConfig) -> wp.Function:
     """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more crossing of ray i."""
+    if config.query == NEXT:
+        return take_next
     storing = config.query == ALL
 
     @wp.func
@@ -76,7 +92,8 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
     intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width)
-    take, owns, shared = take_crossing(config), owns_crossing(config.triangle_test, width), Tree is KdNodes
+    take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
+    shared = Tree is KdNodes and config.query != NEXT
 
     @wp.func
     def step(

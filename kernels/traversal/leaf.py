@@ -24,7 +24,7 @@ class Candidate:
     t: float
     """Its t; before the first hit, the ray's t_max."""
     primitive: int
-    """-1 before the first hit. In queries that count crossings, their number so far less one; there t stays the ray's t_max."""
+    """-1 before the first hit. In queries for all crossings, their number so far less one; there t stays the ray's t_max."""
     u: float
     v: float
 

@@ -1,0 +1,233 @@
+"""Ray queries inside kernels that are not ours: what a `@wp.kernel` of a user's calls, ray by ray.
+
+**Problem.** A query of a whole batch takes arrays and leaves arrays. Ambient occlusion, a path, a sensor model or a search that
+depends on what was hit want to go on with the ray where it is, inside one kernel, on the CPU and on CUDA.
+
+**Idea.** The walks of the single-ray traversals are functions already. What they need of a scene travels in one struct, the
+handle. They are specialised for a kind of tree, its width and its depth, and Warp picks functions by the types of their
+arguments: so each specialisation has a type of handle of its own, and the four `search_*` functions below one overload for each
+type. What a user calls takes `Any` handle; a kernel that does so too serves every scene on every device, compiled once for each
+type of handle it meets.
+
+**Differences from the batch queries.** None in the hits: the same walks, the default triangle test, and the same rounding of
+rays (`wrt.kernels.rays`), to the bit. Waiting children lie in local memory: a block of threads that somebody else launches may
+have any size, so its shared memory cannot be planned. Lists of hits have no place to go: `next_hit` finds the one that follows
+a given one, by t, then by triangle, in a search of its own from there on.
+
+**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are: `kernel` below does
+that. Warp refuses the first; with the second, rays may slip between triangles.
+"""
+
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from wrt.kernels.bvh import WideNodes
+from wrt.kernels.hits import SceneMesh, geometry_of, hit_normal, hit_position
+from wrt.kernels.kdtree import KdNodes
+from wrt.kernels.rays import HitBatch, Ray, checked_ray
+from wrt.kernels.spawn import spawn_origin
+from wrt.kernels.traversal import single, single_bvh
+from wrt.kernels.traversal.config import ANY, CLOSEST, COUNT, NEXT, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, Counters, start
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+TRIANGLE_TEST = "woop"
+"""Watertight, and one of those that count crossings exactly."""
+
+TREES = {"bvh": (WideNodes, single_bvh.make_walk), "kdtree": (KdNodes, single.make_walk)}
+"""For each kind of tree its struct, and the walk through it."""
+
+
+@wp.struct
+class Hit:
+    """Where a ray meets a triangle."""
+
+    t: float
+    """In units of the direction's length; inf for a miss."""
+    primitive_id: int
+    """Index of the triangle within its geometry; -1 for a miss."""
+    geometry_id: int
+    """Index of the mesh within the scene; -1 for a miss."""
+    uv: wp.vec2
+    """Weights of the triangle's second and third vertex; 0 for a miss."""
+    triangle: int
+    """Index of the triangle within the scene; -1 for a miss."""
+
+
+@wp.struct
+class NoScene:
+    """The handle of no scene: it holds a place in the functions below until there are scenes."""
+
+    nothing: int
+
+
+@wp.func
+def search_closest(scene: NoScene, ray: Ray, after: int):
+    """The closest hit of a valid ray. One overload for each type of handle, as for the next three."""
+    return start(ray.t_max)
+
+
+@wp.func
+def search_any(scene: NoScene, ray: Ray, after: int):
+    """A hit, if there is one."""
+    return start(ray.t_max)
+
+
+@wp.func
+def search_count(scene: NoScene, ray: Ray, after: int):
+    """A candidate whose primitive is the number of crossings, less one."""
+    return start(ray.t_max)
+
+
+@wp.func
+def search_next(scene: NoScene, ray: Ray, after: int):
+    """The first crossing that comes after that of triangle number `after` at t_min; the other three ignore it."""
+    return start(ray.t_max)
+
+
+SEARCHES = {CLOSEST: search_closest, ANY: search_any, COUNT: search_count, NEXT: search_next}
+
+
+@cache
+def handle_type(kind: str, width: int, levels: int) -> type:
+    """The struct that a scene with such a tree hands to kernels; the functions above have an overload for it from then on.
+
+    Args:
+        kind: key in `TREES`.
+        width, levels: as in `TraversalConfig`.
+    """
+    Tree, make_walk = TREES[kind]
+
+    class Handle:
+        tree: Tree
+        triangles: TriangleBlocks
+        mesh: SceneMesh
+
+    Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}"
+    handle = wp.struct(Handle)
+    for query, search in SEARCHES.items():
+        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, levels=levels)
+        search.add_overload(make_search(handle, make_walk(config)))
+    return handle
+
+
+def make_search(handle: type, walk: wp.Function) -> wp.Function:
+    """`wp.func(scene, ray, after) -> best`."""
+
+    @wp.func
+    def search(scene: handle, ray: Ray, after: int):
+        hits = HitBatch()
+        hits.after_t = ray.t_min
+        hits.after_primitive = after
+        work = Counters()
+        return walk(scene.tree, scene.triangles, ray, hits, 0, work)
+
+    return search
+
+
+@wp.func
+def ray_in(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
+    """A ray of the caller's, relative to the scene's centre: a float64 origin is rounded only there."""
+    return checked_ray(wp.vec3(wp.vec3d(origin) - scene.mesh.center), wp.vec3(direction), t_min, t_max)
+
+
+@wp.func
+def hit_of(scene: Any, best: Candidate):
+    """What a caller gets to see of a search's result."""
+    hit = Hit()
+    hit.t = wp.inf
+    hit.primitive_id = -1
+    hit.geometry_id = -1
+    hit.triangle = -1
+    if best.primitive >= 0:
+        hit.t = best.t
+        hit.triangle = best.primitive
+        hit.uv = wp.vec2(best.u, best.v)
+        hit.geometry_id = geometry_of(scene.mesh, best.primitive)
+        hit.primitive_id = best.primitive - scene.mesh.geometry_first[hit.geometry_id]
+    return hit
+
+
+# -- what users call ---------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def closest_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
+    """The closest `Hit` of a ray, what `Scene.intersect` finds for it.
+
+    Args:
+        scene: `Scene.handle()`.
+        origin, direction: vec3 or vec3d, in the scene's coordinates; the direction has any length. A ray with a NaN or an
+            infinity, or with a direction of zero, misses.
+        t_min, t_max: a hit counts if t_min <= t <= t_max; 0 <= t_min.
+    """
+    ray = ray_in(scene, origin, direction, t_min, t_max)
+    best = start(t_max)
+    if ray.valid:
+        best = search_closest(scene, ray, -1)
+    return hit_of(scene, best)
+
+
+@wp.func
+def any_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
+    """Whether a ray hits anything, as `Scene.occluded` says. Arguments as in `closest_hit`."""
+    ray = ray_in(scene, origin, direction, t_min, t_max)
+    best = start(t_max)
+    if ray.valid:
+        best = search_any(scene, ray, -1)
+    return best.primitive >= 0
+
+
+@wp.func
+def count_hits(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
+    """How often a ray crosses a surface, as `Scene.count` says. Arguments as in `closest_hit`."""
+    ray = ray_in(scene, origin, direction, t_min, t_max)
+    best = start(t_max)
+    if ray.valid:
+        best = search_count(scene, ray, -1)
+    return best.primitive + 1
+
+
+@wp.func
+def first_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
+    """The first of all hits of a ray, in the order of `Scene.intersect_all`; `next_hit` has the others.
+
+    Each crossing of a surface is one hit. (`closest_hit` may name another of the triangles at an edge.) Arguments as there.
+    """
+    ray = ray_in(scene, origin, direction, t_min, t_max)
+    best = start(t_max)
+    if ray.valid:
+        best = search_next(scene, ray, -1)
+    return hit_of(scene, best)
+
+
+@wp.func
+def next_hit(scene: Any, origin: Any, direction: Any, hit: Hit, t_max: float):
+    """The `Hit` that follows one of `first_hit` or `next_hit` on the same ray; after a miss, a miss."""
+    ray = ray_in(scene, origin, direction, hit.t, t_max)
+    best = start(t_max)
+    if ray.valid and hit.triangle >= 0:
+        best = search_next(scene, ray, hit.triangle)
+    return hit_of(scene, best)
+
+
+@wp.func
+def position(scene: Any, hit: Hit):
+    """(vec3d) the point of a hit in the scene's coordinates; NaN for a miss."""
+    return hit_position(scene.mesh, hit.triangle, hit.uv)
+
+
+@wp.func
+def normal(scene: Any, hit: Hit):
+    """(vec3) unit normal of the triangle, by its winding; 0 for a miss and for a triangle without area."""
+    return hit_normal(scene.mesh, hit.triangle)
+
+
+@wp.func
+def spawn(scene: Any, hit: Hit, direction: wp.vec3):
+    """(vec3d) where a ray of this direction starts that leaves a hit, as `Hits.spawn` does it; NaN for a miss."""
+    return spawn_origin(scene.mesh, hit.triangle, hit.uv, direction)

@@ -1,0 +1,193 @@
+"""Ray queries inside a user's kernels: the hits of the batch queries, to the bit, on every kind of tree."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import DEVICES, degenerate_soup, mixed_rays
+from test_cuda_compiles import compile_to_ptx
+
+import wrt
+from wrt.kernels.device import handle_type
+
+TREES = {"keys": wrt.Bvh(), "stack": wrt.Bvh(width=4), "kdtree": wrt.KdTree()}
+"""The three walks: a BVH's with a row of keys a level, that with a stack, which is CUDA's, and the kd-tree's."""
+
+ROOM = 200
+"""More hits than any ray has here."""
+
+
+@wrt.device.kernel
+def ask_everything(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3),
+    t_max: wp.array(dtype=float),
+    closest: wp.array(dtype=wrt.device.Hit),
+    positions: wp.array(dtype=wp.vec3d),
+    normals: wp.array(dtype=wp.vec3),
+    spawned: wp.array(dtype=wp.vec3d),
+    occluded: wp.array(dtype=wp.bool),
+    counts: wp.array(dtype=int),
+    lists: wp.array2d(dtype=wrt.device.Hit),
+):
+    """Item: a ray. Every function there is."""
+    i = first + wp.tid()
+    hit = wrt.device.closest_hit(scene, origins[i], directions[i], 0.1, t_max[i])
+    closest[i] = hit
+    positions[i] = wrt.device.position(scene, hit)
+    normals[i] = wrt.device.normal(scene, hit)
+    spawned[i] = wrt.device.spawn(scene, hit, -directions[i])
+    occluded[i] = wrt.device.any_hit(scene, origins[i], directions[i], 0.1, t_max[i])
+    counts[i] = wrt.device.count_hits(scene, origins[i], directions[i], 0.1, t_max[i])
+    hit = wrt.device.first_hit(scene, origins[i], directions[i], 0.1, t_max[i])
+    number = int(0)
+    while hit.primitive_id >= 0 and number < lists.shape[1]:
+        lists[i, number] = hit
+        number += 1
+        hit = wrt.device.next_hit(scene, origins[i], directions[i], hit, t_max[i])
+
+
+@wrt.device.kernel
+def open_sky(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    samples: int,
+    light: wp.array(dtype=float),
+):
+    """Item: a ray. Ambient occlusion where it hits: the share of cosine-distributed rays from there that meet nothing."""
+    i = first + wp.tid()
+    hit = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf)
+    normal = wrt.device.normal(scene, hit)
+    normal *= -wp.sign(wp.dot(normal, directions[i]))
+    random = wp.rand_init(7, i)
+    clear = int(0)
+    if hit.primitive_id >= 0:
+        for _ in range(samples):
+            towards = normal + wp.sample_unit_sphere_surface(random)
+            if not wrt.device.any_hit(scene, wrt.device.spawn(scene, hit, towards), towards, 0.0, wp.inf):
+                clear += 1
+    light[i] = float(clear) / float(samples)
+
+
+def two_meshes(center: float) -> list[wrt.TriangleMesh]:
+    """Degenerate triangles and duplicates as one geometry, a teapot around them as another, far from the origin."""
+    soup, teapot = degenerate_soup(), wrt.scenes.build("teapot", level=3)
+    fitted = (teapot.vertices - teapot.center) / teapot.extent * 2.0 + 0.5
+    return [wrt.TriangleMesh(v.astype(np.float64) + center, m.faces) for v, m in ((soup.vertices, soup), (fitted, teapot))]
+
+
+@pytest.fixture(scope="module", params=DEVICES)
+def scenes(request: pytest.FixtureRequest) -> Iterator[dict[str, wrt.Scene]]:
+    """A scene with each tree. Their handles are made first, so that the kernel is compiled once for all of them."""
+    made = {name: wrt.Scene(two_meshes(1e7), tree, device=request.param) for name, tree in TREES.items()}
+    for scene in made.values():
+        types = ask_everything.infer_argument_types([0, scene.handle(), *outputs(0, request.param).values()])
+        ask_everything.add_overload(types)
+    return made
+
+
+def outputs(count: int, device: str) -> dict[str, wp.array]:
+    """The kernel's arrays, in its order."""
+    kinds = {"origins": wp.vec3d, "directions": wp.vec3, "t_max": float, "closest": wrt.device.Hit, "positions": wp.vec3d}
+    kinds |= {"normals": wp.vec3, "spawned": wp.vec3d, "occluded": wp.bool, "counts": int}
+    arrays = {name: wp.zeros(count, dtype=kind, device=device) for name, kind in kinds.items()}
+    return arrays | {"lists": wp.zeros((count, ROOM), dtype=wrt.device.Hit, device=device)}
+
+
+def answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray, t_max: np.ndarray) -> SimpleNamespace:
+    """What the kernel finds, as NumPy arrays."""
+    arrays = outputs(len(origins), str(scene.device))
+    for name, values in (("origins", origins), ("directions", directions), ("t_max", t_max)):
+        arrays[name].assign(values)
+    wrt.device.launch(ask_everything, len(origins), [scene.handle(), *arrays.values()], device=scene.device)
+    return SimpleNamespace(**{name: values.numpy() for name, values in arrays.items()})
+
+
+def assert_equal_hits(found: np.ndarray, expected: wrt.Hits | wrt.AllHits) -> None:
+    """Equal to the bit."""
+    for name in ("t", "uv"):
+        np.testing.assert_array_equal(found[name].view(np.int32), getattr(expected, name).view(np.int32))
+    np.testing.assert_array_equal(found["primitive_id"], expected.primitive_id)
+    np.testing.assert_array_equal(found["geometry_id"], expected.geometry_id)
+
+
+@pytest.mark.parametrize("tree", TREES)
+def test_same_as_batch_queries(scenes, tree):
+    """Rays of every kind, bad ones too, in float64 at 1e7 from the origin, in ranges of t of their own."""
+    scene = scenes[tree]
+    origins, directions = mixed_rays(wrt.TriangleMesh.concatenate(two_meshes(0.0)), 3001, seed=4)
+    origins = origins.astype(np.float64) + 1e7
+    t_max = np.where(np.arange(3001) % 3, np.inf, 0.9).astype(np.float32)
+    t_max[:2] = np.nan, 0.05
+    origins[:2], directions[:2] = 1e7 - 2.0, 1.0
+    found = answers(scene, origins, directions, t_max)
+    t_max[0] = 0.05  # a NaN is refused in a batch; here it makes the ray miss, as an empty range does
+    rays, batch = wrt.Rays(origins, directions, 0.1, t_max), scenes["keys"]
+    hits, lists = batch.intersect(rays), batch.intersect_all(rays)
+    assert 0.3 < hits.is_hit.mean() < 0.95
+    assert lists.count.max() > 20
+    assert_equal_hits(found.closest, hits)
+    np.testing.assert_array_equal(found.occluded, batch.occluded(rays))
+    np.testing.assert_array_equal(found.counts, lists.count)
+    listed = np.concatenate([row[:count] for row, count in zip(found.lists, lists.count, strict=True)])
+    assert_equal_hits(listed, lists)
+    np.testing.assert_array_equal(found.positions, hits.position)
+    np.testing.assert_array_equal(found.normals, hits.normal.astype(np.float32))
+    np.testing.assert_array_equal(found.spawned, hits.spawn(-directions))
+
+
+def test_ambient_occlusion(device):
+    """On a floor beneath half a ceiling, in closed form; and the same whatever the number of threads."""
+    floor = np.array([[-9, -9, 0], [9, -9, 0], [9, 9, 0], [-9, 9, 0]], dtype=np.float32)
+    ceiling = np.array([[0, -300, 1], [300, -300, 1], [300, 300, 1], [0, 300, 1]], dtype=np.float32)
+    square = [[0, 1, 2], [0, 2, 3]]
+    mesh = wrt.TriangleMesh(np.concatenate([floor, ceiling]), np.concatenate([square, np.add(square, 4)]))
+    scene = wrt.Scene(mesh, device=device)
+    x = np.array([-3.0, -1.0, 0.0, 1.0, 3.0, 20.0])
+    origins = wp.array(np.stack([x, 0 * x, 0 * x + 0.5], axis=1), dtype=wp.vec3, device=device)
+    down = wp.array(np.tile([0.0, 0.0, -1.0], (6, 1)), dtype=wp.vec3, device=device)
+    light = [wp.zeros(6, dtype=float, device=device) for _ in range(2)]
+    for threads, out in zip((1, 2), light, strict=True):
+        inputs = [scene.handle(), origins, down, 20_000, out]
+        wrt.device.launch(open_sky, 6, inputs, device=device, num_threads=threads, chunk=1)
+    share = (1 - x / np.sqrt(1 + x * x)) / 2  # of the projected hemisphere, the part left of the ceiling's edge
+    np.testing.assert_allclose(light[0].numpy()[:5], share[:5], atol=0.015)
+    assert light[0].numpy()[5] == 0.0
+    np.testing.assert_array_equal(*(out.numpy() for out in light))
+
+
+@pytest.mark.parametrize(("kind", "width", "levels"), [("bvh", 2, 24), ("kdtree", 2, 0)])
+def test_cuda(kind, width, levels, tmp_path):
+    """As a scene on CUDA asks for it: compiled without memory of the block, which belongs to whoever launches."""
+    kernel = wrt.device.kernel(ask_everything.func)
+    kernel.add_overload(kernel.infer_argument_types([0, handle_type(kind, width, levels)(), *outputs(0, "cpu").values()]))
+    text = compile_to_ptx(kernel.module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text
+    assert not re.search(r"\.shared.*words", text)
+
+
+@wp.kernel(enable_backward=False)
+def no_first(item: int, out: wp.array(dtype=int)):
+    out[item + wp.tid()] = item
+
+
+def test_bad_launches():
+    out = wp.zeros(4, dtype=int, device="cpu")
+    with pytest.raises(TypeError, match="kernel must be made by"):
+        wrt.device.launch(print, 4, [out])
+    with pytest.raises(TypeError, match="first: int"):
+        wrt.device.launch(no_first, 4, [out], device="cpu")
+    with pytest.raises(ValueError, match="num_threads"):
+        wrt.device.launch(open_sky, 4, [], num_threads=0)
+    with pytest.raises(ValueError, match="cuda:99"):
+        wrt.device.launch(open_sky, 4, [], device="cuda:99")

@@ -1,0 +1,144 @@
+"""Rays inside your own Warp kernels, on the CPU and on CUDA.
+
+    import warp as wp
+    import wrt
+
+    @wrt.device.kernel
+    def thickness(first: int, scene: wrt.device.SceneHandle, points: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+        i = first + wp.tid()
+        down = wp.vec3(0.0, 0.0, -1.0)
+        hit = wrt.device.first_hit(scene, points[i], down, 0.0, wp.inf)
+        while hit.primitive_id >= 0:
+            leaves = wrt.device.next_hit(scene, points[i], down, hit, wp.inf)
+            out[i] += wp.where(leaves.primitive_id >= 0, leaves.t - hit.t, 0.0)
+            hit = wrt.device.next_hit(scene, points[i], down, leaves, wp.inf)
+
+    wrt.device.launch(thickness, len(points), [scene.handle(), points, out])
+
+A kernel gets a scene as `scene.handle()`, in a parameter of the type `SceneHandle`, and calls, for one ray at a time:
+
+* `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id and uv, as
+  `Scene.intersect` gives them, to the bit;
+* `any_hit(...)`: a bool, as `Scene.occluded`; `count_hits(...)`: an int, as `Scene.count`;
+* `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until one misses: all hits, as
+  `Scene.intersect_all`. Each is a search of its own from the last one on: nothing is stored, and there is no bound;
+* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as of `wrt.Hits`.
+
+Positions are in the scene's coordinates, vec3 or vec3d: the way to its centre, in float64, is taken inside. A kernel that
+calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which Warp insists on, and
+without fused multiply-add, without which hits differ and rays slip between triangles. It is compiled once for each kind, width
+and (in steps of eight levels) depth of tree that it meets; code and results are the same for every device.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from wrt.kernels import launch as launching
+from wrt.kernels.device import (
+    TRIANGLE_TEST,
+    Hit,
+    any_hit,
+    closest_hit,
+    count_hits,
+    first_hit,
+    handle_type,
+    next_hit,
+    normal,
+    position,
+    spawn,
+)
+from wrt.plan import Plan, stack_levels
+
+if TYPE_CHECKING:
+    from wrt.scene import Scene
+
+__all__ = [
+    "Hit",
+    "SceneHandle",
+    "any_hit",
+    "closest_hit",
+    "count_hits",
+    "first_hit",
+    "kernel",
+    "launch",
+    "next_hit",
+    "normal",
+    "position",
+    "spawn",
+]
+
+_lock = threading.Lock()
+
+SceneHandle = Any
+"""Type of a kernel's parameter that is a scene's handle. (Scenes with different trees have handles of different types.)"""
+
+kernel: Callable[[Callable], wp.Kernel] = partial(
+    wp.kernel, module="unique", enable_backward=False, module_options={"fuse_fp": False}
+)
+"""`wp.kernel` with the options that ray queries need: the decorator of kernels that call them."""
+
+
+def launch(
+    kernel: wp.Kernel,
+    count: int,
+    inputs: Sequence[Any],
+    *,
+    device: str | wp.Device | None = None,
+    num_threads: int | None = None,
+    chunk: int = 256,
+) -> None:
+    """Runs a kernel over the items 0 .. count - 1, on the CPU with all threads. (`wp.launch` runs it there on one.)
+
+    The items are cut into chunks, one launch each; the result must not depend on how. On CUDA it is one launch.
+
+    Args:
+        kernel: its first parameter is `first: int`; it works on item `first + wp.tid()`.
+        count: number of items.
+        inputs: the kernel's other arguments.
+        device: where they live; None for Warp's default device.
+        num_threads: on the CPU; None for `wrt.get_num_threads()`.
+        chunk: on the CPU, the least number of items that is worth a launch of its own (some 20 us).
+
+    Raises:
+        TypeError: `kernel` is none, or has another first parameter; `num_threads` is no int.
+        ValueError: there is no such device, or `num_threads` is out of range.
+    """
+    from wrt.scene import as_device
+
+    if not isinstance(kernel, wp.Kernel):
+        raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
+    if not kernel.adj.args or kernel.adj.args[0].label != "first":
+        raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter: its chunk's first item")
+    if num_threads is not None:
+        launching.check_num_threads(num_threads, "num_threads")
+    target = as_device(device)
+    if kernel.is_generic:
+        kernel = kernel.add_overload(kernel.infer_argument_types([0, *inputs]))
+    with launching.use_threads(num_threads):
+        launching.launch(kernel, count, inputs, device=target, chunk=chunk)
+
+
+def handle_of(scene: Scene) -> Any:
+    """What kernels get of a scene: `Scene.handle`."""
+    plan = Plan(
+        accelerator=scene.accelerator.kind,
+        traversal="single",
+        triangle_test=TRIANGLE_TEST,
+        width=scene.tree.width,
+        coherent=False,
+        shared_origin=False,
+        reason="inside a kernel",
+    )
+    levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" else 0
+    with _lock:
+        handle = handle_type(plan.accelerator, plan.width, levels)()
+    handle.tree = scene.tree.struct()
+    handle.triangles = scene.triangles(plan, None)
+    handle.mesh = scene.device_mesh
+    return handle
