@@ -23,23 +23,19 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.bvh import WideNodes
 from wrt.kernels.hits import SceneMesh, geometry_of, hit_normal, hit_position
-from wrt.kernels.kdtree import KdNodes
-from wrt.kernels.rays import HitBatch, Ray, checked_ray
+from wrt.kernels.rays import Ray, checked_ray
 from wrt.kernels.spawn import spawn_origin
-from wrt.kernels.traversal import single, single_bvh
 from wrt.kernels.traversal.config import ANY, CLOSEST, COUNT, NEXT, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, Counters, start
+from wrt.kernels.traversal.results import Passed, results_of
+from wrt.kernels.traversal.walk_table import WALKS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TRIANGLE_TEST = "woop"
 """Watertight, and one of those that count crossings exactly."""
-
-TREES = {"bvh": (WideNodes, single_bvh.make_walk), "kdtree": (KdNodes, single.make_walk)}
-"""For each kind of tree its struct, and the walk through it."""
 
 
 @wp.struct
@@ -97,10 +93,10 @@ def handle_type(kind: str, width: int, levels: int) -> type:
     """The struct that a scene with such a tree hands to kernels; the functions above have an overload for it from then on.
 
     Args:
-        kind: key in `TREES`.
+        kind: key in `WALKS`.
         width, levels: as in `TraversalConfig`.
     """
-    Tree, make_walk = TREES[kind]
+    Tree, make_walk = WALKS[kind]
 
     class Handle:
         tree: Tree
@@ -111,18 +107,20 @@ def handle_type(kind: str, width: int, levels: int) -> type:
     handle = wp.struct(Handle)
     for query, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, levels=levels)
-        search.add_overload(make_search(handle, make_walk(config)))
+        search.add_overload(make_search(handle, make_walk(config), results_of(query)))
     return handle
 
 
-def make_search(handle: type, walk: wp.Function) -> wp.Function:
+def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
     """`wp.func(scene, ray, after) -> best`."""
+    passing = Results is Passed
 
     @wp.func
     def search(scene: handle, ray: Ray, after: int):
-        hits = HitBatch()
-        hits.after_t = ray.t_min
-        hits.after_primitive = after
+        hits = Results()
+        if wp.static(passing):
+            hits.t = ray.t_min
+            hits.primitive = after
         work = Counters()
         return walk(scene.tree, scene.triangles, ray, hits, 0, work)
 

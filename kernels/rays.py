@@ -67,9 +67,6 @@ class HitBatch:
     """Hits of each ray, those for which there was no room included."""
     room: int
     begins: wp.array(dtype=int)
-    after_t: float
-    """A query for the next hit looks for those that come after this one, by t, then by primitive; it writes nothing."""
-    after_primitive: int
 
 
 @wp.func

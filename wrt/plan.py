@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 AUTO = "auto"
-CLOSEST, ANY, COUNT, ALL = "closest", "any", "count", "all"
+CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
 
 ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
 

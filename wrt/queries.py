@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
+from wrt.precision import find_precisely
 from wrt.rays import Rays, to_device
 from wrt.tables import lookup
 from wrt.tracing import trace
@@ -29,6 +30,7 @@ class Queries:
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         counters: bool = False,
+        precise: bool = False,
     ) -> Hits:
         """Closest hits.
 
@@ -43,14 +45,22 @@ class Queries:
                 the plan's triangle test then counts.
             triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
             counters: whether to count each ray's work (`Hits.counters`).
+            precise: whether to answer as brute force in float64 would, on rays and vertices as they were given (float32 ones
+                are taken to be exact): which triangle is hit, t, uv, position and normal, the last four in float64. A direction
+                that is 0 or infinite in float32 misses. It has a traversal and a triangle test of its own.
 
         Raises:
             TypeError: an argument is of a wrong type.
-            ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device.
+            ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
+                `precise` together with a traversal, a triangle test or counters.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
+            if precise:
+                if (traversal, triangle_test, counters) != (AUTO, AUTO, False):
+                    raise ValueError("precise=True takes no traversal, triangle_test or counters; leave them out")
+                return find_precisely(self, rays, buffers)
             plan = make_plan(self, buffers, traversal, triangle_test)
             batch, work = trace(self, plan, buffers, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)

@@ -223,7 +223,7 @@ def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array)
         raise ValueError(f"the leading shapes do not broadcast: {listed}") from None
 
 
-def _spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
+def spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
     """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
     leading = values.ndim - len(trailing)
     if values.shape == shape + trailing and values.flags.c_contiguous:
@@ -245,7 +245,7 @@ def _vectors(
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         values = values.flatten()
     else:
-        values, stride = _spread(values, shape, (3,))
+        values, stride = spread(values, shape, (3,))
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
         values = wp.array(values, dtype=dtype, device=device, copy=False)
     if values.dtype is wp.vec3d:
@@ -263,7 +263,7 @@ def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], devi
         if values.size != 1 and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         return values.flatten(), 0 if values.size == 1 else 1
-    values, stride = _spread(values, shape, ())
+    values, stride = spread(values, shape, ())
     return wp.array(values, dtype=float, device=device, copy=False), stride
 
 

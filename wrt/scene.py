@@ -105,6 +105,12 @@ class Scene(Queries):
         """Whether every mesh is closed."""
         return all(mesh.is_closed for mesh in self.meshes)
 
+    @cached_property
+    def exact_vertices(self) -> wp.array:
+        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64."""
+        vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
+        return wp.array(vertices.astype(np.float64), dtype=wp.vec3d, device=self.device)
+
     @property
     def record_bytes(self) -> int:
         """Memory of the triangle records made so far: queries make those that their triangle test needs."""

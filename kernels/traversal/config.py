@@ -8,10 +8,12 @@ CLOSEST = "closest"
 ANY = "any"
 COUNT = "count"
 ALL = "all"
-NEXT = "next"
 QUERIES = (CLOSEST, ANY, COUNT, ALL)
-"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them. `NEXT`, the crossing
-that follows a given one, is asked only inside kernels (`wrt.kernels.device`), where the other is at hand."""
+"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them."""
+
+NEXT, EXACT = "next", "exact"
+"""Queries of the single-ray walks alone: the crossing that follows a given one (`wrt.kernels.device`), and the closest hit in
+float64 (`wrt.kernels.exact`)."""
 
 NEAREST_QUERIES = (CLOSEST, ANY)
 """Those that need one hit: a triangle test's inclusive forms answer them."""
@@ -24,7 +26,7 @@ class TraversalConfig:
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
         width: triangles a block, and children of a wide node, 1 to 16.
-        query: one of `QUERIES`, or `NEXT`.
+        query: one of `QUERIES`, or `NEXT` or `EXACT`.
         coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
         counters: whether work per ray is counted (`wrt.kernels.traversal.leaf.Counters`).
         levels: inner nodes on a path that the stack has room for; at least the depth of a wide tree.
@@ -55,3 +57,8 @@ class TraversalConfig:
     def crossing(self) -> bool:
         """Whether each crossing of a surface is wanted exactly once."""
         return self.query in (COUNT, ALL, NEXT)
+
+    @property
+    def own_step(self) -> bool:
+        """Whether leaves are tested by a step that takes more than the closest of its triangles."""
+        return self.crossing or self.query == EXACT

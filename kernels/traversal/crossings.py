@@ -33,6 +33,7 @@ from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
+from wrt.kernels.traversal.results import Passed, results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
@@ -51,10 +52,10 @@ def place_of(hits: wp.ref[HitBatch], i: int, number: int):
 
 
 @wp.func
-def take_next(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
-    """Keeps the first of the crossings that come after the one that `hits` names."""
-    is_later = t > hits.after_t or (t == hits.after_t and primitive > hits.after_primitive)
-    if is_later and improves(t, primitive, hits.after_t, best):
+def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+    """Keeps the first of the crossings that come after the one that was passed."""
+    is_later = t > passed.t or (t == passed.t and primitive > passed.primitive)
+    if is_later and improves(t, primitive, passed.t, best):
         best.t = t
         best.primitive = primitive
         best.u = u
@@ -87,13 +88,13 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
 def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the crossings in one block.
 
-    node: the leaf. interval: of t in which the ray, number i, is in it; bounds included.
+    node: the leaf. hits: `results_of(query)`. interval: of t in which the ray, number i, is in it; bounds included.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
     intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width)
     take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
-    shared = Tree is KdNodes and config.query != NEXT
+    shared, Results = Tree is KdNodes and config.query != NEXT, results_of(config.query)
 
     @wp.func
     def step(
@@ -104,7 +105,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
         block: int,
         state: RayState,
         slabs: wp.ref[RaySlabs],
-        hits: wp.ref[HitBatch],
+        hits: wp.ref[Results],
         i: int,
         best: Candidate,
     ):

@@ -37,9 +37,11 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.config import ANY, EXACT, TraversalConfig
 from wrt.kernels.traversal.crossings import crossing_step
+from wrt.kernels.traversal.exact import exact_step
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.results import results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -116,15 +118,16 @@ def step_selecting(
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    every_hit = config.crossing
-    test_block = crossing_step(config, KdNodes) if every_hit else block_step(config)
+    own_step, Results = config.own_step, results_of(config.query)
+    make_own_step = exact_step if config.query == EXACT else crossing_step
+    test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
 
     @wp.func
-    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk(tree: KdNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -156,7 +159,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    if wp.static(every_hit):
+                    if wp.static(own_step):
                         within = wp.vec2(cell.entry, cell.leave)
                         best = test_block(tree, cell.node, within, triangles, block, state, slabs, hits, i, best)
                     elif wp.static(remembering):

@@ -30,9 +30,11 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.config import ANY, EXACT, TraversalConfig
 from wrt.kernels.traversal.crossings import crossing_step
+from wrt.kernels.traversal.exact import exact_step
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
+from wrt.kernels.traversal.results import results_of
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -53,8 +55,9 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, child, state, slabs, t_min, hits, i, best, work) -> best`: tests the triangles of a leaf."""
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    crossing = config.crossing
-    test_block = crossing_step(config, WideNodes) if crossing else block_step(config)
+    own_step, Results = config.own_step, results_of(config.query)
+    make_own_step = exact_step if config.query == EXACT else crossing_step
+    test_block = make_own_step(config, WideNodes) if own_step else block_step(config)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -65,7 +68,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         state: RayState,
         slabs: wp.ref[RaySlabs],
         t_min: float,
-        hits: wp.ref[HitBatch],
+        hits: wp.ref[Results],
         i: int,
         best: Candidate,
         work: wp.ref[Counters],
@@ -76,7 +79,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
             work.leaves += 1
             work.triangles += count
         while count > 0:
-            if wp.static(crossing):
+            if wp.static(own_step):
                 within = wp.vec2(t_min, best.t)
                 best = test_block(tree, child, within, triangles, block, state, slabs, hits, i, best)
             else:
@@ -140,10 +143,10 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     test_leaf, step, stacked = make_leaf(config), inner_step(config), stack_of(config)
     open_stack, pop, local = stacked.open, stacked.pop, stacked.local
-    counting, any_hit = config.counters, config.query == ANY
+    counting, any_hit, Results = config.counters, config.query == ANY, results_of(config.query)
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
@@ -177,10 +180,10 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     test_leaf, test_boxes, nearest = make_leaf(config), ray_boxes(config.width), nearest_child(config.width)
     width, counting, any_hit = config.width, config.counters, config.query == ANY
-    levels, row = config.levels, config.levels * config.width
+    levels, row, Results = config.levels, config.levels * config.width, results_of(config.query)
 
     @wp.func
-    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
         state = prepare(ray.origin, ray.direction)
