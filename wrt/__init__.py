@@ -3,10 +3,12 @@
     mesh = wrt.TriangleMesh.load("bunny.ply")
     scene = wrt.Scene(mesh)
     hits = scene.intersect(origins, directions)     # hits.t, hits.primitive_id, hits.uv, hits.position, hits.normal
+    exact = scene.intersect(origins, directions, precise=True)  # as brute force in float64
     dark = scene.occluded(origins, directions)      # bool
     lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
     seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for rays that go on
     print(scene.verify())                           # against brute force in float64
+    found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)  # for wp.Tape
     wrt.device.launch(kernel, n, [scene.handle(), ...])  # kernels of your own that trace rays: wrt.device.closest_hit ...
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
@@ -34,6 +36,7 @@ _HOME = {
     "TriangleMesh": "wrt.mesh",
     "Verification": "wrt.verification",
     "device": "wrt",
+    "differentiable_hits": "wrt.gradients",
     "get_num_threads": "wrt.kernels.launch",
     "render": "wrt.rendering",
     "save_image": "wrt.image",
