@@ -16,9 +16,11 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import Any, TypeVar
 
 import warp as wp
+
+Config = TypeVar("Config")
 
 CHUNKS_PER_THREAD = 8
 MAX_CHUNK = 1 << 16
@@ -134,6 +136,12 @@ def _chunk_size(count: int, least: int, chunks_per_thread: int) -> int:
     return -(-count // chunks)
 
 
+def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Loads a kernel's module again if it has grown: one with `Any` among its parameters does with each type that it meets."""
+    with _lock:
+        kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
+
+
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
     """Compiles and loads the kernels' modules, once, whatever the number of threads that ask for them at a time."""
     for kernel in kernels:
@@ -141,6 +149,15 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
             with _lock:
                 kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
                 _loaded.add((kernel, device.alias))
+
+
+def specialise(factory: Callable[[Config], wp.Kernel], config: Config) -> wp.Kernel:
+    """The kernel that a factory makes for a configuration, by one thread at a time.
+
+    Two threads that made it side by side would make its structs twice, and parts of the one do not fit those of the other.
+    """
+    with _lock:
+        return factory(config)
 
 
 def run_tasks(task: Callable[[int], Any], count: int) -> None:

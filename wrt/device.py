@@ -15,7 +15,8 @@
 
     wrt.device.launch(thickness, len(points), [scene.handle(), points, out])
 
-A kernel gets a scene as `scene.handle()`, in a parameter of the type `SceneHandle`, and calls, for one ray at a time:
+A kernel gets a scene as `scene.handle()`, which is the scene at that time, in a parameter of the type `SceneHandle`. It calls,
+for one ray at a time:
 
 * `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id and uv, as
   `Scene.intersect` gives them, to the bit;
@@ -25,14 +26,13 @@ A kernel gets a scene as `scene.handle()`, in a parameter of the type `SceneHand
 * `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as of `wrt.Hits`.
 
 Positions are in the scene's coordinates, vec3 or vec3d: the way to its centre, in float64, is taken inside. A kernel that
-calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which Warp insists on, and
-without fused multiply-add, without which hits differ and rays slip between triangles. It is compiled once for each kind, width
-and (in steps of eight levels) depth of tree that it meets; code and results are the same for every device.
+calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, on which Warp insists, and
+without fused multiply-add, with which hits may differ and rays may slip between triangles. It is compiled once for each kind,
+width and (in steps of eight levels) depth of tree that it meets; results are the same on every device.
 """
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -72,8 +72,6 @@ __all__ = [
     "position",
     "spawn",
 ]
-
-_lock = threading.Lock()
 
 SceneHandle = Any
 """Type of a kernel's parameter that is a scene's handle. (Scenes with different trees have handles of different types.)"""
@@ -120,6 +118,7 @@ def launch(
     target = as_device(device)
     if kernel.is_generic:
         kernel = kernel.add_overload(kernel.infer_argument_types([0, *inputs]))
+        launching.load_changed(kernel, target)
     with launching.use_threads(num_threads):
         launching.launch(kernel, count, inputs, device=target, chunk=chunk)
 
@@ -136,8 +135,7 @@ def handle_of(scene: Scene) -> Any:
         reason="inside a kernel",
     )
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" else 0
-    with _lock:
-        handle = handle_type(plan.accelerator, plan.width, levels)()
+    handle = launching.specialise(partial(handle_type, plan.accelerator, plan.width), levels)()
     handle.tree = scene.tree.struct()
     handle.triangles = scene.triangles(plan, None)
     handle.mesh = scene.device_mesh

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from wrt.hits import Hits
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 from wrt.memory import empty
 from wrt.plan import DEFAULT_TEST, EXACT, make_plan, traversal_config
 from wrt.rays import as_vectors, spread
@@ -66,7 +66,7 @@ def find_precisely(scene: Scene, rays: Rays, buffers: RayBuffers) -> PreciseHits
     hits.uv = empty(buffers.count, wp.vec2d, scene.device)
     center = wp.vec3d(*map(float, scene.center))
     inputs = [scene.tree.struct(), scene.triangles(plan, None), mesh, center, exact_rays(rays, buffers, scene.device), hits]
-    kernel = make_kernel(plan.accelerator, traversal_config(plan, scene, EXACT, False))
+    kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
     launch(kernel, buffers.count, inputs, device=scene.device)
     return PreciseHits(hits, mesh, buffers, scene, plan)
 

@@ -105,11 +105,15 @@ class Scene(Queries):
         """Whether every mesh is closed."""
         return all(mesh.is_closed for mesh in self.meshes)
 
-    @cached_property
+    @property
     def exact_vertices(self) -> wp.array:
-        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64."""
-        vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
-        return wp.array(vertices.astype(np.float64), dtype=wp.vec3d, device=self.device)
+        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64; made once."""
+        made_for, array = self.__dict__.get("_exact", (None, None))
+        if made_for is not self.meshes:
+            vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
+            array = wp.array(vertices.astype(np.float64), dtype=wp.vec3d, device=self.device)
+            self._exact = self.meshes, array
+        return array
 
     @property
     def record_bytes(self) -> int:
