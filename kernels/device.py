@@ -6,16 +6,16 @@ depends on what was hit want to go on with the ray where it is, inside one kerne
 **Idea.** The walks of the single-ray traversals are functions already. What they need of a scene travels in one struct, the
 handle. They are specialised for a kind of tree, its width and its depth, and Warp picks functions by the types of their
 arguments: so each specialisation has a type of handle of its own, and the four `search_*` functions below one overload for each
-type. What a user calls takes `Any` handle; a kernel that does so too serves every scene on every device, compiled once for each
-type of handle it meets.
+type. What a user calls takes any of them (`typing.Any`). A kernel that does so too serves every scene on every device; Warp
+compiles it for each type of handle that it meets.
 
 **Differences from the batch queries.** None in the hits: the same walks, the default triangle test, and the same rounding of
 rays (`wrt.kernels.rays`), to the bit. Waiting children lie in local memory: a block of threads that somebody else launches may
 have any size, so its shared memory cannot be planned. Lists of hits have no place to go: `next_hit` finds the one that follows
 a given one, by t, then by triangle, in a search of its own from there on.
 
-**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are: `kernel` below does
-that. Warp refuses the first; with the second, rays may slip between triangles.
+**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are. Warp refuses the
+former; with the latter, hits may differ and rays may slip between triangles.
 """
 
 from functools import cache

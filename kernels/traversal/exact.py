@@ -14,6 +14,9 @@ the answer is that of brute force in float64 over all triangles.
 through. An area is the difference of two products, and rounding is monotone, so its sign is right or it is zero. Zero counts
 as inside: no ray slips through at an edge or a vertex.
 
+**Limits.** Where a triangle is so thin that even float64 cannot tell where along it a ray passes (lower than 1e-16 of the ray's
+reach), its t may come out before its box is met; whether that hit is found then depends on the tree.
+
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
     T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.
