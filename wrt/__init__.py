@@ -26,6 +26,8 @@ _HOME = {
     "KdTree": "wrt.accelerator",
     "OrthographicCamera": "wrt.camera",
     "PinholeCamera": "wrt.camera",
+    "PlaneInfluenceArea": "wrt.builders.influence",
+    "PointInfluenceArea": "wrt.builders.influence",
     "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
     "RaycastingScene": "wrt.adapters.open3d_rays",
