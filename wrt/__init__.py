@@ -28,6 +28,7 @@ _HOME = {
     "PinholeCamera": "wrt.camera",
     "PlaneInfluenceArea": "wrt.builders.influence",
     "PointInfluenceArea": "wrt.builders.influence",
+    "ProjectedBvh": "wrt.projected_bvh",
     "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
     "RaycastingScene": "wrt.adapters.open3d_rays",

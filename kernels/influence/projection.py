@@ -49,8 +49,10 @@ _PARALLEL = f"""{_TERMS}
     const float bottom = WRT_LESS(y0low, y0high) + WRT_LESS(y1low, y1high) + WRT_LESS(y2low, y2high);
     const float top = WRT_MORE(y0low, y0high) + WRT_MORE(y1low, y1high) + WRT_MORE(y2low, y2high);
     const float depth = WRT_LESS(z0low, z0high) + WRT_LESS(z1low, z1high) + WRT_LESS(z2low, z2high);
+    const float farthest = WRT_MORE(z0low, z0high) + WRT_MORE(z1low, z1high) + WRT_MORE(z2low, z2high);
     const bool whole = (left >= -half_x) & (right <= half_x) & (bottom >= -half_y) & (top <= half_y) & (depth >= near);
-    area = whole ? area : -1.0f;
+    const bool outside = (left > half_x) | (right < -half_x) | (bottom > half_y) | (top < -half_y) | (farthest < near);
+    area = whole ? area : outside ? 0.0f : -1.0f;
 """
 
 _ENDS = [["high" if corner >> axis & 1 else "low" for axis in range(3)] for corner in range(8)]
@@ -64,17 +66,21 @@ _FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), 
 _QUADRILATERALS = "\n".join(
     f"area += WRT_ABS((x{c} - x{a}) * (y{d} - y{b}) - (x{d} - x{b}) * (y{c} - y{a}));" for a, b, c, d in _FACES
 )
-_WIDEST = "\n".join(
-    f"wide = WRT_MORE(wide, WRT_ABS(x{c})); tall = WRT_MORE(tall, WRT_ABS(y{c})); depth = WRT_LESS(depth, z{c});"
-    for c in range(8)
+_EXTENT = "\n".join(
+    f"left = WRT_LESS(left, x{c}); right = WRT_MORE(right, x{c}); bottom = WRT_LESS(bottom, y{c}); top = WRT_MORE(top, y{c});"
+    f"depth = WRT_LESS(depth, z{c}); farthest = WRT_MORE(farthest, z{c});"
+    for c in range(1, 8)
 )
 
 _RADIAL = f"""{_TERMS}
 {_CORNERS}
-    float area = 0.0f, wide = 0.0f, tall = 0.0f, depth = WRT_INFINITY;
+    float area = 0.0f, left = x0, right = x0, bottom = y0, top = y0, depth = z0, farthest = z0;
 {_QUADRILATERALS}
-{_WIDEST}
-    area = (depth >= near) & (wide <= half_x) & (tall <= half_y) ? 0.25f * area : -1.0f;
+{_EXTENT}
+    const bool whole = (left >= -half_x) & (right <= half_x) & (bottom >= -half_y) & (top <= half_y) & (depth >= near);
+    const bool beside = (left > half_x) | (right < -half_x) | (bottom > half_y) | (top < -half_y);
+    const bool outside = (beside & (depth >= near)) | (farthest < near);
+    area = whole ? 0.25f * area : outside ? 0.0f : -1.0f;
 """
 
 _HEAD = f"""{FOR_LANES}
@@ -104,7 +110,7 @@ _LANE = "\n".join(f"const float low{a} = from[{a} * stride + i], high{a} = from[
 """
 )
 def whole_area(view: AreaView, low: wp.vec3, high: wp.vec3) -> float:
-    """Area of a box's picture; NEEDS_CLIPPING."""
+    """Area of what the window shows of a box's picture, if that is all or nothing; else NEEDS_CLIPPING."""
     ...
 
 

@@ -1,0 +1,389 @@
+"""Binned build of a bounding volume hierarchy for rays whose directions are known: projected areas, chosen axes.
+
+**Problem.** The binned build weighs boxes by surface area, and tries the planes of all axes (`binned`). For the rays of
+influence areas, boxes have other weights (`wrt.builders.projected_cost`), and some axes are hardly worth a try (`axes`).
+
+**Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins leaves the boxes on
+both sides of every plane, component by component; these are weighed in vector lanes, one box a lane, whatever the area. Only
+boxes that a window or a near plane cuts are weighed one by one. The collapse to wide nodes weighs boxes in the same way, once
+each (`weigh_subtrees`).
+
+**What we changed.** The published build is for one area, and recursive. It weighs the longest side's planes by surface area
+where no other axis will do; see `axes`.
+
+References:
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024.
+    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+"""
+
+from dataclasses import dataclass, field
+
+import warp as wp
+
+from wrt.builders.bvh.axes import AxisChoice, AxisRules, axis_order, longest_axis
+from wrt.builders.bvh.binned import BinnedBuilder
+from wrt.builders.bvh.bins import SLOT_BINS, Placement, Plane, Scratch, no_plane
+from wrt.builders.bvh.collapse import BinaryBuild
+from wrt.builders.bvh.config import MAX_BINS, BuildRules, BvhConfig
+from wrt.builders.bvh.heuristic import Heuristic
+from wrt.builders.bvh.tree import BinaryTree, Frame, halvings, price_of_areas
+from wrt.builders.common import Bvh
+from wrt.builders.cost import SurfaceAreaCost, leaf_cost
+from wrt.builders.projected_cost import Mixture, RayDistribution, box_weight, facing
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.boxes import INFINITY
+from wrt.kernels.bvh import MAX_WIDE_DEPTH
+from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas
+from wrt.kernels.influence.silhouette import clipped_area
+from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.launch import launch
+from wrt.kernels.memory import load_int
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+SIDES = 2 * MAX_BINS
+"""Boxes of an axis: of all bins before each bin, then of each bin and all after it."""
+
+BOX_FLOATS = 6 * SIDES
+
+
+@dataclass(frozen=True)
+class NodeRules:
+    """When a node is a leaf, or is split without a look at the rays, before prices are asked.
+
+    Attributes:
+        leaf_cost, leaf_area, leaf_probability: a node is a leaf if its cost as a leaf times its hit probability, its projected
+            area (for several areas: that share of the mean of the scene's), or its hit probability is at most that, and if it
+            has no more triangles than a leaf may have.
+        max_depth: depth of the binary tree from which on nodes are halved, so that it is no deeper, if it can be; None for the
+            depth that traversals have room for.
+        aware_depth: depth of the binary tree from which on planes are chosen as if rays went in all directions, on the longest
+            side; None for never.
+
+    Raises:
+        ValueError: a value is out of its range.
+    """
+
+    leaf_cost: float = 0.0
+    leaf_area: float = 0.0
+    leaf_probability: float = 0.0
+    max_depth: int | None = None
+    aware_depth: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("leaf_cost", "leaf_area", "leaf_probability"):
+            if not 0.0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and not negative")
+        if self.max_depth is not None and not 1 <= self.max_depth <= MAX_WIDE_DEPTH:
+            raise ValueError(f"max_depth is {self.max_depth}; it must be None or from 1 to {MAX_WIDE_DEPTH}")
+        if self.aware_depth is not None and self.aware_depth < 0:
+            raise ValueError(f"aware_depth is {self.aware_depth}; it must be None or not negative")
+
+
+@dataclass(frozen=True)
+class ProjectedConfig:
+    """A build for known rays.
+
+    Attributes:
+        bvh: prices, bins, leaf size.
+        rays: where rays go.
+        axes: which axes of a node are tried.
+        nodes: early leaves and depths.
+    """
+
+    bvh: BvhConfig
+    rays: RayDistribution
+    axes: AxisChoice = field(default_factory=AxisChoice)
+    nodes: NodeRules = field(default_factory=NodeRules)
+
+    @property
+    def cost(self) -> SurfaceAreaCost:
+        """The prices."""
+        return self.bvh.cost
+
+
+@wp.struct
+class KnownRays:
+    """`ProjectedConfig` for a scene, as kernels see it."""
+
+    mixture: Mixture
+    axes: AxisRules
+    leaf_cost: float
+    leaf_probability: float
+    max_depth: int
+    aware_depth: int
+    weight: wp.array(dtype=float)
+    """(2 * triangles,) of each binary node, once all are made."""
+
+
+@wp.struct
+class Attempt:
+    """The best plane so far."""
+
+    plane: Plane
+    hits: float
+    """Hit probabilities of its children, over the node's."""
+
+
+@wp.func
+def low_of(tree: BinaryTree, node: int):
+    """Lower corner of a node's box."""
+    return wp.vec3(tree.box[node * 8], tree.box[node * 8 + 1], tree.box[node * 8 + 2])
+
+
+@wp.func
+def high_of(tree: BinaryTree, node: int):
+    """Upper corner of a node's box."""
+    return -wp.vec3(tree.box[node * 8 + 4], tree.box[node * 8 + 5], tree.box[node * 8 + 6])
+
+
+# -- search --------------------------------------------------------------------------------------------------------------
+
+
+@wp.func_native(
+    f"""{FOR_LANES}
+    constexpr int W = 8;
+    const size_t base = (size_t)slot * {SLOT_BINS} + axis * bins;
+    const float* grid = scratch.box.data + base * 8;
+    const int stride = 2 * bins;
+    float* to = boxes.data;
+    float grown[W];
+    WRT_FOR_LANES(j) grown[j] = INFINITY;
+    int before = 0;
+    for (int b = 0; b < bins; ++b) {{
+        for (int j = 0; j < 3; ++j) {{ to[j * stride + b] = grown[j]; to[(j + 3) * stride + b] = -grown[4 + j]; }}
+        scratch.left.data[base + b] = before;
+        const float* __restrict__ box = grid + b * 8;
+        WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
+        before += scratch.count.data[base + b];
+    }}
+    WRT_FOR_LANES(j) grown[j] = INFINITY;
+    for (int b = bins - 1; b >= 0; --b) {{
+        const float* __restrict__ box = grid + b * 8;
+        WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
+        for (int j = 0; j < 3; ++j) {{
+            to[j * stride + bins + b] = grown[j];
+            to[(j + 3) * stride + bins + b] = -grown[4 + j];
+        }}
+    }}
+    WRT_FOR(stride, i) {{
+        const float x = to[3 * stride + i] - to[i], y = to[4 * stride + i] - to[stride + i];
+        const float z = to[5 * stride + i] - to[2 * stride + i];
+        weights.data[i] = others * (x * y + y * z + z * x);
+    }}
+"""
+)
+def sweep_axis(
+    scratch: Scratch,
+    slot: int,
+    axis: int,
+    bins: int,
+    others: float,
+    boxes: wp.array(dtype=float),
+    weights: wp.array(dtype=float),
+):
+    """Boxes and counts on both sides of the planes of an axis, and the part of their weights that is surface area.
+
+    boxes: lower x of all boxes, then y, z and upper x, y, z, first those on the left of each bin, then those from it on: the
+    box of bin 0 and all after it is the node's."""
+    ...
+
+
+@wp.func
+def box_corner(boxes: wp.array(dtype=float), stride: int, at: int, upper: int):
+    """A corner of one of the boxes of `sweep_axis`."""
+    first = at + 3 * upper * stride
+    return wp.vec3(boxes[first], boxes[first + stride], boxes[first + 2 * stride])
+
+
+@wp.func
+def weigh_sides(
+    mixture: Mixture,
+    scratch: Scratch,
+    first: int,
+    bins: int,
+    count: int,
+    boxes: wp.array(dtype=float),
+    weights: wp.array(dtype=float),
+):
+    """Adds the projected areas to the weights of the boxes of an axis, whose bins begin at `first` in the scratch."""
+    areas = wp.zeros(shape=(SIDES,), dtype=float)
+    for v in range(mixture.weighed):
+        view = mixture.views[v]
+        factor = mixture.factor[v]
+        whole_areas(view, boxes, 0, 2 * bins, areas)
+        for i in range(2 * bins):
+            area = areas[i]
+            if area == NEEDS_CLIPPING:
+                left = load_int(scratch.left, first + wp.where(i < bins, i, i - bins))
+                area = 0.0
+                if (i < bins and left > 0) or (i >= bins and left < count):
+                    area = clipped_area(view, box_corner(boxes, 2 * bins, i, 0), box_corner(boxes, 2 * bins, i, 1))
+            weights[i] += factor * area
+
+
+@wp.func
+def try_axis(
+    rules: BuildRules,
+    mixture: Mixture,
+    scratch: Scratch,
+    slot: int,
+    axis: int,
+    bins: int,
+    count: int,
+    boxes: wp.array(dtype=float),
+    weights: wp.array(dtype=float),
+    best: Attempt,
+):
+    """`best`, or the cheapest plane of an axis if that is cheaper; ties go to the smaller bin."""
+    first = slot * SLOT_BINS + axis * bins
+    sweep_axis(scratch, slot, axis, bins, mixture.others, boxes, weights)
+    weigh_sides(mixture, scratch, first, bins, count, boxes, weights)
+    for b in range(1, bins):
+        left = load_int(scratch.left, first + b)
+        if left > 0 and left < count:
+            price = price_of_areas(
+                weights[b], leaf_cost(rules.cost, left), weights[bins + b], leaf_cost(rules.cost, count - left)
+            )
+            if price < best.plane.price:
+                best.plane.price = price
+                best.plane.axis = axis
+                best.plane.bin = b
+                best.plane.left = left
+                best.hits = (weights[b] + weights[bins + b]) / weights[bins]
+    return best
+
+
+@wp.func
+def mixture_at(rays: KnownRays, depth: int):
+    """The weights of boxes at a depth: surface areas alone from `aware_depth` on."""
+    mixture = rays.mixture
+    if depth >= rays.aware_depth:
+        mixture.weighed = 0
+        mixture.others = 1.0
+    return mixture
+
+
+@wp.func
+def cheapest_by_projection(
+    rules: BuildRules, rays: KnownRays, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
+):
+    """The cheapest plane of the axes that are tried (Falcone 2024, Algorithm 5.1)."""
+    best = Attempt()
+    best.plane = no_plane()
+    if frame.depth + halvings(frame.count) < rays.max_depth:
+        boxes = wp.zeros(shape=(BOX_FLOATS,), dtype=float)
+        weights = wp.zeros(shape=(SIDES,), dtype=float)
+        low = low_of(tree, frame.node)
+        high = high_of(tree, frame.node)
+        mixture = mixture_at(rays, frame.depth)
+        order = axis_order(rays.axes, high - low, facing(mixture, 0.5 * (low + high)), frame.depth)
+        longest = longest_axis(high - low)
+        unaware = frame.depth >= rays.aware_depth
+        tried = int(0)
+        i = int(0)
+        while i < 3:
+            axis = order.axis[i]
+            found = best.plane.price < INFINITY
+            last = unaware or order.quality[i] < rays.axes.least_quality
+            if last:
+                axis = longest
+            if found and (best.hits <= rays.axes.excellent or (last and best.hits <= rays.axes.acceptable)):
+                i = 3
+            elif (tried >> axis) & 1 == 0:
+                best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
+                tried |= 1 << axis
+            i = wp.where(last, 3, i + 1)
+        for axis in range(3):
+            if best.plane.price == INFINITY and (tried >> axis) & 1 == 0:
+                best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
+    return best.plane
+
+
+@wp.func
+def is_cheap_leaf(rules: BuildRules, rays: KnownRays, tree: BinaryTree, frame: Frame):
+    """Whether a node is a leaf by `NodeRules`."""
+    stops = bool(False)
+    if frame.count <= rules.max_leaf and (rays.leaf_probability > 0.0 or rays.leaf_cost > 0.0):
+        weight = box_weight(rays.mixture, low_of(tree, frame.node), high_of(tree, frame.node))
+        stops = weight <= rays.leaf_probability or weight * leaf_cost(rules.cost, frame.count) <= rays.leaf_cost
+    return stops
+
+
+# -- collapse ------------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def weight_of(rays: KnownRays, tree: BinaryTree, node: int):
+    """A node's weight."""
+    return rays.weight[node]
+
+
+@wp.func
+def weight_of_parent(rays: KnownRays, tree: BinaryTree, pair: int):
+    """The weight of the box around a pair."""
+    low = wp.min(low_of(tree, 2 * pair), low_of(tree, 2 * pair + 1))
+    high = wp.max(high_of(tree, 2 * pair), high_of(tree, 2 * pair + 1))
+    return box_weight(rays.mixture, low, high)
+
+
+@wp.func
+def weigh_pair(rays: KnownRays, tree: BinaryTree, pair: int):
+    """Writes the weights of a pair."""
+    for node in range(2 * pair, 2 * pair + 2):
+        rays.weight[node] = box_weight(rays.mixture, low_of(tree, node), high_of(tree, node))
+
+
+@wp.kernel
+def weigh_subtrees(first: int, rays: KnownRays, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)):
+    """Item: a subtree, as the range of its pairs. The root belongs to no pair."""
+    pairs = subtrees[first + wp.tid()]
+    for pair in range(pairs[0], pairs[1]):
+        weigh_pair(rays, tree, pair)
+
+
+@wp.kernel
+def weigh_top(first: int, rays: KnownRays, tree: BinaryTree, top: wp.array(dtype=int)):
+    """Item: a pair above the subtrees."""
+    weigh_pair(rays, tree, top[first + wp.tid()])
+
+
+PROJECTED = Heuristic(KnownRays, cheapest_by_projection, is_cheap_leaf, weight_of, weight_of_parent)
+"""The projected area heuristic."""
+
+
+class ProjectedBuilder(BinnedBuilder):
+    """The state of one build for known rays."""
+
+    def __init__(self, triangles: TriangleBoxes, config: ProjectedConfig) -> None:
+        super().__init__(triangles, config.bvh, PROJECTED, known_rays(triangles, config))
+
+    def result(self) -> BinaryBuild:
+        """The finished binary tree, and the weights of its nodes."""
+        launch(weigh_subtrees, len(self.subtrees), [self.rays, self.tree, self.subtrees], device=self.device, chunk=1)
+        if self.top is not None:
+            launch(weigh_top, len(self.top), [self.rays, self.tree, self.top], device=self.device)
+        return super().result()
+
+
+def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
+    """What a build knows of the rays."""
+    device, nodes = triangles.boxes.low.device, config.nodes
+    rays = KnownRays()
+    rays.mixture = config.rays.mixture(triangles.low, triangles.high, triangles.center, device)
+    rays.axes = config.axes.struct()
+    rays.leaf_cost = nodes.leaf_cost
+    rays.leaf_probability = nodes.leaf_probability
+    if rays.mixture.area > 0.0:
+        rays.leaf_probability = max(nodes.leaf_probability, nodes.leaf_area / rays.mixture.area)
+    rays.max_depth = MAX_WIDE_DEPTH if nodes.max_depth is None else nodes.max_depth
+    rays.aware_depth = MAX_WIDE_DEPTH + 1 if nodes.aware_depth is None else nodes.aware_depth
+    rays.weight = wp.empty(2 * triangles.count, dtype=float, device=device)
+    rays.weight[:1].fill_(1.0)  # the root's
+    return rays
+
+
+def build(triangles: TriangleBoxes, config: ProjectedConfig) -> Bvh:
+    """Builds the tree on the device that holds the boxes."""
+    return ProjectedBuilder(triangles, config).build()
