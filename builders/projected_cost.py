@@ -30,6 +30,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
+from wrt.kernels.boxes import INFINITY
 from wrt.kernels.influence.silhouette import projected_area
 from wrt.kernels.influence.view import AreaView, direction_at
 from wrt.kernels.launch import launch
@@ -78,7 +79,7 @@ class RayDistribution:
         object.__setattr__(self, "areas", check_areas(self.areas))
         if self.shares is not None:
             object.__setattr__(self, "shares", tuple(map(float, self.shares)))
-            if len(self.shares) != len(self.areas) or not all(0.0 < share and isfinite(share) for share in self.shares):
+            if len(self.shares) != len(self.areas) or not all(share > 0.0 and isfinite(share) for share in self.shares):
                 raise ValueError(f"shares is {self.shares}; it must be {len(self.areas)} numbers above 0, one an area, or None")
         if not 0.0 <= self.others <= 1.0:
             raise ValueError(f"others is {self.others}; it must be from 0 to 1")
@@ -155,11 +156,11 @@ def half_surface(low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def box_weight(mixture: Mixture, low: wp.vec3, high: wp.vec3):
-    """Probability that a ray that meets the scene's box meets this one."""
+    """Probability that a ray that meets the scene's box meets this one; INFINITY, never NaN, where floats overflow."""
     weight = mixture.others * half_surface(low, high)
     for i in range(mixture.weighed):
         weight += mixture.factor[i] * projected_area(mixture.views[i], low, high)
-    return weight
+    return wp.where(weight < INFINITY, weight, INFINITY)
 
 
 @wp.func

@@ -92,8 +92,7 @@ class BinnedBuilder:
 
     def build(self) -> Bvh:
         """Builds the tree."""
-        kernels = (level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *collapse_kernels(self.heuristic))
-        load(kernels, self.device)  # one kernel of each module: compiling them is no phase of the build
+        load(self.kernels(), self.device)  # compiling them is no phase of the build
         with self.phase("references"):
             self.make_references()
         with self.phase("top levels"):
@@ -102,6 +101,10 @@ class BinnedBuilder:
             self.build_subtrees()
         with self.phase("collapse"):
             return collapse(self.result(), self.triangles, self.config, self.phase.stats)
+
+    def kernels(self) -> list[wp.Kernel]:
+        """One kernel of each module."""
+        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *collapse_kernels(self.heuristic)]
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""

@@ -359,6 +359,10 @@ class ProjectedBuilder(BinnedBuilder):
     def __init__(self, triangles: TriangleBoxes, config: ProjectedConfig) -> None:
         super().__init__(triangles, config.bvh, PROJECTED, known_rays(triangles, config))
 
+    def kernels(self) -> list[wp.Kernel]:
+        """One kernel of each module."""
+        return [*super().kernels(), weigh_subtrees]
+
     def result(self) -> BinaryBuild:
         """The finished binary tree, and the weights of its nodes."""
         launch(weigh_subtrees, len(self.subtrees), [self.rays, self.tree, self.subtrees], device=self.device, chunk=1)

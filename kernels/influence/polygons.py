@@ -11,9 +11,9 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-MAX_CORNERS = 32
-"""A box cut by a plane has at most 10 corners, a rectangle's four sides add at most 4, clipping one such by another at most
-14 more."""
+MAX_CORNERS = 40
+"""The two chains of a hull of 20 points have at most 39, whatever rounding, overflow or NaN make of their turns; clipping
+leaves at most so many in any case."""
 
 
 @wp.func
