@@ -11,7 +11,7 @@ from shapely import MultiPoint, box
 
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.kernels.influence.polygons import MAX_CORNERS
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area, whole_areas
+from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area, whole_areas, window_area, window_areas
 from wrt.kernels.influence.silhouette import clipped_area, projected_area, projected_hull, shared_area
 from wrt.kernels.influence.view import AreaView, is_affine
 
@@ -42,6 +42,7 @@ def measure(
     areas[i, 2] = whole_area(view, low[i], high[i])
     other = wp.where(i + 1 < low.shape[0], i + 1, 0)
     areas[i, 3] = shared_area(view, low[i], high[i], low[other], high[other])
+    areas[i, 4] = window_area(view, low[i], high[i])
     hull = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     counts[i] = projected_hull(view, low[i], high[i], hull)
     for c in range(counts[i]):
@@ -49,9 +50,12 @@ def measure(
 
 
 @wp.kernel(module="unique")
-def measure_lanes(view: AreaView, boxes: wp.array(dtype=float), count: int, areas: wp.array(dtype=float)):
+def measure_lanes(
+    view: AreaView, boxes: wp.array(dtype=float), count: int, whole: wp.array(dtype=float), cut: wp.array(dtype=float)
+):
     """One item: all boxes at once."""
-    whole_areas(view, boxes, 0, count, areas)
+    whole_areas(view, boxes, 0, count, whole)
+    window_areas(view, boxes, 0, count, cut)
 
 
 @wp.kernel(module="unique")
@@ -77,11 +81,11 @@ def some_boxes(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def measured(name: str, count: int = 600):
-    """Boxes, areas (count, 4), corners and numbers of corners as the device has them."""
+    """Boxes, areas (count, 5), corners and numbers of corners as the device has them."""
     low, high = some_boxes(count)
     view = AREAS[name].view(np.zeros(3))
     boxes = [wp.array(b, dtype=wp.vec3, device="cpu") for b in (low, high)]
-    areas = wp.zeros((count, 4), dtype=float, device="cpu")
+    areas = wp.zeros((count, 5), dtype=float, device="cpu")
     corners = wp.zeros((count, MAX_CORNERS), dtype=wp.vec2, device="cpu")
     counts = wp.zeros(count, dtype=int, device="cpu")
     wp.launch(measure, count, [view, *boxes, areas, corners, counts], device="cpu")
@@ -120,9 +124,11 @@ def test_projected_areas_by_a_polygon_library(name):
     tolerance = {"rtol": 2e-4, "atol": 4e-5 * half_x * half_y}
     np.testing.assert_allclose(areas[:, 0], expected, **tolerance)
     np.testing.assert_allclose(areas[:, 1], expected, **tolerance)
+    for column in (2, 4):
+        done = areas[:, column] != NEEDS_CLIPPING
+        assert 0.1 < (done & (expected > 0)).mean() < 0.9
+        np.testing.assert_allclose(areas[done, column], expected[done], **tolerance)
     whole = areas[:, 2] != NEEDS_CLIPPING
-    assert 0.1 < whole.mean() < 0.9
-    np.testing.assert_allclose(areas[whole, 2], expected[whole], **tolerance)
     assert all(np.isclose(cut[i].area, shown[i].area, 1e-4, 1e-5) for i in np.flatnonzero(whole & (areas[:, 2] > 0)))
     outside = np.array([p.is_empty for p in cut])
     assert (areas[outside, 2] == 0.0).mean() > 0.8
@@ -137,9 +143,10 @@ def test_projected_areas_by_a_polygon_library(name):
 def test_lanes_give_the_same_bits(name):
     low, high, areas, _, _ = measured(name)
     boxes = wp.array(np.concatenate([low, high], axis=1).T.reshape(-1), dtype=float, device="cpu")
-    lanes = wp.zeros(len(low), dtype=float, device="cpu")
-    wp.launch(measure_lanes, 1, [AREAS[name].view(np.zeros(3)), boxes, len(low), lanes], device="cpu")
-    np.testing.assert_array_equal(lanes.numpy().view(np.int32), areas[:, 2].copy().view(np.int32))
+    whole, cut = (wp.zeros(len(low), dtype=float, device="cpu") for _ in range(2))
+    wp.launch(measure_lanes, 1, [AREAS[name].view(np.zeros(3)), boxes, len(low), whole, cut], device="cpu")
+    np.testing.assert_array_equal(whole.numpy(), areas[:, 2])
+    np.testing.assert_array_equal(cut.numpy(), areas[:, 4])
 
 
 @pytest.mark.parametrize("name", AREAS)
@@ -161,7 +168,7 @@ def test_projected_areas_are_the_share_of_rays(name):
         for i in np.argsort(-areas[:, 0])[::12][:25]:
             ends = (np.array([low[i], high[i]], dtype=np.float64)[:, None] - origins) / directions
             meets = (ends.min(axis=0).max(axis=-1) <= ends.max(axis=0).min(axis=-1)) & (ends.max(axis=0).min(axis=-1) >= 0)
-            share = areas[i, 0] / (4 * half.prod())
+            share = min(areas[i, 0] / (4 * half.prod()), 1.0)
             assert abs(meets.mean() - share) <= 5 * np.sqrt(share * (1 - share) / len(x)) + 1e-4
 
 

@@ -34,7 +34,7 @@ from wrt.builders.projected_cost import Mixture, RayDistribution, box_weight, fa
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas
+from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas, window_areas
 from wrt.kernels.influence.silhouette import clipped_area
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.launch import launch
@@ -197,29 +197,30 @@ def box_corner(boxes: wp.array(dtype=float), stride: int, at: int, upper: int):
     return wp.vec3(boxes[first], boxes[first + stride], boxes[first + 2 * stride])
 
 
+@wp.func_native("""
+    bool any = false;
+    for (int i = 0; i < count; ++i) any |= areas.data[i] < 0.0f;
+    return any;
+""")
+def needs_clipping(areas: wp.array(dtype=float), count: int) -> bool:
+    """Whether any of the areas is NEEDS_CLIPPING."""
+    ...
+
+
 @wp.func
-def weigh_sides(
-    mixture: Mixture,
-    scratch: Scratch,
-    first: int,
-    bins: int,
-    count: int,
-    boxes: wp.array(dtype=float),
-    weights: wp.array(dtype=float),
-):
-    """Adds the projected areas to the weights of the boxes of an axis, whose bins begin at `first` in the scratch."""
+def weigh_sides(mixture: Mixture, bins: int, boxes: wp.array(dtype=float), weights: wp.array(dtype=float)):
+    """Adds the projected areas to the weights of the boxes of an axis."""
     areas = wp.zeros(shape=(SIDES,), dtype=float)
     for v in range(mixture.weighed):
         view = mixture.views[v]
         factor = mixture.factor[v]
         whole_areas(view, boxes, 0, 2 * bins, areas)
+        if needs_clipping(areas, 2 * bins):
+            window_areas(view, boxes, 0, 2 * bins, areas)
         for i in range(2 * bins):
             area = areas[i]
             if area == NEEDS_CLIPPING:
-                left = load_int(scratch.left, first + wp.where(i < bins, i, i - bins))
-                area = 0.0
-                if (i < bins and left > 0) or (i >= bins and left < count):
-                    area = clipped_area(view, box_corner(boxes, 2 * bins, i, 0), box_corner(boxes, 2 * bins, i, 1))
+                area = clipped_area(view, box_corner(boxes, 2 * bins, i, 0), box_corner(boxes, 2 * bins, i, 1))
             weights[i] += factor * area
 
 
@@ -239,7 +240,7 @@ def try_axis(
     """`best`, or the cheapest plane of an axis if that is cheaper; ties go to the smaller bin."""
     first = slot * SLOT_BINS + axis * bins
     sweep_axis(scratch, slot, axis, bins, mixture.others, boxes, weights)
-    weigh_sides(mixture, scratch, first, bins, count, boxes, weights)
+    weigh_sides(mixture, bins, boxes, weights)
     for b in range(1, bins):
         left = load_int(scratch.left, first + b)
         if left > 0 and left < count:

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area
+from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area, window_area
 from wrt.kernels.influence.view import AreaView, direction_at, picture_of, seen_from
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -148,7 +148,7 @@ def visible_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dty
 
 @wp.func
 def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3):
-    """`projected_area` of a box that reaches across the near plane or the window."""
+    """`projected_area` by the outline, for any box: what a box that the near plane cuts needs."""
     hull = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     return wp.abs(polygon_area(hull, visible_hull(view, low, high, hull)))
 
@@ -159,7 +159,9 @@ def projected_area(view: AreaView, low: wp.vec3, high: wp.vec3):
     at depth 1. 0 for a box outside the area's rays."""
     area = whole_area(view, low, high)
     if area == NEEDS_CLIPPING:
-        return clipped_area(view, low, high)
+        area = window_area(view, low, high)
+    if area == NEEDS_CLIPPING:
+        area = clipped_area(view, low, high)
     return area
 
 
