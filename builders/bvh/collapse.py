@@ -127,8 +127,8 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
 
 
 @cache
-def make_solvers(heuristic: Heuristic) -> tuple[wp.Kernel, wp.Kernel]:
-    """The kernels that solve subtrees, and what is above them."""
+def make_solve(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that solves subtrees, and what is above them."""
     rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
     cost_as_leaf, _ = make_costs(heuristic)
 
@@ -152,30 +152,24 @@ def make_solvers(heuristic: Heuristic) -> tuple[wp.Kernel, wp.Kernel]:
             leaf,
         )
 
-    def solve_subtrees(
+    def solve(
         first: int,
         rules: BuildRules,
         rays: rays_type,
         tree: BinaryTree,
-        subtrees: wp.array(dtype=wp.vec2i),
+        ranges: wp.array(dtype=wp.vec2i),
+        listed: wp.array(dtype=int),
         costs: wp.array(dtype=float),
     ):
-        """Item: a subtree, as the range of its pairs, parents before children."""
-        pairs = subtrees[first + wp.tid()]
+        """Item: a range of pairs, parents before children; of pairs in the list `listed`, if that is not empty."""
+        pairs = ranges[first + wp.tid()]
         for i in range(pairs[1] - pairs[0]):
-            solve_pair(rules, rays, tree, costs, pairs[1] - 1 - i)
+            pair = pairs[1] - 1 - i
+            if listed.shape[0] > 0:
+                pair = listed[pair]
+            solve_pair(rules, rays, tree, costs, pair)
 
-    def solve_top(
-        first: int, rules: BuildRules, rays: rays_type, tree: BinaryTree, top: wp.array(dtype=int), costs: wp.array(dtype=float)
-    ):
-        """One item. top: pairs above the subtrees, parents before children."""
-        for i in range(top.shape[0]):
-            solve_pair(rules, rays, tree, costs, top[top.shape[0] - 1 - i])
-
-    return tuple(
-        wp.kernel(solve, module="unique", enable_backward=False, module_options={"fuse_fp": False})
-        for solve in (solve_subtrees, solve_top)
-    )
+    return wp.kernel(solve, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
 @cache
@@ -346,7 +340,7 @@ class BinaryBuild:
 
 def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     """The kernels of a collapse, to be loaded ahead: one of each module."""
-    return [*make_solvers(heuristic), make_pick_children(heuristic), scan_level]
+    return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
 
 
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
@@ -356,12 +350,14 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         ValueError: it would need more than MAX_BLOCKS blocks.
     """
     tree, costs, rays = binary.tree, binary.space, binary.rays
-    solve_subtrees, solve_top = make_solvers(binary.heuristic)
+    solve = make_solve(binary.heuristic)
     pick_children = make_pick_children(binary.heuristic)
     device, width, rules = costs.device, config.cost.width, config.struct()
-    launch(solve_subtrees, len(binary.subtrees), [rules, rays, tree, binary.subtrees, costs], device=device, chunk=1)
+    in_order = wp.empty(0, dtype=int, device=device)
+    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, costs], device=device, chunk=1)
     if binary.top is not None:
-        launch(solve_top, 1, [rules, rays, tree, binary.top, costs], device=device)
+        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
+        launch(solve, 1, [rules, rays, tree, whole, binary.top, costs], device=device)
     pairs = binary.subtrees.numpy()
     most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
     wide = WideLevels()

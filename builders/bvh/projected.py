@@ -6,7 +6,7 @@ influence areas, boxes have other weights (`wrt.builders.projected_cost`), and s
 **Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins leaves the boxes on
 both sides of every plane, component by component; these are weighed in vector lanes, one box a lane, whatever the area. Only
 boxes that a window or a near plane cuts are weighed one by one. The collapse to wide nodes weighs boxes in the same way, once
-each (`weigh_subtrees`).
+each (`weigh_nodes`).
 
 **What we changed.** The published build is for one area, and recursive. It weighs the longest side's planes by surface area
 where no other axis will do; see `axes`.
@@ -19,6 +19,7 @@ References:
 
 from dataclasses import dataclass, field
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.axes import AxisChoice, AxisRules, axis_order, longest_axis
@@ -30,7 +31,7 @@ from wrt.builders.bvh.heuristic import Heuristic
 from wrt.builders.bvh.tree import BinaryTree, Frame, halvings, price_of_areas
 from wrt.builders.common import Bvh
 from wrt.builders.cost import SurfaceAreaCost, leaf_cost
-from wrt.builders.projected_cost import Mixture, RayDistribution, box_weight, facing
+from wrt.builders.projected_cost import Mixture, RayDistribution, box_weight, facing, half_surface
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
@@ -115,6 +116,8 @@ class KnownRays:
     aware_depth: int
     weight: wp.array(dtype=float)
     """(2 * triangles,) of each binary node, once all are made."""
+    parent_weight: wp.array(dtype=float)
+    """(triangles,) of the node that a pair belongs to."""
 
 
 @wp.struct
@@ -208,19 +211,19 @@ def needs_clipping(areas: wp.array(dtype=float), count: int) -> bool:
 
 
 @wp.func
-def weigh_sides(mixture: Mixture, bins: int, boxes: wp.array(dtype=float), weights: wp.array(dtype=float)):
-    """Adds the projected areas to the weights of the boxes of an axis."""
+def add_projected(mixture: Mixture, count: int, boxes: wp.array(dtype=float), weights: wp.array(dtype=float)):
+    """Adds the projected areas of boxes, as `sweep_axis` has them, to their weights."""
     areas = wp.zeros(shape=(SIDES,), dtype=float)
     for v in range(mixture.weighed):
         view = mixture.views[v]
         factor = mixture.factor[v]
-        whole_areas(view, boxes, 0, 2 * bins, areas)
-        if needs_clipping(areas, 2 * bins):
-            window_areas(view, boxes, 0, 2 * bins, areas)
-        for i in range(2 * bins):
+        whole_areas(view, boxes, 0, count, areas)
+        if needs_clipping(areas, count):
+            window_areas(view, boxes, 0, count, areas)
+        for i in range(count):
             area = areas[i]
             if area == NEEDS_CLIPPING:
-                area = clipped_area(view, box_corner(boxes, 2 * bins, i, 0), box_corner(boxes, 2 * bins, i, 1))
+                area = clipped_area(view, box_corner(boxes, count, i, 0), box_corner(boxes, count, i, 1))
             weights[i] += factor * area
 
 
@@ -240,7 +243,7 @@ def try_axis(
     """`best`, or the cheapest plane of an axis if that is cheaper; ties go to the smaller bin."""
     first = slot * SLOT_BINS + axis * bins
     sweep_axis(scratch, slot, axis, bins, mixture.others, boxes, weights)
-    weigh_sides(mixture, bins, boxes, weights)
+    add_projected(mixture, 2 * bins, boxes, weights)
     for b in range(1, bins):
         left = load_int(scratch.left, first + b)
         if left > 0 and left < count:
@@ -283,22 +286,22 @@ def cheapest_by_projection(
         longest = longest_axis(high - low)
         unaware = frame.depth >= rays.aware_depth
         tried = int(0)
+        last = bool(False)
         i = int(0)
-        while i < 3:
-            axis = order.axis[i]
+        while i < 6:  # the axes in their order; then, if no plane has been found, all of them
+            axis = wp.where(i < 3, order.axis[i % 3], i - 3)
             found = best.plane.price < INFINITY
-            last = unaware or order.quality[i] < rays.axes.least_quality
-            if last:
-                axis = longest
-            if found and (best.hits <= rays.axes.excellent or (last and best.hits <= rays.axes.acceptable)):
-                i = 3
-            elif (tried >> axis) & 1 == 0:
+            if i < 3:
+                last = unaware or order.quality[i] < rays.axes.least_quality
+                axis = wp.where(last, longest, axis)
+                done = found and (best.hits <= rays.axes.excellent or (last and best.hits <= rays.axes.acceptable))
+                i = wp.where(done, 6, i)
+            else:
+                i = wp.where(found, 6, i)
+            if i < 6 and (tried >> axis) & 1 == 0:
                 best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
                 tried |= 1 << axis
-            i = wp.where(last, 3, i + 1)
-        for axis in range(3):
-            if best.plane.price == INFINITY and (tried >> axis) & 1 == 0:
-                best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
+            i = wp.where(i < 3 and last, 3, i + 1)
     return best.plane
 
 
@@ -307,7 +310,16 @@ def is_cheap_leaf(rules: BuildRules, rays: KnownRays, tree: BinaryTree, frame: F
     """Whether a node is a leaf by `NodeRules`."""
     stops = bool(False)
     if frame.count <= rules.max_leaf and (rays.leaf_probability > 0.0 or rays.leaf_cost > 0.0):
-        weight = box_weight(rays.mixture, low_of(tree, frame.node), high_of(tree, frame.node))
+        boxes = wp.zeros(shape=(6,), dtype=float)
+        weights = wp.zeros(shape=(1,), dtype=float)
+        low = low_of(tree, frame.node)
+        high = high_of(tree, frame.node)
+        for axis in range(3):
+            boxes[axis] = low[axis]
+            boxes[3 + axis] = high[axis]
+        weights[0] = rays.mixture.others * half_surface(low, high)
+        add_projected(rays.mixture, 1, boxes, weights)
+        weight = weights[0]
         stops = weight <= rays.leaf_probability or weight * leaf_cost(rules.cost, frame.count) <= rays.leaf_cost
     return stops
 
@@ -323,31 +335,21 @@ def weight_of(rays: KnownRays, tree: BinaryTree, node: int):
 
 @wp.func
 def weight_of_parent(rays: KnownRays, tree: BinaryTree, pair: int):
-    """The weight of the box around a pair."""
-    low = wp.min(low_of(tree, 2 * pair), low_of(tree, 2 * pair + 1))
-    high = wp.max(high_of(tree, 2 * pair), high_of(tree, 2 * pair + 1))
-    return box_weight(rays.mixture, low, high)
-
-
-@wp.func
-def weigh_pair(rays: KnownRays, tree: BinaryTree, pair: int):
-    """Writes the weights of a pair."""
-    for node in range(2 * pair, 2 * pair + 2):
-        rays.weight[node] = box_weight(rays.mixture, low_of(tree, node), high_of(tree, node))
+    """The weight of a pair's parent."""
+    return rays.parent_weight[pair]
 
 
 @wp.kernel
-def weigh_subtrees(first: int, rays: KnownRays, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)):
-    """Item: a subtree, as the range of its pairs. The root belongs to no pair."""
-    pairs = subtrees[first + wp.tid()]
-    for pair in range(pairs[0], pairs[1]):
-        weigh_pair(rays, tree, pair)
-
-
-@wp.kernel
-def weigh_top(first: int, rays: KnownRays, tree: BinaryTree, top: wp.array(dtype=int)):
-    """Item: a pair above the subtrees."""
-    weigh_pair(rays, tree, top[first + wp.tid()])
+def weigh_nodes(first: int, rays: KnownRays, tree: BinaryTree, pairs: wp.array(dtype=wp.vec2i)):
+    """Item: a range of pairs. Writes the weights of their nodes, and those of these nodes' own pairs."""
+    item = first + wp.tid()
+    for node in range(2 * pairs[item][0], 2 * pairs[item][1]):
+        weight = box_weight(rays.mixture, low_of(tree, node), high_of(tree, node))
+        rays.weight[node] = weight
+        rays.parent_weight[tree.pair[node]] = weight  # LEAF is no pair
+    if item == 0:
+        rays.weight[0] = 1.0
+        rays.parent_weight[tree.pair[0]] = 1.0
 
 
 PROJECTED = Heuristic(KnownRays, cheapest_by_projection, is_cheap_leaf, weight_of, weight_of_parent)
@@ -362,13 +364,15 @@ class ProjectedBuilder(BinnedBuilder):
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""
-        return [*super().kernels(), weigh_subtrees]
+        return [*super().kernels(), weigh_nodes]
 
     def result(self) -> BinaryBuild:
         """The finished binary tree, and the weights of its nodes."""
-        launch(weigh_subtrees, len(self.subtrees), [self.rays, self.tree, self.subtrees], device=self.device, chunk=1)
+        pairs = self.subtrees.numpy()
         if self.top is not None:
-            launch(weigh_top, len(self.top), [self.rays, self.tree, self.top], device=self.device)
+            pairs = np.concatenate([pairs, self.top.numpy()[:, None] + [[0, 1]]])
+        ranges = wp.array(pairs, dtype=wp.vec2i, device=self.device)
+        launch(weigh_nodes, len(ranges), [self.rays, self.tree, ranges], device=self.device, chunk=1)
         return super().result()
 
 
@@ -385,7 +389,7 @@ def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
     rays.max_depth = MAX_WIDE_DEPTH if nodes.max_depth is None else nodes.max_depth
     rays.aware_depth = MAX_WIDE_DEPTH + 1 if nodes.aware_depth is None else nodes.aware_depth
     rays.weight = wp.empty(2 * triangles.count, dtype=float, device=device)
-    rays.weight[:1].fill_(1.0)  # the root's
+    rays.parent_weight = wp.empty(triangles.count, dtype=float, device=device)
     return rays
 
 

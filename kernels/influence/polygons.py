@@ -32,8 +32,8 @@ def polygon_area(polygon: wp.array(dtype=wp.vec2), count: int):
 
 
 @wp.func
-def clip(polygon: wp.array(dtype=wp.vec2), count: int, normal: wp.vec2, bound: float, clipped: wp.array(dtype=wp.vec2)):
-    """Writes the part where normal . p <= bound; returns its number of corners (Sutherland and Hodgman 1974)."""
+def clip(polygon: wp.array(dtype=wp.vec2), count: int, normal: wp.vec2, bound: float, spare: wp.array(dtype=wp.vec2)):
+    """Keeps the part where normal . p <= bound; returns its number of corners (Sutherland and Hodgman 1974)."""
     kept = int(0)
     for i in range(count):
         here = polygon[i]
@@ -41,27 +41,34 @@ def clip(polygon: wp.array(dtype=wp.vec2), count: int, normal: wp.vec2, bound: f
         inside = bound - wp.dot(normal, here)
         inside_after = bound - wp.dot(normal, after)
         if inside >= 0.0 and kept < MAX_CORNERS:
-            clipped[kept] = here
+            spare[kept] = here
             kept += 1
         if (inside >= 0.0) != (inside_after >= 0.0) and kept < MAX_CORNERS:
-            clipped[kept] = here + (after - here) * (inside / (inside - inside_after))
+            spare[kept] = here + (after - here) * (inside / (inside - inside_after))
             kept += 1
+    for i in range(kept):
+        polygon[i] = spare[i]
     return kept
 
 
 @wp.func
 def clip_to_window(polygon: wp.array(dtype=wp.vec2), count: int, half: wp.vec2):
-    """Cuts a polygon off at the rectangle |x| <= half x, |y| <= half y, in place; returns its number of corners."""
+    """Cuts a polygon off at the rectangle |x| <= half x, |y| <= half y; returns its number of corners."""
     spare = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
-    left = clip(polygon, count, wp.vec2(1.0, 0.0), half[0], spare)
-    left = clip(spare, left, wp.vec2(-1.0, 0.0), half[0], polygon)
-    left = clip(polygon, left, wp.vec2(0.0, 1.0), half[1], spare)
-    return clip(spare, left, wp.vec2(0.0, -1.0), half[1], polygon)
+    left = int(count)
+    side = int(0)
+    while side < 4:  # a loop that Warp does not unroll: this is compiled into many kernels
+        sign = wp.where(side < 2, 1.0, -1.0)
+        across = side % 2 == 0
+        normal = wp.vec2(wp.where(across, sign, 0.0), wp.where(across, 0.0, sign))
+        left = clip(polygon, left, normal, wp.where(across, half[0], half[1]), spare)
+        side += 1
+    return left
 
 
 @wp.func
 def clip_to_polygon(polygon: wp.array(dtype=wp.vec2), count: int, other: wp.array(dtype=wp.vec2), sides: int):
-    """Cuts a polygon off at another one's sides, in place; returns its number of corners."""
+    """Cuts a polygon off at another one's sides; returns its number of corners."""
     spare = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     left = int(count)
     for side in range(sides):
@@ -69,8 +76,6 @@ def clip_to_polygon(polygon: wp.array(dtype=wp.vec2), count: int, other: wp.arra
         along = other[wp.where(side + 1 < sides, side + 1, 0)] - begin
         outward = wp.vec2(along[1], -along[0])
         left = clip(polygon, left, outward, wp.dot(outward, begin), spare)
-        for i in range(left):
-            polygon[i] = spare[i]
     return left
 
 
@@ -87,23 +92,17 @@ def sort_points(points: wp.array(dtype=wp.vec2), count: int):
 
 
 @wp.func
-def add_corner(hull: wp.array(dtype=wp.vec2), corners: int, least: int, point: wp.vec2):
-    """Continues a chain that turns left; at least `least` corners stay. Returns the number of corners."""
-    left = int(corners)
-    while left > least and cross(hull[left - 1] - hull[left - 2], point - hull[left - 2]) <= 0.0:
-        left -= 1
-    hull[left] = point
-    return left + 1
-
-
-@wp.func
 def convex_hull(points: wp.array(dtype=wp.vec2), count: int, hull: wp.array(dtype=wp.vec2)):
     """Writes the convex hull of at most 20 points, which it sorts; returns its number of corners (Andrew 1979)."""
     sort_points(points, count)
     corners = int(0)
-    for i in range(count):
-        corners = add_corner(hull, corners, 1, points[i])
-    lower = int(corners)
-    for i in range(1, count):
-        corners = add_corner(hull, corners, lower, points[count - 1 - i])
+    least = int(1)  # corners that stay: of the lower chain one, then, for the upper chain, all of the lower one
+    for i in range(2 * count - 1):
+        point = points[wp.where(i < count, i, 2 * count - 2 - i)]
+        while corners > least and cross(hull[corners - 1] - hull[corners - 2], point - hull[corners - 2]) <= 0.0:
+            corners -= 1
+        hull[corners] = point
+        corners += 1
+        if i == count - 1:
+            least = corners
     return corners - wp.where(corners > 1, 1, 0)  # the last corner is the first one again
