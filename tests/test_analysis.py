@@ -18,7 +18,7 @@ from wrt.builders.bvh.statistics import unpack
 
 
 @pytest.mark.parametrize("kind", AREA_KINDS)
-@pytest.mark.parametrize(("name", "width"), [("atrium", 8), ("wood", 2), ("random_triangles", 8)])
+@pytest.mark.parametrize(("name", "width"), [("atrium", 8), ("wood", 8), ("random_triangles", 8)])
 def test_expected_cost_is_what_is_counted(name, width, kind):
     """Rays of the area, followed through all they meet, cost what projected areas say, on a tree built for them or not."""
     mesh = SCENES[name]()
