@@ -18,7 +18,7 @@ from wrt.builders.bvh.axes import AXIS_CHOICES, AxisChoice
 from wrt.builders.bvh.bins import FEW
 from wrt.builders.bvh.collapse import collapse
 from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.projected import NodeRules, ProjectedConfig
+from wrt.builders.bvh.known_rays import NodeRules, ProjectedConfig
 from wrt.builders.bvh.statistics import unpack
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.projected_cost import RayDistribution

@@ -10,7 +10,7 @@ from wrt.tables import lookup
 if TYPE_CHECKING:
     from wrt.builders import common
     from wrt.builders.bvh.axes import AxisChoice
-    from wrt.builders.bvh.projected import ProjectedConfig
+    from wrt.builders.bvh.known_rays import ProjectedConfig
     from wrt.builders.influence import InfluenceArea
     from wrt.builders.triangles import TriangleBoxes
 
@@ -87,7 +87,7 @@ class ProjectedBvh:
         """The builder's configuration; `width` is used where the description leaves it open."""
         from wrt.builders.bvh.axes import AXIS_CHOICES
         from wrt.builders.bvh.config import BvhConfig
-        from wrt.builders.bvh.projected import NodeRules, ProjectedConfig
+        from wrt.builders.bvh.known_rays import NodeRules, ProjectedConfig
         from wrt.builders.cost import SurfaceAreaCost
         from wrt.builders.projected_cost import RayDistribution
 
