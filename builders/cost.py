@@ -21,6 +21,7 @@ References:
 
 from dataclasses import dataclass
 
+import numpy as np
 import warp as wp
 
 from wrt.kernels.boxes import INFINITY
@@ -37,6 +38,8 @@ class SplitCost:
     empty_factor: float
     width_bits: int
     """log2 of the triangles in a block."""
+    unit_bits: int
+    """log2 of the triangles that are paid for together."""
 
 
 @dataclass(frozen=True)
@@ -48,19 +51,23 @@ class SurfaceAreaCost:
         block: cost C_b of testing one block of `width` triangles.
         width: triangles a block, a power of two.
         empty_factor: f, by which the cost of a split with an empty side is multiplied; 1 turns the bonus off.
+        unit: triangles that are paid for together, a power of two; None for a block. With 1, `block` is the cost of testing
+            one triangle, as in the textbooks, whatever the width of blocks.
 
     Raises:
-        ValueError: a cost is negative or not finite, the width no power of two up to 16, or the factor not in (0, 1].
+        ValueError: a cost is negative or not finite, width or unit no power of two up to 16, or the factor not in (0, 1].
     """
 
     traversal: float = 1.0
     block: float = 0.5
     width: int = 8
     empty_factor: float = 0.8
+    unit: int | None = None
 
     def __post_init__(self) -> None:
-        if self.width not in (1, 2, 4, 8, 16):
-            raise ValueError(f"width is {self.width}; it must be 1, 2, 4, 8 or 16")
+        for name, count in (("width", self.width), ("unit", self.width if self.unit is None else self.unit)):
+            if count not in (1, 2, 4, 8, 16):
+                raise ValueError(f"{name} is {count}; it must be 1, 2, 4, 8 or 16")
         if not (0.0 <= self.traversal < float("inf") and 0.0 < self.block < float("inf")):
             raise ValueError(f"costs must be finite and positive, got traversal={self.traversal}, block={self.block}")
         if not 0.0 < self.empty_factor <= 1.0:
@@ -73,7 +80,13 @@ class SurfaceAreaCost:
         cost.block = self.block
         cost.empty_factor = self.empty_factor
         cost.width_bits = self.width.bit_length() - 1
+        cost.unit_bits = (self.unit or self.width).bit_length() - 1
         return cost
+
+    def of_leaf(self, triangles: np.ndarray) -> np.ndarray:
+        """Cost of leaves with so many triangles."""
+        unit = self.unit or self.width
+        return self.block * -(-triangles // unit)
 
 
 @wp.struct
@@ -132,7 +145,7 @@ def axis_frame(axis: int, low: wp.vec3, high: wp.vec3):
 @wp.func
 def leaf_cost(cost: SplitCost, triangles: int):
     """Cost of a leaf."""
-    return cost.block * float((triangles + (1 << cost.width_bits) - 1) >> cost.width_bits)
+    return cost.block * float((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits)
 
 
 @wp.func

@@ -1,6 +1,6 @@
 """Bounding boxes of triangles: what every builder starts from."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
@@ -34,24 +34,27 @@ def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array
 
 @dataclass
 class TriangleBoxes:
-    """Boxes of all triangles and the box of them all."""
+    """Boxes of all triangles, the box of them all, and the point (3,) that positions are relative to."""
 
     boxes: Boxes
     count: int
     low: np.ndarray
     high: np.ndarray
+    center: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
-def triangle_boxes(vertices: wp.array, faces: wp.array) -> TriangleBoxes:
+def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | None = None) -> TriangleBoxes:
     """Bounding boxes of the triangles.
 
     Args:
         vertices: (V,) vec3.
         faces: (F,) vec3i.
+        center: (3,) the point that vertices are relative to; None for the origin.
     """
     device, count = vertices.device, len(faces)
     boxes = Boxes()
     boxes.low = wp.empty((3, count), dtype=float, device=device)
     boxes.high = wp.empty((3, count), dtype=float, device=device)
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
-    return TriangleBoxes(boxes, count, boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
+    low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
+    return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center)

@@ -12,6 +12,11 @@ from conftest import ENGINE_TESTS
 
 import wrt.builders
 import wrt.kernels
+from wrt.builders.bvh.collapse import make_pick_children, make_solve
+from wrt.builders.bvh.heuristic import SURFACE
+from wrt.builders.bvh.levels import make_search_planes
+from wrt.builders.bvh.projected import PROJECTED
+from wrt.builders.bvh.subtrees import make_build_subtrees as make_bvh_subtrees
 from wrt.builders.kdtree import adaptive_sampling, binned, medians, naive
 from wrt.builders.kdtree.event_lists import EVENTS
 from wrt.builders.kdtree.subtrees import make_build_subtrees
@@ -58,6 +63,20 @@ def test_module(name, tmp_path):
 @pytest.mark.parametrize("method", KDTREE_METHODS, ids=lambda method: method.search.key)
 def test_kdtree_subtrees(method, tmp_path):
     assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
+
+
+BVH_KERNELS = {
+    "search_planes": make_search_planes(SURFACE),
+    "build_subtrees": make_bvh_subtrees(SURFACE),
+    "solve": make_solve(SURFACE),
+    "pick_children": make_pick_children(SURFACE),
+    "build_subtrees, known rays": make_bvh_subtrees(PROJECTED),
+}
+
+
+@pytest.mark.parametrize("name", BVH_KERNELS)
+def test_bvh_builder(name, tmp_path):
+    assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
 
 
 ANSWERS = [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
+from wrt.projected_bvh import ProjectedBvh
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class Bvh:
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
 
 
-Accelerator = KdTree | Bvh
+Accelerator = KdTree | Bvh | ProjectedBvh
 
 ACCELERATORS = {"auto": Bvh, "bvh": Bvh, "kdtree": KdTree}
 """Names that `wrt.Scene` takes in place of a description."""
@@ -137,5 +138,5 @@ def resolve_accelerator(accelerator: str | Accelerator) -> Accelerator:
         return accelerator
     if not isinstance(accelerator, str):
         kind = type(accelerator).__name__
-        raise TypeError(f"accelerator must be a name, a wrt.Bvh or a wrt.KdTree, not {kind}")
+        raise TypeError(f"accelerator must be a name, a wrt.Bvh, a wrt.KdTree or a wrt.ProjectedBvh, not {kind}")
     return lookup(ACCELERATORS, accelerator, "accelerator")()

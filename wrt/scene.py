@@ -76,7 +76,7 @@ class Scene(Queries):
         host = wp.get_device("cpu")
         host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        boxes = triangle_boxes(host_vertices, host_faces)
+        boxes = triangle_boxes(host_vertices, host_faces, self.center)
         self.tree = self.accelerator.build(boxes, native_width(self.device)).to(self.device)
         self.device_mesh = SceneMesh()
         """All triangles on the device, for kernels."""

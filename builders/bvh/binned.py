@@ -21,18 +21,19 @@ References:
         ACM Transactions on Graphics 33(4), 2014.
 """
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh import collapse as collapse_phase
 from wrt.builders.bvh import levels as level_phase
-from wrt.builders.bvh import subtrees as subtree_phase
 from wrt.builders.bvh.bins import make_scratch
-from wrt.builders.bvh.collapse import BinaryBuild, collapse
+from wrt.builders.bvh.collapse import BinaryBuild, collapse, collapse_kernels
 from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.levels import Chunk, LiveNode, Totals
-from wrt.builders.bvh.subtrees import STACK, Frame
-from wrt.builders.bvh.tree import empty_tree
+from wrt.builders.bvh.heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.levels import Chunk, LiveNode, Totals, make_search_planes
+from wrt.builders.bvh.subtrees import STACK, make_build_subtrees
+from wrt.builders.bvh.tree import Frame, empty_tree
 from wrt.builders.common import Bvh, Phases
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load
@@ -55,30 +56,29 @@ SEARCHES = 8
 MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks in any case."""
 
-KERNELS = (level_phase.bin_chunks, subtree_phase.build_subtrees, collapse_phase.pick_children)
-"""One kernel of each module: compiling them is no phase of the build."""
-
 
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
-    builder = BinnedBuilder(triangles, config)
-    load(KERNELS, builder.device)
-    with builder.phase("references"):
-        builder.make_references()
-    with builder.phase("top levels"):
-        builder.build_levels()
-    with builder.phase("subtrees"):
-        builder.build_subtrees()
-    with builder.phase("collapse"):
-        tree = collapse(builder.result(), triangles, config, builder.phase.stats)
-    return tree
+    return BinnedBuilder(triangles, config).build()
 
 
 class BinnedBuilder:
-    """The state of one build."""
+    """The state of one build.
 
-    def __init__(self, triangles: TriangleBoxes, config: BvhConfig) -> None:
+    Args:
+        triangles: boxes of the triangles.
+        config: prices, bins, leaf size.
+        heuristic: how boxes are weighed, and planes chosen.
+        rays: what the heuristic knows of the rays; None for nothing.
+    """
+
+    def __init__(self, triangles: TriangleBoxes, config: BvhConfig, heuristic: Heuristic = SURFACE, rays: Any = None) -> None:
         self.triangles = triangles
+        self.config = config
+        self.heuristic = heuristic
+        self.rays = AllDirections() if rays is None else rays
+        self.search_planes = make_search_planes(heuristic)
+        self.subtree_kernel = make_build_subtrees(heuristic)
         self.device = triangles.boxes.low.device
         self.rules = config.struct()
         self.phase = Phases(self.device)
@@ -89,6 +89,22 @@ class BinnedBuilder:
         self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
         """Two buffers of references."""
         self.top: wp.array | None = None
+
+    def build(self) -> Bvh:
+        """Builds the tree."""
+        load(self.kernels(), self.device)  # compiling them is no phase of the build
+        with self.phase("references"):
+            self.make_references()
+        with self.phase("top levels"):
+            self.build_levels()
+        with self.phase("subtrees"):
+            self.build_subtrees()
+        with self.phase("collapse"):
+            return collapse(self.result(), self.triangles, self.config, self.phase.stats)
+
+    def kernels(self) -> list[wp.Kernel]:
+        """One kernel of each module."""
+        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *collapse_kernels(self.heuristic)]
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
@@ -129,7 +145,7 @@ class BinnedBuilder:
         for level in range(MAX_LEVELS):
             self.run(level_phase.bin_chunks, chunks, self.rules, self.references, nodes, lists, self.parts, domain, scratch)
             work = [count, nodes, lists, domain, scratch, most_chunks, self.tree]
-            self.run(level_phase.search_planes, live, self.rules, *work, chunk=SEARCHES)
+            self.run(self.search_planes, live, self.rules, self.rays, *work, chunk=SEARCHES)
             large = self.large if level < MAX_LEVELS - 1 else count
             self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, top, totals)
             self.run(level_phase.partition_chunks, chunks, self.references, nodes, lists, self.parts)
@@ -151,6 +167,7 @@ class BinnedBuilder:
         self.subtrees = wp.empty(count, dtype=wp.vec2i, device=self.device)
         inputs = [
             self.rules,
+            self.rays,
             self.references,
             self.triangles.count,
             self.tasks,
@@ -160,8 +177,8 @@ class BinnedBuilder:
             self.tree,
             self.subtrees,
         ]
-        launch(subtree_phase.build_subtrees, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
+        launch(self.subtree_kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
 
     def result(self) -> BinaryBuild:
         """The finished binary tree; the references are no longer needed."""
-        return BinaryBuild(self.tree, self.subtrees, self.top, self.references)
+        return BinaryBuild(self.tree, self.subtrees, self.top, self.references, self.heuristic, self.rays)

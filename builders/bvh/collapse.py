@@ -4,7 +4,8 @@
 leaf. Opening the largest child until there are W leaves many nodes nearly empty.
 
 **Algorithm.** A dynamic programme from the leaves up (Ylitie, Karras, Laine 2017, section 3.1; blocks for triangles). For
-every binary node n, with surface area A(n), F(n, j) is the least cost of its triangles if they may take up to j lanes:
+every binary node n of weight A(n), its surface area or what else a `Heuristic` weighs it by, F(n, j) is the least cost of its
+triangles if they may take up to j lanes:
 
     leaf(n) = A(n) C_b blocks(n)                               if n has at most so many triangles as a leaf may
     D(n, j) = min over k of F(left, k) + F(right, j - k)       both children share the lanes
@@ -28,12 +29,15 @@ References:
         High Performance Graphics 2017.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
 
 import warp as wp
 
 from wrt.builders.bvh.config import BuildRules, BvhConfig
-from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, half_area_of_both
+from wrt.builders.bvh.heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.tree import LEAF, BinaryTree
 from wrt.builders.common import BuildStats, Bvh
 from wrt.builders.cost import leaf_cost
 from wrt.builders.triangles import TriangleBoxes
@@ -60,22 +64,6 @@ class WideLevels:
     """(nodes, W) the binary nodes of its children; ~node: it is to be a leaf; NO_NODE."""
     first: wp.array(dtype=wp.vec2i)
     """(nodes,) its first inner child and its first block; before the scan, how many it has of each."""
-
-
-@wp.func
-def cost_as_leaf(rules: BuildRules, tree: BinaryTree, node: int):
-    """leaf(n); INFINITY if it has too many triangles."""
-    count = tree.range[node][1]
-    return wp.where(count <= rules.max_leaf, half_area(tree.box, node) * leaf_cost(rules.cost, count), INFINITY)
-
-
-@wp.func
-def least_cost(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
-    """F(n, lanes)."""
-    pair = tree.pair[node]
-    if pair == LEAF:
-        return cost_as_leaf(rules, tree, node)
-    return costs[pair * MAX_WIDTH + lanes - 1]
 
 
 @wp.func_native(
@@ -116,100 +104,144 @@ def combine(
     ...
 
 
-@wp.func
-def solve_pair(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), pair: int):
-    """F of the node that a pair belongs to."""
-    left = 2 * pair
-    right = left + 1
-    count = tree.range[left][1] + tree.range[right][1]
-    area = half_area_of_both(tree.box, pair)
-    leaf = wp.where(count <= rules.max_leaf, area * leaf_cost(rules.cost, count), INFINITY)
-    combine(
-        costs,
-        pair,
-        1 << rules.cost.width_bits,
-        tree.pair[left],
-        cost_as_leaf(rules, tree, left),
-        tree.pair[right],
-        cost_as_leaf(rules, tree, right),
-        area * rules.cost.traversal,
-        leaf,
-    )
+@cache
+def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
+    """What a binary node costs as a leaf, and at least if it may take so many lanes."""
+    rays_type, weigh = heuristic.rays, heuristic.weigh
 
+    @wp.func
+    def cost_as_leaf(rules: BuildRules, rays: rays_type, tree: BinaryTree, node: int):
+        """leaf(n); INFINITY if it has too many triangles."""
+        count = tree.range[node][1]
+        return wp.where(count <= rules.max_leaf, weigh(rays, tree, node) * leaf_cost(rules.cost, count), INFINITY)
 
-@wp.kernel
-def solve_subtrees(
-    first: int, rules: BuildRules, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i), costs: wp.array(dtype=float)
-):
-    """Item: a subtree, as the range of its pairs, parents before children."""
-    pairs = subtrees[first + wp.tid()]
-    for i in range(pairs[1] - pairs[0]):
-        solve_pair(rules, tree, costs, pairs[1] - 1 - i)
-
-
-@wp.kernel
-def solve_top(first: int, rules: BuildRules, tree: BinaryTree, top: wp.array(dtype=int), costs: wp.array(dtype=float)):
-    """One item. top: pairs above the subtrees, parents before children."""
-    for i in range(top.shape[0]):
-        solve_pair(rules, tree, costs, top[top.shape[0] - 1 - i])
-
-
-@wp.func
-def share_lanes(rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
-    """Lanes of a pair's left node in D(n, lanes)."""
-    best = float(INFINITY)
-    share = int(1)
-    for k in range(1, lanes):
-        cost = least_cost(rules, tree, costs, 2 * pair, k) + least_cost(rules, tree, costs, 2 * pair + 1, lanes - k)
-        if cost < best:
-            best = cost
-            share = k
-    return share
-
-
-@wp.kernel
-def pick_children(
-    first: int, level_first: int, rules: BuildRules, tree: BinaryTree, costs: wp.array(dtype=float), wide: WideLevels
-):
-    """Item: a node of the level."""
-    index = level_first + first + wp.tid()
-    width = 1 << rules.cost.width_bits
-    waiting = wp.zeros(shape=(MAX_WIDTH,), dtype=wp.vec2i)
-    node = wide.source[index]
-    lanes = int(width)
-    depth = int(0)
-    held = int(0)
-    counts = wp.vec2i(0, 0)
-    share = bool(True)  # the root has to be a node, even if a leaf or a lane would do
-    picking = bool(True)
-    while picking:
+    @wp.func
+    def least_cost(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
+        """F(n, lanes)."""
         pair = tree.pair[node]
-        if pair != LEAF and not share:
-            share = costs[pair * MAX_WIDTH + lanes - 1] < costs[pair * MAX_WIDTH]
-        if pair != LEAF and share:
-            left = share_lanes(rules, tree, costs, pair, lanes)
-            waiting[depth] = wp.vec2i(2 * pair + 1, lanes - left)
-            depth += 1
-            node = 2 * pair
-            lanes = left
-        else:
-            may_be_leaf = tree.range[node][1] <= rules.max_leaf  # costs do not tell where surface areas overflow
-            if may_be_leaf and cost_as_leaf(rules, tree, node) <= least_cost(rules, tree, costs, node, 1):
-                wide.pick[index, held] = ~node
-                counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
+        if pair == LEAF:
+            return cost_as_leaf(rules, rays, tree, node)
+        return costs[pair * MAX_WIDTH + lanes - 1]
+
+    return cost_as_leaf, least_cost
+
+
+@cache
+def make_solve(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that solves subtrees, and what is above them."""
+    rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
+    cost_as_leaf, _ = make_costs(heuristic)
+
+    @wp.func
+    def solve_pair(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int):
+        """F of the node that a pair belongs to."""
+        left = 2 * pair
+        right = left + 1
+        count = tree.range[left][1] + tree.range[right][1]
+        area = weigh_parent(rays, tree, pair)
+        leaf = wp.where(count <= rules.max_leaf, area * leaf_cost(rules.cost, count), INFINITY)
+        combine(
+            costs,
+            pair,
+            1 << rules.cost.width_bits,
+            tree.pair[left],
+            cost_as_leaf(rules, rays, tree, left),
+            tree.pair[right],
+            cost_as_leaf(rules, rays, tree, right),
+            area * rules.cost.traversal,
+            leaf,
+        )
+
+    def solve(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        tree: BinaryTree,
+        ranges: wp.array(dtype=wp.vec2i),
+        listed: wp.array(dtype=int),
+        costs: wp.array(dtype=float),
+    ):
+        """Item: a range of pairs, parents before children; of pairs in the list `listed`, if that is not empty."""
+        pairs = ranges[first + wp.tid()]
+        for i in range(pairs[1] - pairs[0]):
+            pair = pairs[1] - 1 - i
+            if listed.shape[0] > 0:
+                pair = listed[pair]
+            solve_pair(rules, rays, tree, costs, pair)
+
+    return wp.kernel(solve, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@cache
+def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a node of the level."""
+    rays_type = heuristic.rays
+    cost_as_leaf, least_cost = make_costs(heuristic)
+
+    @wp.func
+    def share_lanes(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
+        """Lanes of a pair's left node in D(n, lanes)."""
+        best = float(INFINITY)
+        share = int(1)
+        for k in range(1, lanes):
+            cost = least_cost(rules, rays, tree, costs, 2 * pair, k) + least_cost(
+                rules, rays, tree, costs, 2 * pair + 1, lanes - k
+            )
+            if cost < best:
+                best = cost
+                share = k
+        return share
+
+    def pick_children(
+        first: int,
+        level_first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        tree: BinaryTree,
+        costs: wp.array(dtype=float),
+        wide: WideLevels,
+    ):
+        """Item: a node of the level."""
+        index = level_first + first + wp.tid()
+        width = 1 << rules.cost.width_bits
+        waiting = wp.zeros(shape=(MAX_WIDTH,), dtype=wp.vec2i)
+        node = wide.source[index]
+        lanes = int(width)
+        depth = int(0)
+        held = int(0)
+        counts = wp.vec2i(0, 0)
+        share = bool(True)  # the root has to be a node, even if a leaf or a lane would do
+        picking = bool(True)
+        while picking:
+            pair = tree.pair[node]
+            if pair != LEAF and not share:
+                share = costs[pair * MAX_WIDTH + lanes - 1] < costs[pair * MAX_WIDTH]
+            if pair != LEAF and share:
+                left = share_lanes(rules, rays, tree, costs, pair, lanes)
+                waiting[depth] = wp.vec2i(2 * pair + 1, lanes - left)
+                depth += 1
+                node = 2 * pair
+                lanes = left
             else:
-                wide.pick[index, held] = node
-                counts[0] += 1
-            held += 1
-            depth -= 1
-            picking = depth >= 0
-            if picking:
-                node = waiting[depth][0]
-                lanes = waiting[depth][1]
-        share = False
-    for lane in range(held, width):
-        wide.pick[index, lane] = NO_NODE
-    wide.first[index] = counts
+                may_be_leaf = tree.range[node][1] <= rules.max_leaf  # costs do not tell where surface areas overflow
+                if may_be_leaf and cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1):
+                    wide.pick[index, held] = ~node
+                    counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
+                else:
+                    wide.pick[index, held] = node
+                    counts[0] += 1
+                held += 1
+                depth -= 1
+                picking = depth >= 0
+                if picking:
+                    node = waiting[depth][0]
+                    lanes = waiting[depth][1]
+            share = False
+        for lane in range(held, width):
+            wide.pick[index, lane] = NO_NODE
+        wide.first[index] = counts
+
+    return wp.kernel(pick_children, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
 @wp.kernel
@@ -290,16 +322,25 @@ class BinaryBuild:
         subtrees: (subtrees,) vec2i ranges of pairs, parents before children.
         top: pairs above the subtrees, parents before children; may be empty.
         space: (16 * triangles,) float32, to be overwritten.
+        heuristic: how its boxes are weighed.
+        rays: what the heuristic knows of the rays.
     """
 
     tree: BinaryTree
     subtrees: wp.array
     top: wp.array | None
     space: wp.array
+    heuristic: Heuristic = SURFACE
+    rays: Any = field(default_factory=AllDirections)
 
     def arrays(self) -> list[wp.array]:
         """The memory that is held until the collapse is done."""
         return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order, self.space]
+
+
+def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
+    """The kernels of a collapse, to be loaded ahead: one of each module."""
+    return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
 
 
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
@@ -308,11 +349,15 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     Raises:
         ValueError: it would need more than MAX_BLOCKS blocks.
     """
-    tree, costs = binary.tree, binary.space
+    tree, costs, rays = binary.tree, binary.space, binary.rays
+    solve = make_solve(binary.heuristic)
+    pick_children = make_pick_children(binary.heuristic)
     device, width, rules = costs.device, config.cost.width, config.struct()
-    launch(solve_subtrees, len(binary.subtrees), [rules, tree, binary.subtrees, costs], device=device, chunk=1)
+    in_order = wp.empty(0, dtype=int, device=device)
+    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, costs], device=device, chunk=1)
     if binary.top is not None:
-        launch(solve_top, 1, [rules, tree, binary.top, costs], device=device)
+        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
+        launch(solve, 1, [rules, rays, tree, whole, binary.top, costs], device=device)
     pairs = binary.subtrees.numpy()
     most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
     wide = WideLevels()
@@ -324,7 +369,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     nodes, blocks = 1, 0
     while level_first[-1] < nodes:
         first, count = level_first[-1], nodes - level_first[-1]
-        launch(pick_children, count, [first, rules, tree, costs, wide], device=device, chunk=256)
+        launch(pick_children, count, [first, rules, rays, tree, costs, wide], device=device, chunk=256)
         launch(scan_level, 1, [first, nodes, wide, totals], device=device)
         launch(list_children, count, [first, width, wide], device=device, chunk=1024)
         level_first.append(nodes)

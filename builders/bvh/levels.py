@@ -13,6 +13,8 @@ Minima and counts are the same in any order and grouping, so neither chunks nor 
 the split that a task would give it.
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.builders.bvh.bins import (
@@ -20,7 +22,6 @@ from wrt.builders.bvh.bins import (
     Placement,
     Plane,
     Scratch,
-    best_plane,
     bin_range,
     bins_for,
     centroid_domain,
@@ -31,8 +32,8 @@ from wrt.builders.bvh.bins import (
     write_child_boxes,
 )
 from wrt.builders.bvh.config import BuildRules
-from wrt.builders.bvh.subtrees import Frame
-from wrt.builders.bvh.tree import BinaryTree, half_area, must_halve
+from wrt.builders.bvh.heuristic import Heuristic
+from wrt.builders.bvh.tree import BinaryTree, Frame, half_area, must_halve
 from wrt.builders.references import write_references
 from wrt.builders.triangles import Boxes
 from wrt.kernels.boxes import INFINITY
@@ -113,45 +114,52 @@ def bin_chunks(
     bin_range(references, chunk.begin, chunk.count, placement, scratch, slot)
 
 
-@wp.kernel
-def search_planes(
-    first: int,
-    rules: BuildRules,
-    triangles: int,
-    nodes: wp.array(dtype=LiveNode),
-    chunks: wp.array(dtype=Chunk),
-    domain: wp.array(dtype=float),
-    scratch: Scratch,
-    merged_first: int,
-    tree: BinaryTree,
-):
-    """Item: a live node. merged_first: the slots from here on are for the merged bins of the nodes."""
-    index = first + wp.tid()
-    node = nodes[index]
-    frame = node.frame
-    node.placement = place(domain, node.chunk_first, bins_for(rules, frame.count))
-    bins = node.placement.bins
-    slot = merged_first + index
-    node.plane = no_plane()
-    if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
-        merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
-        node.plane = best_plane(rules.cost, scratch, slot, bins, frame.count)
-    if node.plane.price < INFINITY:
-        pair = frame.first + node.plane.left
-        tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-        tree.pair[frame.node] = pair
-        write_child_boxes(scratch, slot, bins, node.plane.axis, node.plane.bin, tree.box, pair)
-        to_left = triangles - frame.buffer + frame.first
-        to_right = to_left + node.plane.left
-        for c in range(node.chunk_first, node.chunk_first + node.chunk_count):
-            chunks[c].to_left = to_left
-            chunks[c].to_right = to_right
-            left = int(0)
-            for b in range(node.plane.bin):
-                left += scratch.count[c * SLOT_BINS + node.plane.axis * bins + b]
-            to_left += left
-            to_right += chunks[c].count - left
-    nodes[index] = node
+@cache
+def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a live node."""
+    rays_type, search = heuristic.rays, heuristic.search
+
+    def search_planes(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        triangles: int,
+        nodes: wp.array(dtype=LiveNode),
+        chunks: wp.array(dtype=Chunk),
+        domain: wp.array(dtype=float),
+        scratch: Scratch,
+        merged_first: int,
+        tree: BinaryTree,
+    ):
+        """Item: a live node. merged_first: the slots from here on are for the merged bins of the nodes."""
+        index = first + wp.tid()
+        node = nodes[index]
+        frame = node.frame
+        node.placement = place(domain, node.chunk_first, bins_for(rules, frame.count))
+        bins = node.placement.bins
+        slot = merged_first + index
+        node.plane = no_plane()
+        if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+            merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
+            node.plane = search(rules, rays, node.placement, scratch, slot, tree, frame)
+        if node.plane.price < INFINITY:
+            pair = frame.first + node.plane.left
+            tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
+            tree.pair[frame.node] = pair
+            write_child_boxes(scratch, slot, bins, node.plane.axis, node.plane.bin, tree.box, pair)
+            to_left = triangles - frame.buffer + frame.first
+            to_right = to_left + node.plane.left
+            for c in range(node.chunk_first, node.chunk_first + node.chunk_count):
+                chunks[c].to_left = to_left
+                chunks[c].to_right = to_right
+                left = int(0)
+                for b in range(node.plane.bin):
+                    left += scratch.count[c * SLOT_BINS + node.plane.axis * bins + b]
+                to_left += left
+                to_right += chunks[c].count - left
+        nodes[index] = node
+
+    return wp.kernel(search_planes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
 @wp.struct

@@ -97,7 +97,7 @@ def bvh_statistics(tree: Bvh, triangle_count: int, cost: SurfaceAreaCost) -> Bvh
     flat = unpack(tree)
     sizes = flat.triangles[flat.is_leaf]
     root = float(half_area(np.array(tree.low, np.float32), np.array(tree.high, np.float32)))
-    leaf_weights = cost.block * -(-sizes // tree.width)
+    leaf_weights = cost.of_leaf(sizes)
     inner_areas = np.append(half_area(flat.low[flat.is_inner], flat.high[flat.is_inner]), root)
     leaf_areas = half_area(flat.low[flat.is_leaf], flat.high[flat.is_leaf])
     if root > 0.0:

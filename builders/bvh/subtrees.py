@@ -4,13 +4,14 @@ A node's references lie in one of two buffers; its children's are written to the
 child waits on a stack. Phases of a node: stop, search, partition, emit.
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.builders.bvh.bins import (
     Placement,
     Plane,
     Scratch,
-    best_plane,
     bin_range,
     bins_for,
     centroid_domain,
@@ -21,7 +22,8 @@ from wrt.builders.bvh.bins import (
     write_child_boxes,
 )
 from wrt.builders.bvh.config import BuildRules
-from wrt.builders.bvh.tree import LEAF, BinaryTree, half_area, middle, must_halve
+from wrt.builders.bvh.heuristic import Heuristic
+from wrt.builders.bvh.tree import LEAF, BinaryTree, Frame, half_area, middle, must_halve
 from wrt.builders.references import write_order
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
@@ -29,19 +31,6 @@ from wrt.kernels.bvh import MAX_WIDE_DEPTH
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 STACK = MAX_WIDE_DEPTH + 2
-
-
-@wp.struct
-class Frame:
-    """A node that is being built or waits for its left sibling."""
-
-    node: int
-    first: int
-    """Its first triangle in the tree's order."""
-    count: int
-    buffer: int
-    """Where the buffer begins that holds its references: 0 or the number of triangles."""
-    depth: int
 
 
 @wp.func
@@ -94,66 +83,73 @@ def divide_in_the_middle(
     centroid_domain(references, begin + left, frame.count - left, domain, at)
 
 
-@wp.kernel
-def build_subtrees(
-    first: int,
-    rules: BuildRules,
-    references: wp.array(dtype=float),
-    triangles: int,
-    tasks: wp.array(dtype=Frame),
-    scratch: Scratch,
-    domain: wp.array(dtype=float),
-    stack: wp.array2d(dtype=Frame),
-    tree: BinaryTree,
-    subtrees: wp.array(dtype=wp.vec2i),
-):
-    """Item: a task.
+@cache
+def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a task."""
+    rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
 
-    stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
-    that of the current one. subtrees: (tasks,) the pairs that each task made.
-    """
-    slot = first + wp.tid()
-    frame = tasks[slot]
-    next_pair = frame.first + 1
-    waiting = int(0)
-    centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
-    building = bool(True)
-    while building:
-        tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-        if frame.count <= rules.grain:
-            # stop, emit
-            tree.pair[frame.node] = LEAF
-            write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
-            waiting -= 1
-            building = waiting >= 0
-            if building:
-                frame = stack[slot, waiting]
-        else:
-            # search
-            at = slot * STACK + waiting
-            placement = place(domain, at, bins_for(rules, frame.count))
-            plane = no_plane()
-            if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
-                bin_range(references, frame.buffer + frame.first, frame.count, placement, scratch, slot)
-                plane = best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
-            # partition
-            pair = next_pair
-            next_pair += 1
-            tree.pair[frame.node] = pair
-            if plane.price < INFINITY:
-                divide_at_plane(references, triangles, placement, plane, scratch, slot, domain, at, frame, pair, tree)
-                frame.buffer = triangles - frame.buffer
+    def build_subtrees(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        references: wp.array(dtype=float),
+        triangles: int,
+        tasks: wp.array(dtype=Frame),
+        scratch: Scratch,
+        domain: wp.array(dtype=float),
+        stack: wp.array2d(dtype=Frame),
+        tree: BinaryTree,
+        subtrees: wp.array(dtype=wp.vec2i),
+    ):
+        """Item: a task.
+
+        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
+        that of the current one. subtrees: (tasks,) the pairs that each task made.
+        """
+        slot = first + wp.tid()
+        frame = tasks[slot]
+        next_pair = frame.first + 1
+        waiting = int(0)
+        centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
+        building = bool(True)
+        while building:
+            tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
+            if frame.count <= rules.grain or is_leaf(rules, rays, tree, frame):
+                # stop, emit
+                tree.pair[frame.node] = LEAF
+                write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
+                waiting -= 1
+                building = waiting >= 0
+                if building:
+                    frame = stack[slot, waiting]
             else:
-                plane.left = middle(frame.count, rules.cost.width_bits)
-                divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
-            # emit
-            frame.depth += 1
-            right = frame
-            right.node = 2 * pair + 1
-            right.first += plane.left
-            right.count -= plane.left
-            stack[slot, waiting] = right
-            waiting += 1
-            frame.node = 2 * pair
-            frame.count = plane.left
-    subtrees[slot] = wp.vec2i(tasks[slot].first + 1, next_pair)
+                # search
+                at = slot * STACK + waiting
+                placement = place(domain, at, bins_for(rules, frame.count))
+                plane = no_plane()
+                if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+                    bin_range(references, frame.buffer + frame.first, frame.count, placement, scratch, slot)
+                    plane = search(rules, rays, placement, scratch, slot, tree, frame)
+                # partition
+                pair = next_pair
+                next_pair += 1
+                tree.pair[frame.node] = pair
+                if plane.price < INFINITY:
+                    divide_at_plane(references, triangles, placement, plane, scratch, slot, domain, at, frame, pair, tree)
+                    frame.buffer = triangles - frame.buffer
+                else:
+                    plane.left = middle(frame.count, rules.cost.width_bits)
+                    divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
+                # emit
+                frame.depth += 1
+                right = frame
+                right.node = 2 * pair + 1
+                right.first += plane.left
+                right.count -= plane.left
+                stack[slot, waiting] = right
+                waiting += 1
+                frame.node = 2 * pair
+                frame.count = plane.left
+        subtrees[slot] = wp.vec2i(tasks[slot].first + 1, next_pair)
+
+    return wp.kernel(build_subtrees, module="unique", enable_backward=False, module_options={"fuse_fp": False})

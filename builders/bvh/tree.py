@@ -31,6 +31,19 @@ class BinaryTree:
     """(triangles,) triangle ids."""
 
 
+@wp.struct
+class Frame:
+    """A node that is being built or waits for its left sibling."""
+
+    node: int
+    first: int
+    """Its first triangle in the tree's order."""
+    count: int
+    buffer: int
+    """Where the buffer begins that holds its references: 0 or the number of triangles."""
+    depth: int
+
+
 def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
     """Room for the tree of so many triangles."""
     tree = BinaryTree()

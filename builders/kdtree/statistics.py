@@ -126,7 +126,7 @@ def kdtree_statistics(tree: KdTree, triangle_count: int, cost: SurfaceAreaCost) 
     leaf = flat.is_leaf
     sizes = flat.triangles[leaf]
     area = half_area(flat.low, flat.high)
-    weights = np.where(leaf, cost.block * -(-flat.triangles // cost.width), cost.traversal)
+    weights = np.where(leaf, cost.of_leaf(flat.triangles), cost.traversal)
     return KdTreeStatistics(
         nodes=len(leaf),
         leaves=int(leaf.sum()),

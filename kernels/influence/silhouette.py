@@ -1,0 +1,177 @@
+"""The outline of a box as an influence area sees it, and the area of what its window shows of it.
+
+The corners on the outline follow from the side of the box that the eye is on: along each axis below, beside or above it. A
+table has them for all 27 cases (`SILHOUETTES`), made here from the definition: an edge is on the outline if one of its two
+faces is seen and the other is not. A box that the near plane cuts has the convex hull of what is left as its outline: the
+corners behind the plane have no picture, and the points where the plane cuts edges are new corners.
+
+References:
+    D. Schmalstieg, R. F. Tobler: Real-time bounding box area computation. TU Wien, Technical Report TR-186-2-99-10, 1999.
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024: sections 5.4.1 and 5.4.2, appendices A.9 and A.10.
+"""
+
+from itertools import product
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
+from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area, window_area
+from wrt.kernels.influence.view import AreaView, direction_at, picture_of, seen_from
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+def _outline(signs: tuple[int, ...]) -> list[int]:
+    """Corners of the outline of a box, counter-clockwise, seen in a direction with these signs; 0: its rays spread from
+    between the two faces."""
+    if signs == (0, 0, 0):
+        return []
+
+    def is_seen(axis: int, end: int) -> bool:
+        return signs[axis] == (-1 if end else 1)
+
+    edges = {c: [] for c in range(8)}
+    for axis, corner in product(range(3), range(8)):
+        if not corner >> axis & 1:
+            faces = [is_seen(other, corner >> other & 1) for other in range(3) if other != axis]
+            if faces[0] != faces[1]:
+                edges[corner].append(corner | 1 << axis)
+                edges[corner | 1 << axis].append(corner)
+    start = next(c for c in range(8) if edges[c])
+    loop = [start, edges[start][0]]
+    while loop[-1] != start:
+        loop.append(next(c for c in edges[loop[-1]] if c != loop[-2]))
+    loop.pop()
+    return loop if _turns_left(loop, signs) else loop[::-1]
+
+
+def _turns_left(loop: list[int], signs: tuple[int, ...]) -> bool:
+    """Whether corners follow one another counter-clockwise, with right = forward x up as `AreaView` has it."""
+    corners = np.array([[c >> axis & 1 for axis in range(3)] for c in loop], dtype=float)
+    normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+    return float(normal @ np.array(signs)) < 0.0
+
+
+def _packed(loop: list[int]) -> int:
+    """Number of corners in bits 0 to 2, corner i in the 3 bits from 3 + 3 i on."""
+    return len(loop) | sum(corner << 3 + 3 * i for i, corner in enumerate(loop))
+
+
+SILHOUETTES = tuple(_packed(_outline(signs[::-1])) for signs in product((-1, 0, 1), repeat=3))
+"""Outline by (s_x + 1) + 3 (s_y + 1) + 9 (s_z + 1), see `_packed`; s = 1 along an axis: seen from below, -1: from above."""
+
+
+@wp.func_native(f"""
+    const int table[27] = {{{", ".join(map(str, SILHOUETTES))}}};
+    return table[index];
+""")
+def silhouette(index: int) -> int:
+    """Entry of `SILHOUETTES`."""
+    ...
+
+
+@wp.func
+def corner_of(low: wp.vec3, high: wp.vec3, index: int):
+    """Corner of a box; bit a of the index: the upper end along axis a."""
+    return wp.vec3(
+        wp.where((index & 1) != 0, high[0], low[0]),
+        wp.where((index & 2) != 0, high[1], low[1]),
+        wp.where((index & 4) != 0, high[2], low[2]),
+    )
+
+
+@wp.func
+def side_of(view: AreaView, low: wp.vec3, high: wp.vec3):
+    """Index into `SILHOUETTES`."""
+    below = direction_at(view, low)
+    above = direction_at(view, high)
+    index = int(0)
+    factor = int(1)
+    for axis in range(3):
+        index += factor * wp.where(below[axis] > 0.0, 2, wp.where(above[axis] < 0.0, 0, 1))
+        factor *= 3
+    return index
+
+
+@wp.func
+def least_depth(view: AreaView, low: wp.vec3, high: wp.vec3):
+    """Depth of the nearest corner of a box."""
+    nearest = wp.vec3(
+        wp.where(view.forward[0] > 0.0, low[0], high[0]),
+        wp.where(view.forward[1] > 0.0, low[1], high[1]),
+        wp.where(view.forward[2] > 0.0, low[2], high[2]),
+    )
+    return wp.dot(view.forward, nearest - view.eye)
+
+
+@wp.func
+def cut_corners(view: AreaView, low: wp.vec3, high: wp.vec3, points: wp.array(dtype=wp.vec2)):
+    """Pictures of the corners of what is left of a box behind the near plane; returns their number, at most 20."""
+    count = int(0)
+    for c in range(8):
+        here = seen_from(view, corner_of(low, high, c))
+        kept = here[2] >= view.near
+        if kept:
+            points[count] = picture_of(view, here)
+            count += 1
+        for axis in range(3):
+            if (c >> axis) & 1 == 0:
+                there = seen_from(view, corner_of(low, high, c | (1 << axis)))
+                if kept != (there[2] >= view.near):
+                    cut = here + (there - here) * ((view.near - here[2]) / (there[2] - here[2]))
+                    points[count] = picture_of(view, wp.vec3(cut[0], cut[1], wp.where(view.radial, view.near, 1.0)))
+                    count += 1
+    return count
+
+
+@wp.func
+def projected_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
+    """Writes the picture of a box, not cut off at the window; returns its number of corners, 0 if it has no picture."""
+    if least_depth(view, low, high) >= view.near:
+        entry = silhouette(side_of(view, low, high))
+        count = entry & 7
+        for i in range(count):
+            hull[i] = picture_of(view, seen_from(view, corner_of(low, high, (entry >> (3 + 3 * i)) & 7)))
+        return count
+    points = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
+    found = cut_corners(view, low, high, points)
+    return convex_hull(points, found, hull)
+
+
+@wp.func
+def visible_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
+    """Writes what the window shows of a box's picture; returns its number of corners."""
+    return clip_to_window(hull, projected_hull(view, low, high, hull), view.half)
+
+
+@wp.func
+def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3):
+    """`projected_area` by the outline, for any box: what a box that the near plane cuts needs."""
+    hull = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
+    return wp.abs(polygon_area(hull, visible_hull(view, low, high, hull)))
+
+
+@wp.func
+def projected_area(view: AreaView, low: wp.vec3, high: wp.vec3):
+    """Area of what the window shows of a box's picture: parallel rays, in square units across them; radial ones, in the plane
+    at depth 1. 0 for a box outside the area's rays."""
+    area = whole_area(view, low, high)
+    if area == NEEDS_CLIPPING:
+        area = window_area(view, low, high)
+    if area == NEEDS_CLIPPING:
+        area = clipped_area(view, low, high)
+    return area
+
+
+@wp.func
+def shared_area(view: AreaView, low: wp.vec3, high: wp.vec3, other_low: wp.vec3, other_high: wp.vec3):
+    """Area of what the pictures of two boxes have in common within the window: rays that meet both."""
+    one = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
+    other = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
+    corners = visible_hull(view, low, high, one)
+    sides = visible_hull(view, other_low, other_high, other)
+    if sides < 3:
+        return 0.0
+    return wp.abs(polygon_area(one, clip_to_polygon(one, corners, other, sides)))

@@ -1,0 +1,136 @@
+"""Measures of trees: expected cost against counted cost, overlap against a polygon library, tables and files, bad input."""
+
+from __future__ import annotations
+
+import csv
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import SCENES
+from shapely import box
+from test_influence import picture, window
+from test_projected_bvh import AREA_KINDS, area_of, rays_of
+
+import wrt
+from wrt.builders.bvh.statistics import unpack
+
+
+@pytest.mark.parametrize("kind", AREA_KINDS)
+@pytest.mark.parametrize(("name", "width"), [("atrium", 8), ("wood", 8), ("random_triangles", 8)])
+def test_expected_cost_is_what_is_counted(name, width, kind):
+    """Rays of the area, followed through all they meet, cost what projected areas say, on a tree built for them or not."""
+    mesh = SCENES[name]()
+    area = area_of(mesh, kind)
+    rays = wrt.Rays(*rays_of(area, 20_000))
+    for tree in (wrt.Bvh(width=width), wrt.ProjectedBvh(areas=area, width=width)):
+        found = wrt.analyse(wrt.Scene(mesh, tree), area, rays)
+        assert found.passing.rays > 1000
+        assert found.error <= 0.02
+        assert found.expected_boxes == pytest.approx(found.passing.boxes, rel=0.03)
+        assert found.expected_triangles == pytest.approx(found.passing.triangles, rel=0.06)
+        assert found.stopping.cost <= found.passing.cost
+        assert 0.0 < found.hit_share <= found.passing.share
+
+
+def test_surface_areas_expect_lines_in_all_directions():
+    """Without an area: rays through the scene from all sides, spread evenly over lines, cost what surface areas say."""
+    mesh = SCENES["random_triangles"]()
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(20_000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    aside = rng.normal(size=directions.shape)
+    aside -= (aside * directions).sum(axis=1, keepdims=True) * directions
+    aside *= np.sqrt(rng.random((20_000, 1))) / np.linalg.norm(aside, axis=1, keepdims=True)
+    radius = np.linalg.norm(np.ptp(mesh.bounds, axis=0)) / 2
+    rays = wrt.Rays(mesh.bounds.mean(axis=0) + radius * (aside - 2 * directions), directions)
+    scene = wrt.Scene(mesh, wrt.Bvh(width=8))
+    found = wrt.analyse(scene, rays=rays, box_cost=1 / 8, triangle_cost=0.0)
+    assert found.error <= 0.02
+    nodes = wrt.analyse(scene, box_cost=1 / 8, triangle_cost=0.0).boxes.cost.sum()
+    assert nodes == pytest.approx(found.expected_cost)
+
+
+@pytest.mark.parametrize("kind", ["plane", "point inside"])
+@pytest.mark.parametrize("width", [2, 8])
+def test_boxes_and_overlaps(kind, width):
+    """Every row, worked out again with the polygon library: areas, parents, levels, what pictures of siblings share."""
+    mesh = wrt.scenes.build("random_triangles", count=120, size=0.3, seed=8)
+    area = area_of(mesh, kind)
+    scene = wrt.Scene(mesh, wrt.ProjectedBvh(areas=area, width=width))
+    boxes = wrt.analyse(scene, area).boxes
+    half = window(area)
+    frame = box(-half[0], -half[1], half[0], half[1])
+    shown = [picture(area, a, b).intersection(frame) for a, b in zip(boxes.low, boxes.high, strict=True)]
+    scale = max(p.area for p in shown)
+    np.testing.assert_allclose(boxes.area, [p.area for p in shown], rtol=1e-3, atol=1e-4 * scale)
+    np.testing.assert_allclose(boxes.hit_probability, boxes.area / boxes.area[0])
+    assert boxes.triangles.sum() == mesh.triangle_count
+    assert len(boxes.level) == 1 + (unpack(scene.tree).is_leaf | unpack(scene.tree).is_inner).sum()
+    for i in range(1, len(boxes.level)):
+        parent = boxes.parent[i]
+        assert boxes.level[i] == boxes.level[parent] + 1
+        assert (boxes.low[i] >= boxes.low[parent]).all()
+        assert (boxes.high[i] <= boxes.high[parent]).all()
+    sums = np.zeros((boxes.level.max() + 1, 2))
+    for node in np.flatnonzero(~boxes.is_leaf):
+        children = np.flatnonzero(boxes.parent == node)
+        for n, i in enumerate(children):
+            for j in children[:n]:
+                sums[boxes.level[i]] += shown[i].intersection(shown[j]).area, min(shown[i].area, shown[j].area)
+    expected = [shared / smaller if smaller > 0 else np.nan for shared, smaller in sums]
+    np.testing.assert_allclose(boxes.overlap_by_level(), expected, rtol=5e-3, atol=1e-3)
+    assert np.nanmax(boxes.overlap) <= 1.0
+
+
+def test_costs_add_up():
+    mesh = SCENES["teapot"]()
+    area = area_of(mesh, "point")
+    found = wrt.analyse(wrt.Scene(mesh, wrt.Bvh(width=4)), area, box_cost=0.5, triangle_cost=2.0)
+    assert found.expected_cost == pytest.approx(0.5 * found.expected_boxes + 2.0 * found.expected_triangles)
+    assert found.expected_cost == pytest.approx(sum(level["expected cost"] for level in found.levels))
+    assert (found.passing, found.error, found.hit_share) == (None, None, None)
+
+
+def test_an_area_that_sees_nothing():
+    """Every box is as likely as the root, and no siblings overlap."""
+    mesh = SCENES["teapot"]()
+    away = wrt.PlaneInfluenceArea(position=(0, 0, 1e3), direction=(0, 0, 1), width=1, height=1, depth=1)
+    found = wrt.analyse(wrt.Scene(mesh), away)
+    assert (found.boxes.hit_probability == 1.0).all()
+    assert found.summary()["sibling overlap"] is None
+
+
+def test_files(tmp_path):
+    """What is written is what is told, in JSON and in CSV."""
+    mesh = SCENES["teapot"]()
+    area = area_of(mesh, "plane")
+    found = wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area, width=8)), area, wrt.Rays(*rays_of(area, 500)))
+    found.save_json(tmp_path / "tree.json")
+    read = json.loads((tmp_path / "tree.json").read_text())
+    assert read == found.to_dict()
+    assert list(read) == ["tree", "levels", "boxes"]
+    assert read["tree"]["nodes"] == sum(level["nodes"] for level in read["levels"])
+    assert read["tree"]["passing"]["rays"] <= 500
+    found.save_csv(tmp_path / "tree.csv")
+    with (tmp_path / "tree.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(found.boxes.level) == len(read["boxes"])
+    np.testing.assert_array_equal([float(row["hit_probability"]) for row in rows], found.boxes.hit_probability)
+    assert rows[0]["parent"] == "-1"
+    assert {row["overlap"] == "" for row in rows if row["leaf"] == "True"} == {True}
+
+
+def test_bad_input():
+    mesh = SCENES["teapot"]()
+    scene = wrt.Scene(mesh)
+    with pytest.raises(ValueError, match="scene has a kdtree"):
+        wrt.analyse(SimpleNamespace(tree=None, accelerator=wrt.KdTree()))
+    with pytest.raises(TypeError, match=r"rays must be a wrt\.Rays, not tuple"):
+        wrt.analyse(scene, rays=((0, 0, 0), (0, 0, 1)))
+    with pytest.raises(TypeError, match=r"area must be .* not str"):
+        wrt.analyse(scene, "sun")
+    for name in ("box_cost", "triangle_cost"):
+        with pytest.raises(ValueError, match=f"{name} is -1"):
+            wrt.analyse(scene, **{name: -1})
