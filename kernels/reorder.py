@@ -39,6 +39,9 @@ BUCKETS = 8 * 8 * 8 * 8
 LEAST_CHUNK = 1 << 14
 """Rays that are worth a row of counts."""
 
+CUDA_CHUNK = 1 << 10
+"""The same on CUDA, where a row is one thread's."""
+
 
 @wp.func
 def cell_of(offset: float, scale: float):
@@ -142,6 +145,33 @@ def scatter_counts(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch
     """Item: a place in the order."""
     place = first + wp.tid()
     hits.counts[order[place]] = sorted_hits.counts[place]
+
+
+@wp.kernel
+def count_buckets(first: int, chunk: int, bucket: wp.array(dtype=wp.uint16), counts: wp.array2d(dtype=int)):
+    """Item: a chunk of rays. counts: (chunks, buckets), zeros."""
+    item = first + wp.tid()
+    row = counts[item]
+    for i in range(item * chunk, wp.min(bucket.shape[0], (item + 1) * chunk)):
+        row[int(bucket[i])] += 1
+
+
+def sort_buckets(bucket: wp.array, buckets: int) -> tuple[wp.array, list[int]]:
+    """Rays bucket by bucket, in their own order within each: ((rays,) int32 numbers, where each bucket begins, and the end).
+
+    Args:
+        bucket: (rays,) uint16, below `buckets`.
+    """
+    device, count = bucket.device, len(bucket)
+    chunk = CUDA_CHUNK if device.is_cuda else max(LEAST_CHUNK, -(-count // (4 * get_num_threads())))
+    chunks = -(-count // chunk)
+    counts = wp.zeros((chunks, buckets), dtype=int, device=device)
+    order = wp.empty(count, dtype=int, device=device)
+    launch(count_buckets, chunks, [chunk, bucket, counts], device=device, chunk=1)
+    launch(scan_counts, 1, [counts], device=device)
+    begins = [*counts[0].numpy().tolist(), count] if chunks else [0] * (buckets + 1)  # places now: the one round trip
+    launch(fill_order, chunks, [count, chunk, bucket, counts, order], device=device, chunk=1)
+    return order, begins
 
 
 def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -> wp.array:

@@ -32,6 +32,7 @@ _HOME = {
     "PlaneInfluenceArea": "wrt.builders.influence",
     "PointInfluenceArea": "wrt.builders.influence",
     "ProjectedBvh": "wrt.projected_bvh",
+    "RayAwareBvh": "wrt.ray_aware_bvh",
     "RayMeshIntersector": "wrt.adapters.trimesh_rays",
     "Rays": "wrt.rays",
     "RaycastingScene": "wrt.adapters.open3d_rays",

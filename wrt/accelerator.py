@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, get_args
 
 from wrt.projected_bvh import ProjectedBvh
+from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -121,7 +122,7 @@ class Bvh:
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
 
 
-Accelerator = KdTree | Bvh | ProjectedBvh
+Accelerator = KdTree | Bvh | ProjectedBvh | RayAwareBvh
 
 ACCELERATORS = {"auto": Bvh, "bvh": Bvh, "kdtree": KdTree}
 """Names that `wrt.Scene` takes in place of a description."""
@@ -138,5 +139,6 @@ def resolve_accelerator(accelerator: str | Accelerator) -> Accelerator:
         return accelerator
     if not isinstance(accelerator, str):
         kind = type(accelerator).__name__
-        raise TypeError(f"accelerator must be a name, a wrt.Bvh, a wrt.KdTree or a wrt.ProjectedBvh, not {kind}")
+        names = ", ".join(f"wrt.{entry.__name__}" for entry in get_args(Accelerator))
+        raise TypeError(f"accelerator must be a name or one of {names}, not {kind}")
     return lookup(ACCELERATORS, accelerator, "accelerator")()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -15,10 +16,12 @@ from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
+from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.rays import shared_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from wrt.builders.common import Bvh
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
@@ -71,6 +74,7 @@ class Scene(Queries):
     def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray) -> None:
         from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
+        from wrt.local_trees import build_local_trees
 
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
         host = wp.get_device("cpu")
@@ -86,6 +90,14 @@ class Scene(Queries):
         self.device_mesh.low, self.device_mesh.high = wp.vec3(*self.tree.low), wp.vec3(*self.tree.high)
         self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+        self.local_trees = build_local_trees(self, boxes) if isinstance(self.accelerator, RayAwareBvh) else None
+        """The trees of influence areas, where there are any."""
+
+    def over(self, tree: Bvh) -> Scene:
+        """The same scene with another tree on its device, over some of its triangles; it has no areas."""
+        other = copy(self)
+        other.tree, other.local_trees, other._blocks = tree, None, {}
+        return other
 
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"

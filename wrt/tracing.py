@@ -10,7 +10,7 @@ import warp as wp
 from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ALL, ANY, COUNT, Plan, plan_for, traversal_config, way_of
+from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -31,12 +31,21 @@ def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
 ) -> tuple[HitBatch, wp.array | None]:
     """Results of any query but "all", and each ray's work if it is to be counted."""
-    plan = plan_for(plan, query)
-    device, rays = scene.device, buffers.batch
+    plan, rays = plan_for(plan, query), buffers.batch
+    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
+    if scene.local_trees is not None and plan.accelerator != "none" and query in (CLOSEST, ANY):
+        from wrt.local_trees import trace_by_area
+
+        return trace_by_area(scene, plan, rays, query, counters)
+    return trace_batch(scene, plan, rays, query, counters)
+
+
+def trace_batch(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
+    """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
+    device = scene.device
     hits = new_hits(rays.count, query, device)
     kind = way_of(plan).counters
     work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
-    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
     if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None

@@ -1,0 +1,179 @@
+"""Which influence area a ray belongs to: a look into an octree over the areas' regions, and how far the area answers for it.
+
+An influence area is a region in which rays are distributed in a known way, and has a tree of its own, made for them, over the
+triangles that touch the region. A ray is affine to it if it starts in the region and runs along the distribution
+(Falcone 2024, section 3.1; forward or backward, as projections are the same both ways).
+
+**The octree.** A cell is a word of `child`: the first of its eight children, which follow one another, or ~list, a leaf and the
+list of areas whose regions touch it. Child 4 z + 2 y + x has the upper half along an axis where its bit is set. Leaves with
+the same areas share a list, so an octree is some bytes a cell. A tree of one cell, a leaf with all areas, is the plain array.
+Lists are conservative; what counts is the test of the region itself, that of the box around it first.
+
+**How far an area answers.** Regions are convex: a ray that starts in one is inside up to the t at which it leaves. Every
+triangle that it can meet until then touches the region, and is in the area's tree: a hit there is the closest of all, with
+the smaller id of two at the same t as everywhere, as lists keep the triangles' order. So a ray is cut in two: up to where it
+leaves, the area's tree answers; if that finds nothing, the whole scene's tree answers for the rest. No rest is left if the
+ray ends before, or leaves the scene's box first.
+
+**Rounding.** A hit's point is in its triangle's box widened by the ray's slack (the consistency rule, `wrt.kernels.boxes`),
+whatever the triangle test. So an area's tree has every triangle whose *box* touches the region widened by a margin, several
+times the greatest slack of any ray that starts there (`wrt.builders.areas`): then the argument holds for every computed
+hit, to the bit, for triangles seen edge-on too.
+
+References:
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024 (chapter 3, section 5.5).
+"""
+
+import warp as wp
+
+from wrt.kernels.boxes import INFINITY
+from wrt.kernels.influence.view import AreaView, is_aligned
+from wrt.kernels.rays import Ray, RayBatch, load_ray
+from wrt.kernels.regions import Region, contains_point, leave_region, reach_face
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class AreaTree:
+    """The influence areas of a scene and an octree over their regions; coordinates are relative to the scene's centre."""
+
+    regions: wp.array(dtype=Region)
+    """(areas,) where rays may start, in float64."""
+    views: wp.array(dtype=AreaView)
+    """(areas,) how rays run."""
+    sine: float
+    """Of the greatest angle between a ray and the area's ray through its origin."""
+    touch: float
+    """Distance from the point that radial rays go through below which a ray starts at it: rounding of the origin."""
+    low: wp.vec3d
+    """Lower corner of the root's cube; outside it there is no area."""
+    cells: wp.float64
+    """Cells along an axis for each unit of length, at the greatest depth."""
+    depth: int
+    """Levels below the root, at most: 2^depth cells along an axis."""
+    child: wp.array(dtype=int)
+    """(cells,) the first of eight children, or ~list."""
+    begin: wp.array(dtype=int)
+    """(lists + 1,) where each list begins."""
+    area: wp.array(dtype=int)
+    """The lists, each in ascending order."""
+
+
+@wp.func
+def runs_along(areas: AreaTree, area: int, ray: Ray):
+    """Whether a ray runs along the area's rays, forward or backward; one from the point that all go through does."""
+    view = areas.views[area]
+    start = ray.origin - view.eye
+    if view.radial and wp.dot(start, start) <= areas.touch * areas.touch:
+        return True
+    return is_aligned(view, ray.origin, ray.direction, areas.sine)
+
+
+@wp.func
+def find_list(areas: AreaTree, point: wp.vec3d):
+    """The list of the leaf around a point, -1 outside the root.
+
+    The bits of the point's place on the finest grid, from the highest down, are the way to its leaf.
+    """
+    place = (point - areas.low) * areas.cells
+    end = wp.float64(1 << areas.depth)
+    for axis in range(3):
+        if not (place[axis] >= wp.float64(0.0) and place[axis] < end):
+            return -1
+    x = int(place[0])
+    y = int(place[1])
+    z = int(place[2])
+    word = areas.child[0]
+    level = int(areas.depth)
+    while word >= 0:
+        level -= 1
+        word = areas.child[word + (((x >> level) & 1) | (((y >> level) & 1) << 1) | (((z >> level) & 1) << 2))]
+    return ~word
+
+
+@wp.func
+def find_area(areas: AreaTree, ray: Ray):
+    """The first area to which a ray is affine, -1 for none."""
+    origin = wp.vec3d(ray.origin)
+    which = find_list(areas, origin)
+    if which >= 0:
+        for k in range(areas.begin[which], areas.begin[which + 1]):
+            area = areas.area[k]
+            if contains_point(areas.regions[area], origin) and runs_along(areas, area, ray):
+                return area
+    return -1
+
+
+@wp.kernel
+def list_points(first: int, areas: AreaTree, points: wp.array(dtype=wp.vec3d), lists: wp.array(dtype=int)):
+    """Item: a point. The list of the leaf around it, -1 outside the root."""
+    i = first + wp.tid()
+    lists[i] = find_list(areas, points[i])
+
+
+@wp.func
+def leave_scene(ray: Ray, low: wp.vec3d, high: wp.vec3d):
+    """A t after which a ray has no hits, given corners that hold all of them."""
+    leave = wp.float64(wp.inf)
+    for axis in range(3):
+        origin = wp.float64(ray.origin[axis])
+        rate = wp.float64(ray.direction[axis])
+        leave = reach_face(high[axis] - origin, rate, leave)
+        leave = reach_face(origin - low[axis], -rate, leave)
+    return leave
+
+
+@wp.kernel
+def assign_rays(
+    first: int,
+    rays: RayBatch,
+    areas: AreaTree,
+    low: wp.vec3d,
+    high: wp.vec3d,
+    area: wp.array(dtype=wp.uint16),
+    cut: wp.array(dtype=float),
+    rest: wp.array(dtype=float),
+):
+    """Item: a ray. Its area, or the number of areas if it has none, and where it is cut.
+
+    low, high: corners that hold all hits.
+    cut: the t up to which the area's tree answers.
+    rest: the t from which on the scene's tree does; inf if there is nothing left.
+    """
+    i = first + wp.tid()
+    ray = load_ray(rays, i)
+    which = int(-1)
+    cut[i] = ray.t_max
+    rest[i] = ray.t_min
+    if ray.valid:
+        which = find_area(areas, ray)
+    if which >= 0:
+        leave = leave_region(areas.regions[which], wp.vec3d(ray.origin), wp.vec3d(ray.direction))
+        if leave >= wp.float64(ray.t_max) or leave >= leave_scene(ray, low, high):
+            rest[i] = INFINITY
+        elif leave > wp.float64(ray.t_min):
+            cut[i] = float(leave)
+            rest[i] = float(leave)
+        else:
+            which = -1
+    area[i] = wp.uint16(wp.where(which < 0, areas.regions.shape[0], which))
+
+
+@wp.kernel
+def mark_rest(
+    first: int,
+    areas: int,
+    area: wp.array(dtype=wp.uint16),
+    rest: wp.array(dtype=float),
+    primitive: wp.array(dtype=int),
+    occluded: wp.array(dtype=wp.bool),
+    bucket: wp.array(dtype=wp.uint16),
+):
+    """Item: a ray. Bucket 0 for those that are left to the scene's tree, else 1; one of the two results is there."""
+    i = first + wp.tid()
+    done = int(area[i]) < areas
+    if done and rest[i] < INFINITY:
+        done = primitive[i] >= 0 if primitive.shape[0] > 0 else occluded[i]
+    bucket[i] = wp.uint16(wp.where(done, 1, 0))

@@ -1,0 +1,218 @@
+"""Trees of influence areas: no area is lost, every hit is that of brute force, whatever the rays and the top level."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import SCENES, assert_same_hits, mixed_rays
+
+import wrt
+from wrt.builders.areas import TopLevel, region_of
+from wrt.builders.regions import contain_points
+from wrt.local_trees import assign
+from wrt.rays import Rays, to_device
+
+MESHES = ("teapot", "random_triangles", "grid", "degenerate")
+
+
+def random_areas(count: int, low: np.ndarray, high: np.ndarray, seed: int = 0) -> list:
+    """Plane and point areas of all sizes about a box."""
+    rng = np.random.default_rng(seed)
+    size = np.ptp([low, high], axis=0).max()
+    areas = []
+    for number in range(count):
+        position, direction = rng.uniform(low - 0.2 * size, high + 0.2 * size), rng.normal(size=3)
+        if number % 2:
+            width, height, depth = size * rng.uniform(0.1, 0.8, 3)
+            areas.append(
+                wrt.PlaneInfluenceArea(position=position, direction=direction, width=width, height=height, depth=depth)
+            )
+        else:
+            fov, far = rng.uniform(10, 140, 2), size * rng.uniform(0.2, 1)
+            areas.append(wrt.PointInfluenceArea(position=position, direction=direction, fov=fov, near=0.1 * far, far=far))
+    return areas
+
+
+def areas_of(mesh) -> list:
+    """A light from above with an edge through the middle of the mesh, a lamp beside it, a lamp in it, and one far away."""
+    low, high = mesh.bounds
+    center, size = (low + high) / 2, high - low
+    extent = float(size.max())
+    sun = wrt.PlaneInfluenceArea(
+        position=center + size * (0.25, 0, 1),
+        direction=(0, 0, -1),
+        width=size[0] / 2,
+        height=extent,
+        depth=1.2 * size[2],
+    )
+    lamp = wrt.PointInfluenceArea(
+        position=center + extent * np.array([-1, 0.1, 1]), direction=(1, 0, -1), fov=(40, 70), near=0.1 * extent, far=np.inf
+    )
+    inner = wrt.PointInfluenceArea(
+        position=center, direction=(0.2, 1, 0.1), fov=(120, 90), near=1e-3 * extent, far=0.4 * extent
+    )
+    nowhere = wrt.PointInfluenceArea(position=high + 9 * extent, direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    return [sun, lamp, nowhere, inner]
+
+
+def affine_rays(mesh, count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Rays along those areas, forward and backward, from in and around their regions; some from the lamps themselves."""
+    rng = np.random.default_rng(seed)
+    low, high = mesh.bounds
+    areas, size = areas_of(mesh), (high - low).max()
+    origins = rng.uniform(low - 0.3 * size, high + 0.3 * size, (count, 3))
+    kind = rng.integers(0, 4, count)
+    poles = np.array([areas[k].position for k in (0, 1, 3)])[np.minimum(kind, 2)]
+    directions = np.where((kind == 0)[:, None], [0, 0, -1], (origins - poles) / size) * rng.choice([-1.0, 1.0], (count, 1))
+    from_pole = rng.random(count) < 0.1
+    origins[from_pole & (kind > 0)] = poles[from_pole & (kind > 0)]
+    corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, count), 0]]
+    on_vertex = rng.random(count) < 0.2  # starts, and ends of faces of the grid, on planes of the regions
+    origins[on_vertex] = corners[on_vertex]
+    return origins.astype(np.float32), directions.astype(np.float32)
+
+
+def test_octree_loses_no_area():
+    """Against all regions in float64: every area of a point is listed, and with depth fewer others are."""
+    low, high = np.full(3, 10.0), np.full(3, 14.0)
+    areas = random_areas(20, low, high)
+    regions = [region_of(area, low, high) for area in areas]
+    rng = np.random.default_rng(5)
+    corners = np.concatenate([region.corners for region in regions])
+    edges = corners[rng.integers(0, len(corners), 2000)] * 0.5 + corners[rng.integers(0, len(corners), 2000)] * 0.5
+    points = np.concatenate([rng.uniform(low - 3, high + 3, (20000, 3)), corners, edges])
+    inside = contain_points(regions, points)
+    assert inside.any(axis=0).all()
+    listed = []
+    for depth in (0, 1, 3, 5):
+        top = TopLevel(areas, regions, depth, 0.1, np.full(3, 12.0), wp.get_device("cpu"))
+        candidates = top.candidates(points)
+        assert (candidates | ~inside).all()
+        assert top.cells <= (8 ** (depth + 1) - 1) // 7
+        listed.append(candidates[:20000].sum() / inside[:20000].sum())
+    assert listed[0] > listed[1] > listed[2] > listed[3]
+    assert listed[3] < 2.5
+
+
+@pytest.mark.parametrize("top_level", ["octree", "array"])
+def test_areas_of_rays(device, top_level):
+    """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
+    mesh = SCENES["teapot"]()
+    areas = areas_of(mesh)
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level), device=device)
+    assert scene.local_trees.areas == (areas[0], areas[1], areas[3])
+    assert all(0 < count <= mesh.triangle_count for count in scene.local_trees.triangles)
+    origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))
+    with np.errstate(all="ignore"):
+        directions[::7] += np.float32(0.05) * np.abs(directions[::7]).max(axis=1, keepdims=True)  # some beyond the tolerance
+    found = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
+    regions = [region_of(area, *mesh.bounds) for area in scene.local_trees.areas]
+    inside = contain_points(regions, origins)
+    expected, clear = np.full(len(origins), len(regions)), np.ones(len(origins), dtype=bool)
+    with np.errstate(all="ignore"):
+        for number in reversed(range(len(regions))):
+            area = scene.local_trees.areas[number]
+            line = np.array(area.direction) if number == 0 else origins - np.array(area.position)
+            cosine = (
+                np.abs((line * directions).sum(axis=1)) / np.linalg.norm(line, axis=-1) / np.linalg.norm(directions, axis=1)
+            )
+            angle = np.degrees(np.arccos(np.minimum(cosine, 1.0)))
+            clear &= ~(np.abs(angle - 2.0) < 1e-3) & (np.linalg.norm(line, axis=-1) > 1e-5)
+            expected[inside[:, number] & (angle <= 2.0)] = number
+            normals = region_normals(regions[number])
+            clear &= np.abs(normals[:, :3] @ origins.T.astype(np.float64) - normals[:, 3:]).min(axis=0) > 1e-4
+    assert clear.mean() > 0.6
+    assert set(expected[clear]) == {0, 1, 2, 3}
+    leaves_at_once = (found == 3) & (expected < 3)
+    assert (found == expected)[clear & ~leaves_at_once].all()
+    assert leaves_at_once[clear].mean() < 0.01
+
+
+def region_normals(region) -> np.ndarray:
+    """(F, 4) unit normals and offsets of the faces."""
+    from scipy.spatial import ConvexHull
+
+    equations = ConvexHull(region.corners).equations
+    return np.concatenate([equations[:, :3], -equations[:, 3:]], axis=1)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_every_hit_is_brute_forces(device, name):
+    mesh = SCENES[name]()
+    origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 6000), mixed_rays(mesh, 2000), strict=True))
+    order = np.random.default_rng(1).permutation(len(origins))
+    origins, directions = origins[order], directions[order]
+    rng = np.random.default_rng(2)
+    t_min = np.where(rng.random(len(origins)) < 0.5, 0.0, rng.uniform(0, 1, len(origins)))
+    t_max = np.where(rng.random(len(origins)) < 0.5, np.inf, t_min + rng.uniform(0, 2, len(origins)))
+    plain = wrt.Scene(mesh, "bvh", device=device)
+    expected = plain.intersect(origins, directions, t_min, t_max, traversal="brute")
+    dark = plain.occluded(origins, directions, t_min, t_max, traversal="brute")
+    for top_level in ("octree", "array"):
+        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
+        for traversal in ("single", "auto"):
+            hits = scene.intersect(origins, directions, t_min, t_max, traversal=traversal)
+            assert_same_hits(hits, expected)
+            np.testing.assert_array_equal(scene.occluded(origins, directions, t_min, t_max, traversal=traversal), dark)
+    in_area = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy() < 3
+    assert 0.15 < in_area.mean() < 0.95
+    assert expected.is_hit[in_area].mean() > 0.1
+    np.testing.assert_array_equal(scene.count(origins, directions), plain.count(origins, directions))
+    np.testing.assert_array_equal(scene.intersect_all(origins, directions).t, plain.intersect_all(origins, directions).t)
+
+
+def test_a_picture_within_one_area_stays_one(device):
+    """All rays of one area, in tiles; work is counted in area and rest; few rays, none, and rays on the device."""
+    mesh = SCENES["random_triangles"]()
+    low, high = mesh.bounds
+    eye = low + (high - low) * [0.5, -1.0, 0.6]
+    camera = wrt.PinholeCamera(32, 24, position=eye, look_at=(low + high) / 2)
+    whole, half = (
+        wrt.PointInfluenceArea(position=eye, direction=(low + high) / 2 - eye, fov=(90, 90), near=0.01, far=far)
+        for far in (np.inf, 1.15 * float(high[1] - low[1]))
+    )
+    plain = wrt.Scene(mesh, "bvh", device=device)
+    rays = camera.rays()
+    expected = plain.intersect(rays, traversal="packet", counters=True)
+    for area, complete in ((whole, True), (half, False)):
+        scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[area]), device=device)
+        cuts = assign(scene, to_device(rays, scene.device, scene.center).batch)
+        assert (cuts.area.numpy() == 0).all()
+        assert np.isinf(cuts.rest.numpy()).all() == complete
+        hits = scene.intersect(rays, traversal="packet", counters=True)
+        assert hits.plan.reorder == "tiles"
+        local = scene.local_trees.scenes[0]
+        assert (local.tree.low, local.tree.high) == (scene.tree.low, scene.tree.high)  # or rounding would show
+        assert_same_hits(hits, expected)
+        assert (hits.counters["nodes"].sum() > expected.counters["nodes"].sum()) != complete
+    assert_same_hits(scene.intersect(Rays(eye, rays.directions[3, :5])), plain.intersect(Rays(eye, rays.directions[3, :5])))
+    assert scene.intersect(np.zeros((0, 3)), np.zeros((0, 3))).t.shape == (0,)
+    origins = wp.array(np.broadcast_to(eye, (24, 32, 3)).reshape(-1, 3), dtype=wp.vec3d, device=scene.device)
+    directions = wp.array(rays.directions.reshape(-1, 3), dtype=wp.vec3, device=scene.device)
+    found = scene.intersect(origins, directions).primitive_id
+    np.testing.assert_array_equal(found.numpy().reshape(24, 32), expected.primitive_id)
+
+
+def test_areas_without_triangles_are_left_out():
+    mesh = SCENES["teapot"]()
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
+    assert scene.local_trees is None
+    assert_same_hits(scene.intersect(*mixed_rays(mesh, 100)), wrt.Scene(mesh, device="cpu").intersect(*mixed_rays(mesh, 100)))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"areas": []}, ValueError, "area"),
+        ({"areas": ["sun"]}, TypeError, "area"),
+        ({"local": wrt.KdTree()}, TypeError, "local must be a wrt.Bvh"),
+        ({"tolerance": 90.0}, ValueError, "tolerance is 90"),
+        ({"top_level": "list"}, ValueError, "top_level 'list' is unknown; choose from octree, array"),
+        ({"depth": 0}, ValueError, "depth is 0"),
+    ],
+)
+def test_bad_options(options, error, message):
+    area = wrt.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
+    with pytest.raises(error, match=message):
+        wrt.RayAwareBvh(**{"areas": [area], **options})

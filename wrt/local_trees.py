@@ -1,0 +1,171 @@
+"""Tracing by influence areas: each ray by the tree of its area as far as that answers, the rest by the whole scene's tree.
+
+`wrt.kernels.areas` says why hits are those of any other tree, to the bit. Here is the way of a batch, which keeps the speed of
+the engine, as every part of it is a batch of its own, traced by the same plan:
+
+    assign   each ray finds its area and where it leaves it
+    sort     rays are counted, scanned and listed area by area (the one round trip to the host: how many each area has)
+    local    each area's rays, cut where they leave, are gathered, traced through the area's tree and scattered back
+    rest     rays without an area, and those that left theirs without a hit, are gathered and traced through the scene's
+
+A batch that is all of one area, as the shadow rays of one light often are, or of none, is traced where it is: nothing is moved,
+and a picture stays one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import radians, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.areas import TopLevel, boxes_of, margin_of, region_of, renumber, triangles_in
+from wrt.kernels.areas import assign_rays, mark_rest
+from wrt.kernels.launch import launch
+from wrt.kernels.rays import HitBatch, RayBatch
+from wrt.kernels.reorder import sort_buckets, sort_rays, unsort_hits
+from wrt.memory import empty
+from wrt.plan import Plan, way_of
+from wrt.tracing import new_hits, trace_batch
+
+if TYPE_CHECKING:
+    from wrt.builders.influence import InfluenceArea
+    from wrt.builders.triangles import TriangleBoxes
+    from wrt.scene import Scene
+
+
+@dataclass(frozen=True)
+class LocalTrees:
+    """The influence areas of a scene that have triangles, and a tree for each.
+
+    Attributes:
+        areas: those of the accelerator's that some triangle touches.
+        scenes: for each, the scene with the area's tree.
+        triangles: for each, the triangles of its tree.
+        top: finds a ray's area.
+        low, high: corners, relative to the scene's centre, of the box that holds all hits of affine rays, rounding included.
+    """
+
+    areas: tuple[InfluenceArea, ...]
+    scenes: tuple[Scene, ...]
+    triangles: tuple[int, ...]
+    top: TopLevel
+    low: wp.vec3d
+    high: wp.vec3d
+
+    def __len__(self) -> int:
+        """Number of areas."""
+        return len(self.areas)
+
+
+def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | None:
+    """The trees of the accelerator's areas; None if no triangle touches any of them.
+
+    Args:
+        scene: with the whole scene's tree.
+        triangles: on the CPU.
+    """
+    accelerator, (low, high) = scene.accelerator, scene.bounds
+    areas, regions, scenes, counts = [], [], [], []
+    for area in accelerator.areas:
+        region = region_of(area, low, high)
+        ids = triangles_in(region, triangles)
+        if len(ids):
+            tree = accelerator.build_local(area, boxes_of(triangles, ids), scene.tree.width)
+            scenes.append(scene.over(renumber(tree, ids, triangles).to(scene.device)))
+            areas.append(area)
+            regions.append(region)
+            counts.append(len(ids))
+    if not areas:
+        return None
+    depth = accelerator.depth if accelerator.top_level == "octree" else 0
+    top = TopLevel(areas, regions, depth, sin(radians(accelerator.tolerance)), scene.center, scene.device)
+    margin = max(margin_of(region, low, high) for region in regions)
+    corners = [wp.vec3d(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
+    return LocalTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
+
+
+def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
+    """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
+    local, device = scene.local_trees, scene.device
+    cuts = assign(scene, rays)
+    order, begins = sort_buckets(cuts.area, len(local) + 1)
+    if begins[len(local)] == 0:
+        return trace_batch(scene, plan, rays, query, counters)
+    batch = Parts(plan, query, new_hits(rays.count, query, device), None, counters)
+    cut = with_range(rays, "t_max", cuts.cut)
+    for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
+        batch.trace(part, cut, order, begin, end)
+    inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
+    launch(mark_rest, rays.count, inputs, device=device, chunk=4096)
+    order, begins = sort_buckets(cuts.area, 2)
+    batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, begins[1])
+    return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=way_of(plan).counters, device=device)
+
+
+@dataclass
+class Cuts:
+    """For each ray of a batch: its area, where that ceases to answer, and where the rest begins (`assign_rays`)."""
+
+    area: wp.array
+    cut: wp.array
+    rest: wp.array
+
+
+def assign(scene: Scene, rays: RayBatch) -> Cuts:
+    """Finds the area of each ray."""
+    device, local = scene.device, scene.local_trees
+    cuts = Cuts(*(empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)))
+    inputs = [rays, local.top.struct, local.low, local.high, cuts.area, cuts.cut, cuts.rest]
+    launch(assign_rays, rays.count, inputs, device=device, chunk=4096)
+    return cuts
+
+
+@dataclass
+class Parts:
+    """A batch whose rays are traced in several parts.
+
+    Attributes:
+        plan, query: how the batch is answered.
+        hits: of all rays.
+        work: (rays,) structured, of all parts; None before the first one, and if none is counted.
+        counters: whether work is counted.
+    """
+
+    plan: Plan
+    query: str
+    hits: HitBatch
+    work: np.ndarray | None
+    counters: bool
+
+    def trace(self, scene: Scene, rays: RayBatch, order: wp.array, begin: int, end: int) -> None:
+        """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
+        if begin == end:
+            return
+        if end - begin == rays.count:
+            self.hits, work = trace_batch(scene, self.plan, rays, self.query, self.counters)
+            chosen = slice(None)
+        else:
+            order = order[begin:end]
+            plan = replace(self.plan, reorder="none") if self.plan.reorder == "tiles" else self.plan
+            hits, work = trace_batch(scene, plan, sort_rays(rays, order, empty), self.query, self.counters)
+            unsort_hits(order, hits, self.hits, self.query)
+            chosen = order.numpy()
+        if work is not None:
+            values = work.numpy()
+            if self.work is None:
+                self.work = np.zeros(rays.count, dtype=values.dtype)
+            for name in values.dtype.names:
+                self.work[name][chosen] += values[name]
+
+
+def with_range(rays: RayBatch, bound: str, values: wp.array) -> RayBatch:
+    """The same rays with a `t_min` or `t_max` of their own."""
+    other = RayBatch()
+    for name in RayBatch.vars:
+        setattr(other, name, getattr(rays, name))
+    setattr(other, bound, values)
+    setattr(other, f"{bound}_stride", 1)
+    return other
