@@ -27,6 +27,7 @@ _HOME = {
     "Bvh": "wrt.accelerator",
     "CircularCapCaster": "wrt.ray_casters",
     "Hits": "wrt.hits",
+    "InfluenceAreas": "wrt.influence_areas",
     "KdTree": "wrt.accelerator",
     "OrthographicCamera": "wrt.camera",
     "PinholeCamera": "wrt.camera",

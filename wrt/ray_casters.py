@@ -7,8 +7,8 @@
     dark = scene.occluded(wrt.point_shadow_rays(seen, (0, 0, 9)))
     dark = scene.occluded(wrt.directional_shadow_rays(seen, (0.3, 0.2, -1)))
 
-The same seed gives the same rays, whatever the count, and they are evenly spread
-(`wrt.kernels.casting`). Cameras cast rays evenly over a picture, square caps evenly over the sphere.
+The same seed gives the same rays, whatever the count, and they are evenly spread (`wrt.kernels.casting`). Cameras cast rays
+evenly over a picture, square caps evenly over the sphere.
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
