@@ -45,6 +45,7 @@ _HOME = {
     "TriangleMesh": "wrt.mesh",
     "Verification": "wrt.verification",
     "analyse": "wrt.analysis",
+    "break_even": "wrt.balance",
     "device": "wrt",
     "differentiable_hits": "wrt.gradients",
     "directional_shadow_rays": "wrt.ray_casters",

@@ -54,7 +54,7 @@ class Queries:
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
                 `precise` together with a traversal, a triangle test or counters.
         """
-        rays = _as_rays(origins, directions, t_min, t_max)
+        rays = as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             if precise:
@@ -79,7 +79,7 @@ class Queries:
 
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
-        rays = _as_rays(origins, directions, t_min, t_max)
+        rays = as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test)
@@ -115,7 +115,7 @@ class Queries:
         """
         from wrt.all_hits import AllHits, check_max_hits, find_all
 
-        bound, rays = check_max_hits(max_hits), _as_rays(origins, directions, t_min, t_max)
+        bound, rays = check_max_hits(max_hits), as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test, ALL)
@@ -136,7 +136,7 @@ class Queries:
 
         What `intersect_all` would list, counted; arguments and errors as there.
         """
-        rays = _as_rays(origins, directions, t_min, t_max)
+        rays = as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
@@ -224,13 +224,18 @@ class Queries:
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
             origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`.
         """
-        rays = _as_rays(origins, directions, t_min, t_max)
+        rays = as_rays(origins, directions, t_min, t_max)
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
         with use_threads(self.num_threads):
             return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
 
 
-def _as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
+def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
+    """The rays that a caller passed.
+
+    Raises:
+        TypeError: directions are missing, or given twice.
+    """
     if isinstance(origins, Rays):
         if directions is not None:
             raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
