@@ -27,10 +27,12 @@ References:
 
 import warp as wp
 
+from wrt.kernels.area_lanes import LANE_WORDS, MARK_WORDS, load_block, store_block, sum_blocks, try_area
 from wrt.kernels.boxes import INFINITY
-from wrt.kernels.influence.view import AreaView, is_aligned
-from wrt.kernels.rays import Ray, RayBatch, load_ray
-from wrt.kernels.regions import Region, contains_point, leave_region, reach_face
+from wrt.kernels.influence.view import AreaView
+from wrt.kernels.rays import RayBatch
+from wrt.kernels.regions import Region
+from wrt.kernels.traversal.stream import LIST_LANES
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -40,7 +42,7 @@ class AreaTree:
     """The influence areas of a scene and an octree over their regions; coordinates are relative to the scene's centre."""
 
     regions: wp.array(dtype=Region)
-    """(areas,) where rays may start, in float64."""
+    """(areas,) where rays may start."""
     views: wp.array(dtype=AreaView)
     """(areas,) how rays run."""
     sine: float
@@ -59,16 +61,6 @@ class AreaTree:
     """(lists + 1,) where each list begins."""
     area: wp.array(dtype=int)
     """The lists, each in ascending order."""
-
-
-@wp.func
-def runs_along(areas: AreaTree, area: int, ray: Ray):
-    """Whether a ray runs along the area's rays, forward or backward; one from the point that all go through does."""
-    view = areas.views[area]
-    start = ray.origin - view.eye
-    if view.radial and wp.dot(start, start) <= areas.touch * areas.touch:
-        return True
-    return is_aligned(view, ray.origin, ray.direction, areas.sine)
 
 
 @wp.func
@@ -93,19 +85,6 @@ def find_list(areas: AreaTree, point: wp.vec3d):
     return ~word
 
 
-@wp.func
-def find_area(areas: AreaTree, ray: Ray):
-    """The first area to which a ray is affine, -1 for none."""
-    origin = wp.vec3d(ray.origin)
-    which = find_list(areas, origin)
-    if which >= 0:
-        for k in range(areas.begin[which], areas.begin[which + 1]):
-            area = areas.area[k]
-            if contains_point(areas.regions[area], origin) and runs_along(areas, area, ray):
-                return area
-    return -1
-
-
 @wp.kernel
 def list_points(first: int, areas: AreaTree, points: wp.array(dtype=wp.vec3d), lists: wp.array(dtype=int)):
     """Item: a point. The list of the leaf around it, -1 outside the root."""
@@ -114,51 +93,76 @@ def list_points(first: int, areas: AreaTree, points: wp.array(dtype=wp.vec3d), l
 
 
 @wp.func
-def leave_scene(ray: Ray, low: wp.vec3d, high: wp.vec3d):
-    """A t after which a ray has no hits, given corners that hold all of them."""
-    leave = wp.float64(wp.inf)
-    for axis in range(3):
-        origin = wp.float64(ray.origin[axis])
-        rate = wp.float64(ray.direction[axis])
-        leave = reach_face(high[axis] - origin, rate, leave)
-        leave = reach_face(origin - low[axis], -rate, leave)
-    return leave
+def find_lists(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)):
+    """The list of each valid ray of a block; of an array, all have the same."""
+    if areas.depth > 0:
+        for k in range(count):
+            if marks[wp.static(LIST_LANES) + k] == 0:
+                point = wp.vec3d(wp.vec3(lanes[k], lanes[wp.static(LIST_LANES) + k], lanes[wp.static(2 * LIST_LANES) + k]))
+                marks[wp.static(LIST_LANES) + k] = find_list(areas, point)
+
+
+@wp.func
+def reaches(region: Region, lanes: wp.array(dtype=float)):
+    """Whether the box around a region and that of a block's origins have a point in common."""
+    at = wp.static(9 * LIST_LANES)
+    return (
+        wp.float64(lanes[at]) <= region.high[0]
+        and wp.float64(lanes[at + 1]) <= region.high[1]
+        and wp.float64(lanes[at + 2]) <= region.high[2]
+        and wp.float64(lanes[at + 3]) >= region.low[0]
+        and wp.float64(lanes[at + 4]) >= region.low[1]
+        and wp.float64(lanes[at + 5]) >= region.low[2]
+    )
+
+
+@wp.func
+def find_areas(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)):
+    """The area of each ray of a block: the first to which it is affine."""
+    last = int(-1)
+    for k in range(count):
+        which = marks[wp.static(LIST_LANES) + k]
+        if which >= 0 and which != last and marks[k] < 0:  # mostly, the rays of a block have one list; again does no harm
+            for entry in range(areas.begin[which], areas.begin[which + 1]):
+                area = areas.area[entry]
+                if reaches(areas.regions[area], lanes):
+                    try_area(area, areas.regions[area], areas.views[area], areas.sine, areas.touch, which, lanes, marks)
+        last = which
 
 
 @wp.kernel
 def assign_rays(
     first: int,
     rays: RayBatch,
+    chunk: int,
     areas: AreaTree,
-    low: wp.vec3d,
-    high: wp.vec3d,
+    low: wp.vec3,
+    high: wp.vec3,
     area: wp.array(dtype=wp.uint16),
     cut: wp.array(dtype=float),
     rest: wp.array(dtype=float),
+    sums: wp.array(dtype=wp.vec3i),
 ):
-    """Item: a ray. Its area, or the number of areas if it has none, and where it is cut.
+    """Item: a chunk of rays, a multiple of the lanes. For each its area, and where it is cut.
 
     low, high: corners that hold all hits.
+    area: of a ray, or the number of areas if it has none.
     cut: the t up to which the area's tree answers.
     rest: the t from which on the scene's tree does; inf if there is nothing left.
+    sums: (chunks,) of a chunk, the rays with an area and a rest, the greatest number in `area`, and areas less the least one.
     """
-    i = first + wp.tid()
-    ray = load_ray(rays, i)
-    which = int(-1)
-    cut[i] = ray.t_max
-    rest[i] = ray.t_min
-    if ray.valid:
-        which = find_area(areas, ray)
-    if which >= 0:
-        leave = leave_region(areas.regions[which], wp.vec3d(ray.origin), wp.vec3d(ray.direction))
-        if leave >= wp.float64(ray.t_max) or leave >= leave_scene(ray, low, high):
-            rest[i] = INFINITY
-        elif leave > wp.float64(ray.t_min):
-            cut[i] = float(leave)
-            rest[i] = float(leave)
-        else:
-            which = -1
-    area[i] = wp.uint16(wp.where(which < 0, areas.regions.shape[0], which))
+    item = first + wp.tid()
+    lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)
+    marks = wp.zeros(shape=(MARK_WORDS,), dtype=int)
+    begin = item * chunk
+    end = wp.min(rays.count, begin + chunk)
+    while begin < end:
+        count = load_block(rays, begin, end - begin, lanes, marks)
+        find_lists(areas, count, lanes, marks)
+        find_areas(areas, count, lanes, marks)
+        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
+        begin += count
+    sums[item] = sum_blocks(lanes, marks)
 
 
 @wp.kernel

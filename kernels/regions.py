@@ -85,31 +85,6 @@ def contains_point(region: Region, point: wp.vec3d):
 
 
 @wp.func
-def reach_face(gap: wp.float64, rate: wp.float64, leave: wp.float64):
-    """`leave`, or the t before it at which what is `gap` before a face, and nears it by `rate`, is there."""
-    if rate * leave > gap:  # a branch: divisions are what costs, and few faces are the nearest yet
-        return gap / rate
-    return leave
-
-
-@wp.func
-def leave_region(region: Region, origin: wp.vec3d, direction: wp.vec3d):
-    """The t at which a ray that starts in the region leaves it; inf for a direction of zero."""
-    p = in_frame(region, origin - region.origin)
-    d = in_frame(region, direction)
-    leave = reach_face(region.far - p[2], d[2], wp.float64(wp.inf))
-    leave = reach_face(p[2] - region.near, -d[2], leave)
-    half = region.width + p[2] * region.widening
-    grows = d[2] * region.widening
-    leave = reach_face(half - p[0], d[0] - grows, leave)
-    leave = reach_face(half + p[0], -d[0] - grows, leave)
-    half = region.height + p[2] * region.heightening
-    grows = d[2] * region.heightening
-    leave = reach_face(half - p[1], d[1] - grows, leave)
-    return reach_face(half + p[1], -d[1] - grows, leave)
-
-
-@wp.func
 def is_apart(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
     """Whether the shadows of the region and of a box on an axis, of any length, have a gap between them."""
     two = wp.float64(2.0)

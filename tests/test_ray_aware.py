@@ -208,7 +208,7 @@ def test_areas_without_triangles_are_left_out():
         ({"areas": ["sun"]}, TypeError, "area"),
         ({"local": wrt.KdTree()}, TypeError, "local must be a wrt.Bvh"),
         ({"tolerance": 90.0}, ValueError, "tolerance is 90"),
-        ({"top_level": "list"}, ValueError, "top_level 'list' is unknown; choose from octree, array"),
+        ({"top_level": "list"}, ValueError, "top_level 'list' is unknown; choose from auto, octree, array"),
         ({"depth": 0}, ValueError, "depth is 0"),
     ],
 )

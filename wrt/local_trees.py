@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 
+CHUNK, CUDA_CHUNK = 4096, 64
+"""Rays whose areas an item finds."""
+
+
 @dataclass(frozen=True)
 class LocalTrees:
     """The influence areas of a scene that have triangles, and a tree for each.
@@ -52,8 +56,8 @@ class LocalTrees:
     scenes: tuple[Scene, ...]
     triangles: tuple[int, ...]
     top: TopLevel
-    low: wp.vec3d
-    high: wp.vec3d
+    low: wp.vec3
+    high: wp.vec3
 
     def __len__(self) -> int:
         """Number of areas."""
@@ -80,47 +84,65 @@ def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | No
             counts.append(len(ids))
     if not areas:
         return None
-    depth = accelerator.depth if accelerator.top_level == "octree" else 0
-    top = TopLevel(areas, regions, depth, sin(radians(accelerator.tolerance)), scene.center, scene.device)
+    top = TopLevel(areas, regions, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device)
     margin = max(margin_of(region, low, high) for region in regions)
-    corners = [wp.vec3d(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
+    corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
     return LocalTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
 
 
 def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
     """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
-    local, device = scene.local_trees, scene.device
-    cuts = assign(scene, rays)
-    order, begins = sort_buckets(cuts.area, len(local) + 1)
-    if begins[len(local)] == 0:
+    local, cuts = scene.local_trees, assign(scene, rays)
+    if cuts.least == len(local):
         return trace_batch(scene, plan, rays, query, counters)
-    batch = Parts(plan, query, new_hits(rays.count, query, device), None, counters)
+    order, begins = cuts.sort(len(local))
+    batch = Parts(plan, query, new_hits(rays.count, query, scene.device), None, counters)
     cut = with_range(rays, "t_max", cuts.cut)
     for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
         batch.trace(part, cut, order, begin, end)
-    inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
-    launch(mark_rest, rays.count, inputs, device=device, chunk=4096)
-    order, begins = sort_buckets(cuts.area, 2)
-    batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, begins[1])
-    return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=way_of(plan).counters, device=device)
+    if cuts.left > 0 or begins[len(local)] < rays.count:
+        inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
+        launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
+        order, begins = sort_buckets(cuts.area, 2)
+        batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, begins[1])
+    kind = way_of(plan).counters
+    return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=kind, device=scene.device)
 
 
 @dataclass
 class Cuts:
-    """For each ray of a batch: its area, where that ceases to answer, and where the rest begins (`assign_rays`)."""
+    """For each ray of a batch: its area, where that ceases to answer, and where the rest begins (`assign_rays`).
+
+    Attributes:
+        area, cut, rest: (rays,).
+        left: number of rays that leave their areas before they end.
+        least, greatest: area of all rays; the number of areas stands for none.
+    """
 
     area: wp.array
     cut: wp.array
     rest: wp.array
+    left: int
+    least: int
+    greatest: int
+
+    def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
+        """Rays area by area, those without one last, as `sort_buckets`; no list is made if all have the same."""
+        if self.least < self.greatest:
+            return sort_buckets(self.area, areas + 1)
+        return None, [0] * (self.least + 1) + [len(self.area)] * (areas + 1 - self.least)
 
 
 def assign(scene: Scene, rays: RayBatch) -> Cuts:
     """Finds the area of each ray."""
     device, local = scene.device, scene.local_trees
-    cuts = Cuts(*(empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)))
-    inputs = [rays, local.top.struct, local.low, local.high, cuts.area, cuts.cut, cuts.rest]
-    launch(assign_rays, rays.count, inputs, device=device, chunk=4096)
-    return cuts
+    chunk = CUDA_CHUNK if device.is_cuda else CHUNK
+    chunks = -(-rays.count // chunk)
+    arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
+    sums = wp.empty(chunks, dtype=wp.vec3i, device=device)
+    launch(assign_rays, chunks, [rays, chunk, local.top.struct, local.low, local.high, *arrays, sums], device=device, chunk=1)
+    left, greatest, fewest = sums.numpy().reshape(-1, 3).T
+    return Cuts(*arrays, int(left.sum()), len(local) - int(fewest.max(initial=0)), int(greatest.max(initial=0)))
 
 
 @dataclass
@@ -140,7 +162,7 @@ class Parts:
     work: np.ndarray | None
     counters: bool
 
-    def trace(self, scene: Scene, rays: RayBatch, order: wp.array, begin: int, end: int) -> None:
+    def trace(self, scene: Scene, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
         """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
         if begin == end:
             return

@@ -59,13 +59,7 @@ TRANSPOSE = f"""
 """
 """C++ of `wrt_write(columns, w)`: words w .. w + 15 of the `here` rays of the stream from `place` on."""
 
-_LOAD = """
-    const float INF = __builtin_bit_cast(float, 0x7f800000);
-    const int here = count < L ? count : L;
-    float *ox = own.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
-    alignas(64) float words[WORDS < 16 ? 16 : WORDS][L];
-    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9], *t = words[10];
-    int* primitive = (int*)words[11];
+RAYS_TO_LANES = """
     // rays beyond the last are the first again, and not written
     auto number = [&](int k, int stride) { return (first + (k < here ? k : 0)) * stride; };
     const double center_x = batch.center.c[0], center_y = batch.center.c[1], center_z = batch.center.c[2];
@@ -93,14 +87,28 @@ _LOAD = """
     else WRT_SCALAR for (int k = 0; k < L; ++k) t_min[k] = batch.t_min.data[number(k, batch.t_min_stride)];
     if (here == L && batch.t_max_stride) { WRT_FOR(L, k) t[k] = batch.t_max.data[first + k]; }
     else WRT_SCALAR for (int k = 0; k < L; ++k) t[k] = batch.t_max.data[number(k, batch.t_max_stride)];
-    WRT_FOR(L, k) {
+"""
+"""C++: the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min and t."""
+
+VALID_LANE = """
         const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
         const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
         float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
         const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
             & (px - px == 0.0f) & (py - py == 0.0f) & (pz - pz == 0.0f)
             & (size >= TINY) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
-        float far = WRT_ABS(low.c[0] - px), f;
+"""
+"""C++ for a ray k of those: its numbers, and whether it is `valid`, as `load_ray` tells."""
+
+_LOAD = """
+    const float INF = __builtin_bit_cast(float, 0x7f800000);
+    const int here = count < L ? count : L;
+    float *ox = own.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
+    alignas(64) float words[WORDS < 16 ? 16 : WORDS][L];
+    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9], *t = words[10];
+    int* primitive = (int*)words[11];
+WRT_RAYS    WRT_FOR(L, k) {
+WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
         f = WRT_ABS(high.c[0] - px); far = f > far ? f : far;
         f = WRT_ABS(low.c[1] - py); far = f > far ? f : far;
         f = WRT_ABS(high.c[1] - py); far = f > far ? f : far;
@@ -138,7 +146,8 @@ def load_stream(triangle_test: str) -> wp.Function:
     constexpr int L = {LIST_LANES}, WORDS = {words if prepared else COMMON_WORDS};
     constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;
     """
-    code = constants + _LOAD.replace("WRT_PREPARE", test.prepare_lanes)
+    code = _LOAD.replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
+    code = constants + code.replace("WRT_PREPARE", test.prepare_lanes)
 
     @wp.func_native(code.replace("    alignas", TRANSPOSE + "    alignas", 1))
     def load_lanes(
