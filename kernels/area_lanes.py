@@ -2,7 +2,7 @@
 
 16 rays of a batch are a block of two local arrays: `lanes`, rows of floats (origin, direction, t_min, t_max, leave) and the six
 of the box of the origins; `marks`, rows of ints (area found, -1 for none; list of the octree's leaf at the origin, -1 for rays
-that belong nowhere; three sums over all blocks). One ray after the other, in float64, took 50 ns a ray, as long as tracing.
+that belong nowhere; four sums over all blocks). One ray after the other, in float64, took 50 ns a ray, as long as tracing.
 
 **Numbers.** float32. An origin is in a region whose faces are moved outward by a rounding of the origin, and the t at which a
 ray leaves is off by some roundings of the distance: both far below the margin of the areas' trees (`wrt.kernels.areas`).
@@ -22,7 +22,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 LANE_WORDS = wp.constant(9 * LIST_LANES + 6)
 """Elements of `lanes`."""
 
-MARK_WORDS = wp.constant(5 * LIST_LANES)
+MARK_WORDS = wp.constant(6 * LIST_LANES)
 """Elements of `marks`."""
 
 _BLOCK = f"""{FOR_LANES}
@@ -31,8 +31,9 @@ _BLOCK = f"""{FOR_LANES}
     float *ox = lanes.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
     float *t_min = dz + L, *t = t_min + L, *leave = t + L;
     int *found = marks.data, *list = found + L, *left = list + L, *most = left + L, *fewest = most + L;
+    int* alone = fewest + L;
     (void)ox; (void)oy; (void)oz; (void)dx; (void)dy; (void)dz; (void)t_min; (void)t; (void)leave; (void)list; (void)INF;
-    (void)found; (void)left; (void)most; (void)fewest;
+    (void)found; (void)left; (void)most; (void)fewest; (void)alone;
 """
 
 
@@ -129,17 +130,18 @@ def try_area(
         const bool done = (leave[k] >= t[k]) | (leave[k] >= until);
         leave[k] = (done & (found[k] >= 0)) ? INF : leave[k];
         found[k] = found[k] < 0 ? areas : found[k];
+        alone[k] += ((found[k] == areas) & (k < count)) ? 1 : 0;
         left[k] += ((found[k] < areas) & !done & (k < count)) ? 1 : 0;
         most[k] = found[k] > most[k] ? found[k] : most[k];
         fewest[k] = areas - found[k] > fewest[k] ? areas - found[k] : fewest[k];
     }}
     if (count == L) {{
         WRT_FOR(L, k) area.data[first + k] = (unsigned short)found[k];
-        WRT_FOR(L, k) cut.data[first + k] = leave[k] < t[k] ? leave[k] : t[k];
+        WRT_FOR(L, k) cut.data[first + k] = found[k] == areas ? -1.0f : leave[k] < t[k] ? leave[k] : t[k];
         WRT_FOR(L, k) rest.data[first + k] = found[k] == areas ? t_min[k] : leave[k];
     }} else WRT_SCALAR for (int k = 0; k < count; ++k) {{
         area.data[first + k] = (unsigned short)found[k];
-        cut.data[first + k] = leave[k] < t[k] ? leave[k] : t[k];
+        cut.data[first + k] = found[k] == areas ? -1.0f : leave[k] < t[k] ? leave[k] : t[k];
         rest.data[first + k] = found[k] == areas ? t_min[k] : leave[k];
     }}
 """
@@ -162,15 +164,17 @@ def store_block(
 
 @wp.func_native(
     f"""{_BLOCK}
-    int sums[3] = {{}};
+    int sums[4] = {{}};
     for (int k = 0; k < L; ++k) {{
         sums[0] += left[k];
         sums[1] = most[k] > sums[1] ? most[k] : sums[1];
         sums[2] = fewest[k] > sums[2] ? fewest[k] : sums[2];
+        sums[3] += alone[k];
     }}
-    return wp::vec3i(sums[0], sums[1], sums[2]);
+    return wp::vec4i(sums[0], sums[1], sums[2], sums[3]);
 """
 )
-def sum_blocks(lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> wp.vec3i:
-    """Of all rays stored: how many leave their areas before they end, the greatest area, and areas less the least."""
+def sum_blocks(lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> wp.vec4i:
+    """Of all rays stored: how many leave their areas before they end, the greatest area, areas less the least, and how many
+    have none."""
     ...

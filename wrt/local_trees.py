@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 CHUNK, CUDA_CHUNK = 4096, 64
 """Rays whose areas an item finds."""
 
+MOST_ALONE = 0.3
+"""Share of rays without an area up to which a batch is not taken apart for the only area."""
+
 
 @dataclass(frozen=True)
 class LocalTrees:
@@ -93,18 +96,19 @@ def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | No
 def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
     """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
     local, cuts = scene.local_trees, assign(scene, rays)
-    if cuts.least == len(local):
+    if cuts.alone == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
-    order, begins = cuts.sort(len(local))
     batch = Parts(plan, query, new_hits(rays.count, query, scene.device), None, counters)
     cut = with_range(rays, "t_max", cuts.cut)
+    order, begins = cuts.sort(len(local))
     for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
         batch.trace(part, cut, order, begin, end)
-    if cuts.left > 0 or begins[len(local)] < rays.count:
+    if cuts.left + cuts.alone > 0:
         inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
         launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
-        order, begins = sort_buckets(cuts.area, 2)
-        batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, begins[1])
+        # the second round trip, only where a ray is left
+        order = wp.array(np.flatnonzero(cuts.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
+        batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, len(order))
     kind = way_of(plan).counters
     return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=kind, device=scene.device)
 
@@ -116,6 +120,7 @@ class Cuts:
     Attributes:
         area, cut, rest: (rays,).
         left: number of rays that leave their areas before they end.
+        alone: number of rays without an area.
         least, greatest: area of all rays; the number of areas stands for none.
     """
 
@@ -123,14 +128,19 @@ class Cuts:
     cut: wp.array
     rest: wp.array
     left: int
+    alone: int
     least: int
     greatest: int
 
     def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
-        """Rays area by area, those without one last, as `sort_buckets`; no list is made if all have the same."""
-        if self.least < self.greatest:
-            return sort_buckets(self.area, areas + 1)
-        return None, [0] * (self.least + 1) + [len(self.area)] * (areas + 1 - self.least)
+        """Rays area by area, those without one last, as `sort_buckets`; all as they are if most are of the only area.
+
+        Of the only area, rays without one are traced too: cut at -1, they miss.
+        """
+        count = len(self.area)
+        if self.least == self.greatest or (areas == 1 and self.alone <= count * MOST_ALONE):
+            return None, [0] * (self.least + 1) + [count] * (areas + 1 - self.least)
+        return sort_buckets(self.area, areas + 1)
 
 
 def assign(scene: Scene, rays: RayBatch) -> Cuts:
@@ -139,10 +149,11 @@ def assign(scene: Scene, rays: RayBatch) -> Cuts:
     chunk = CUDA_CHUNK if device.is_cuda else CHUNK
     chunks = -(-rays.count // chunk)
     arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
-    sums = wp.empty(chunks, dtype=wp.vec3i, device=device)
+    sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
     launch(assign_rays, chunks, [rays, chunk, local.top.struct, local.low, local.high, *arrays, sums], device=device, chunk=1)
-    left, greatest, fewest = sums.numpy().reshape(-1, 3).T
-    return Cuts(*arrays, int(left.sum()), len(local) - int(fewest.max(initial=0)), int(greatest.max(initial=0)))
+    left, greatest, fewest, alone = sums.numpy().reshape(-1, 4).T
+    least = len(local) - int(fewest.max(initial=0))
+    return Cuts(*arrays, int(left.sum()), int(alone.sum()), least, int(greatest.max(initial=0)))
 
 
 @dataclass
