@@ -100,7 +100,7 @@ def test_areas_of_rays(device, top_level):
     """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
     mesh = SCENES["teapot"]()
     areas = areas_of(mesh)
-    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level), device=device)
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device)
     assert scene.local_trees.areas == (areas[0], areas[1], areas[3])
     assert all(0 < count <= mesh.triangle_count for count in scene.local_trees.triangles)
     origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))

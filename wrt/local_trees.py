@@ -98,7 +98,7 @@ def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters
     local, cuts = scene.local_trees, assign(scene, rays)
     if cuts.alone == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
-    batch = Parts(plan, query, new_hits(rays.count, query, scene.device), None, counters)
+    batch = Parts(plan, query, counters)
     cut = with_range(rays, "t_max", cuts.cut)
     order, begins = cuts.sort(len(local))
     for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
@@ -162,16 +162,16 @@ class Parts:
 
     Attributes:
         plan, query: how the batch is answered.
-        hits: of all rays.
-        work: (rays,) structured, of all parts; None before the first one, and if none is counted.
         counters: whether work is counted.
+        hits: of all rays; None before the first part.
+        work: (rays,) structured, of all parts; None before the first one, and if none is counted.
     """
 
     plan: Plan
     query: str
-    hits: HitBatch
-    work: np.ndarray | None
     counters: bool
+    hits: HitBatch | None = None
+    work: np.ndarray | None = None
 
     def trace(self, scene: Scene, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
         """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
@@ -184,6 +184,7 @@ class Parts:
             order = order[begin:end]
             plan = replace(self.plan, reorder="none") if self.plan.reorder == "tiles" else self.plan
             hits, work = trace_batch(scene, plan, sort_rays(rays, order, empty), self.query, self.counters)
+            self.hits = self.hits or new_hits(rays.count, self.query, scene.device)
             unsort_hits(order, hits, self.hits, self.query)
             chosen = order.numpy()
         if work is not None:
