@@ -65,24 +65,31 @@ def region_of(area: InfluenceArea, low: np.ndarray, high: np.ndarray) -> Region:
     return Frustum(eye=area.position, forward=tuple(forward), fov_x=area.fov[0], fov_y=area.fov[1], near=0.0, far=far, up=up)
 
 
-def margin_of(region: Region, low: np.ndarray, high: np.ndarray) -> float:
+def touch_of(areas: Sequence[InfluenceArea], center: np.ndarray) -> float:
+    """By how much regions are widened for the look-up, so that no rounding of its origin takes a ray out of its area."""
+    return TOUCH * float(max(np.abs(center).max(), *(np.abs(area.position).max() for area in areas)))
+
+
+def margin_of(region: Region, touch: float, low: np.ndarray, high: np.ndarray) -> float:
     """How far from the region a triangle's box may lie which a ray that is still inside can meet, rounding included.
 
     Args:
+        touch: by how much the look-up widens the region.
         low, high: corners of the scene's box, in the scene's coordinates.
     """
-    corners = region.corners
-    return MARGIN * float(np.abs([corners - low, corners - high]).max())
+    corners = region.frame.widened(touch).corners
+    return touch + MARGIN * float(np.abs([corners - low, corners - high]).max())
 
 
-def triangles_in(region: Region, triangles: TriangleBoxes) -> np.ndarray:
+def triangles_in(region: Region, touch: float, triangles: TriangleBoxes) -> np.ndarray:
     """Ids, ascending, of the triangles whose boxes touch the widened region.
 
     Args:
+        touch: by how much the look-up widens the region.
         triangles: on the CPU.
     """
     low, high = triangles.low + triangles.center, triangles.high + triangles.center
-    struct = region.struct(triangles.center, margin_of(region, low, high))
+    struct = region.struct(triangles.center, margin_of(region, touch, low, high))
     result = classify_boxes([struct], triangles.boxes.low.numpy().T, triangles.boxes.high.numpy().T)
     return np.flatnonzero(result[:, 0] != APART).astype(np.int32)
 
@@ -119,6 +126,7 @@ class TopLevel:
     Args:
         areas: in the order in which they are to be found.
         regions: of the areas, in the scene's coordinates.
+        touch: by how much regions are widened.
         depth: levels of the octree below its root at most; 0 for an array.
         sine: of the greatest angle between an affine ray and the area's ray through its origin.
         center: of the scene.
@@ -129,13 +137,13 @@ class TopLevel:
         self,
         areas: Sequence[InfluenceArea],
         regions: Sequence[Region],
+        touch: float,
         depth: int,
         sine: float,
         center: np.ndarray,
         device: wp.Device,
     ) -> None:
         self.center, self.device = center, device
-        touch = TOUCH * max(np.abs(center).max(), *(np.abs(area.position).max() for area in areas))
         structs = [region.struct(center, touch) for region in regions]
         low, high = np.min([struct.low for struct in structs], axis=0), np.max([struct.high for struct in structs], axis=0)
         size = (high - low).max() * (1.0 + MARGIN)  # the faces of regions are inside, not on the cube's

@@ -9,7 +9,9 @@ from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
 from wrt.builders.areas import TopLevel, region_of
-from wrt.builders.regions import contain_points
+from wrt.builders.regions import classify_boxes, contain_points
+from wrt.kernels.regions import APART
+from wrt.kernels.regions import Region as RegionStruct
 from wrt.local_trees import assign
 from wrt.rays import Rays, to_device
 
@@ -86,7 +88,7 @@ def test_octree_loses_no_area():
     assert inside.any(axis=0).all()
     listed = []
     for depth in (0, 1, 3, 5):
-        top = TopLevel(areas, regions, depth, 0.1, np.full(3, 12.0), wp.get_device("cpu"))
+        top = TopLevel(areas, regions, 1e-5, depth, 0.1, np.full(3, 12.0), wp.get_device("cpu"))
         candidates = top.candidates(points)
         assert (candidates | ~inside).all()
         assert top.cells <= (8 ** (depth + 1) - 1) // 7
@@ -103,6 +105,7 @@ def test_areas_of_rays(device, top_level):
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device)
     assert scene.local_trees.areas == (areas[0], areas[1], areas[3])
     assert all(0 < count <= mesh.triangle_count for count in scene.local_trees.triangles)
+    assert scene.local_trees.bytes > sum(local.tree.bytes for local in scene.local_trees.scenes) > 0
     origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))
     with np.errstate(all="ignore"):
         directions[::7] += np.float32(0.05) * np.abs(directions[::7]).max(axis=1, keepdims=True)  # some beyond the tolerance
@@ -192,6 +195,30 @@ def test_a_picture_within_one_area_stays_one(device):
     directions = wp.array(rays.directions.reshape(-1, 3), dtype=wp.vec3, device=scene.device)
     found = scene.intersect(origins, directions).primitive_id
     np.testing.assert_array_equal(found.numpy().reshape(24, 32), expected.primitive_id)
+
+
+def test_trees_have_what_rays_of_their_regions_can_meet():
+    """Far from the origin, where coordinates are rounded by much, regions are widened by as much, and so is what they hold."""
+    near = SCENES["grid"]()
+    mesh = wrt.TriangleMesh(near.vertices.astype(np.float64) + np.array([3e4, -7e4, 100.0]), near.faces)
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
+    low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
+    structs = [region_struct(row) for row in scene.local_trees.top.struct.regions.numpy()]
+    met = classify_boxes(structs, low, high) != APART
+    for number, local in enumerate(scene.local_trees.scenes):
+        assert set(np.flatnonzero(met[:, number])) <= set(local.tree.primitive.numpy().tolist())
+    assert 0.05 < met.mean() < 0.95
+    plain = wrt.Scene(mesh, "bvh", device="cpu")
+    for rays in (mixed_rays(mesh, 2000), affine_rays(mesh, 2000)):
+        assert_same_hits(scene.intersect(*rays), plain.intersect(*rays))
+
+
+def region_struct(row) -> RegionStruct:
+    """A region as the look-up has it."""
+    region = RegionStruct()
+    for name in row.dtype.names:
+        setattr(region, name, wp.vec3d(*row[name]) if np.ndim(row[name]) else float(row[name]))
+    return region
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5])

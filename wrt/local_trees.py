@@ -8,8 +8,8 @@ the engine, as every part of it is a batch of its own, traced by the same plan:
     local    each area's rays, cut where they leave, are gathered, traced through the area's tree and scattered back
     rest     rays without an area, and those that left theirs without a hit, are gathered and traced through the scene's
 
-A batch that is all of one area, as the shadow rays of one light often are, or of none, is traced where it is: nothing is moved,
-and a picture stays one.
+A batch that is all of one area, or mostly of the only one, as the shadow rays of a light often are, or of none, is traced where
+it is: nothing is moved, and a picture stays one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.builders.areas import TopLevel, boxes_of, margin_of, region_of, renumber, triangles_in
+from wrt.builders.areas import TopLevel, boxes_of, margin_of, region_of, renumber, touch_of, triangles_in
 from wrt.kernels.areas import assign_rays, mark_rest
 from wrt.kernels.launch import launch
 from wrt.kernels.rays import HitBatch, RayBatch
@@ -66,6 +66,11 @@ class LocalTrees:
         """Number of areas."""
         return len(self.areas)
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the areas' trees and of what finds them; the triangle records come on top (`Scene.record_bytes`)."""
+        return self.top.bytes + sum(scene.tree.bytes for scene in self.scenes)
+
 
 def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | None:
     """The trees of the accelerator's areas; None if no triangle touches any of them.
@@ -75,10 +80,11 @@ def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | No
         triangles: on the CPU.
     """
     accelerator, (low, high) = scene.accelerator, scene.bounds
+    touch = touch_of(accelerator.areas, scene.center)
     areas, regions, scenes, counts = [], [], [], []
     for area in accelerator.areas:
         region = region_of(area, low, high)
-        ids = triangles_in(region, triangles)
+        ids = triangles_in(region, touch, triangles)
         if len(ids):
             tree = accelerator.build_local(area, boxes_of(triangles, ids), scene.tree.width)
             scenes.append(scene.over(renumber(tree, ids, triangles).to(scene.device)))
@@ -87,8 +93,10 @@ def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | No
             counts.append(len(ids))
     if not areas:
         return None
-    top = TopLevel(areas, regions, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device)
-    margin = max(margin_of(region, low, high) for region in regions)
+    top = TopLevel(
+        areas, regions, touch, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device
+    )
+    margin = max(margin_of(region, touch, low, high) for region in regions)
     corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
     return LocalTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
 
