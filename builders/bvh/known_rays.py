@@ -74,6 +74,10 @@ class ProjectedConfig:
         return self.bvh.cost
 
 
+FELL_BACK = wp.constant(8)
+"""In `KnownRays.tried`: no axis of enough quality had a plane that was acceptable."""
+
+
 @wp.struct
 class KnownRays:
     """`ProjectedConfig` for a scene, as kernels see it."""
@@ -88,6 +92,8 @@ class KnownRays:
     """(2 * triangles,) of each binary node, once all are made."""
     parent_weight: wp.array(dtype=float)
     """(triangles,) of the node that a pair belongs to."""
+    tried: wp.array(dtype=wp.uint8)
+    """(2 * triangles,) of each binary node whose axes were chosen: bit k if axis k was tried, FELL_BACK; else 0."""
 
 
 def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
@@ -104,4 +110,5 @@ def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
     rays.aware_depth = MAX_WIDE_DEPTH + 1 if nodes.aware_depth is None else nodes.aware_depth
     rays.weight = wp.empty(2 * triangles.count, dtype=float, device=device)
     rays.parent_weight = wp.empty(triangles.count, dtype=float, device=device)
+    rays.tried = wp.zeros(2 * triangles.count, dtype=wp.uint8, device=device)
     return rays

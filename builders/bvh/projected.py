@@ -26,7 +26,7 @@ from wrt.builders.bvh.bins import SLOT_BINS, Placement, Plane, Scratch, no_plane
 from wrt.builders.bvh.collapse import BinaryBuild
 from wrt.builders.bvh.config import MAX_BINS, BuildRules
 from wrt.builders.bvh.heuristic import Heuristic
-from wrt.builders.bvh.known_rays import KnownRays, ProjectedConfig, known_rays
+from wrt.builders.bvh.known_rays import FELL_BACK, KnownRays, ProjectedConfig, known_rays
 from wrt.builders.bvh.tree import BinaryTree, Frame, halvings, price_of_areas
 from wrt.builders.common import Bvh
 from wrt.builders.cost import leaf_cost
@@ -228,7 +228,10 @@ def cheapest_by_projection(
             if i < 6 and (tried >> axis) & 1 == 0:
                 best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
                 tried |= 1 << axis
+            if i < 3 and last:
+                tried |= FELL_BACK
             i = wp.where(i < 3 and last, 3, i + 1)
+        rays.tried[frame.node] = wp.uint8(tried)
     return best.plane
 
 

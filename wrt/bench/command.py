@@ -23,6 +23,7 @@ DEFAULT_MODELS = ("teapot", "atrium", "wood")
 COMPARISONS = {
     "triangle-tests": ("wrt.bench.triangle_command", "triangle_tests"),
     "builders": ("wrt.bench.kdtree_builders", "builders_command"),
+    "ray-aware": ("wrt.bench.ray_aware_command", "ray_aware_command"),
 }
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 
@@ -77,8 +78,8 @@ def bench(
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
     which they agree beside it. "engines" are wrt's own traversals, one by one.
 
-    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders; both
-    have options of their own.
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
+    bench ray-aware [MODEL]` trees for known rays; each has options of its own.
     """
     from rich.console import Console
 

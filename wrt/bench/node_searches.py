@@ -1,0 +1,108 @@
+"""What the search for a node's plane costs, by projected areas and by surface areas, apart from all else in a build.
+
+A mesh's triangles, in the order of the leaves of a finished tree, are cut into ranges: nodes of one size. Their bins are filled
+as in the build; then only the search runs, on all nodes, through the heuristic that the build has.
+"""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from wrt.accelerator import Bvh
+from wrt.builders.bvh import levels
+from wrt.builders.bvh.binned import BinnedBuilder
+from wrt.builders.bvh.bins import Plane, Scratch, make_scratch
+from wrt.builders.bvh.config import BuildRules
+from wrt.builders.bvh.heuristic import Heuristic
+from wrt.builders.bvh.levels import Chunk, LiveNode
+from wrt.builders.bvh.projected import ProjectedBuilder
+from wrt.builders.bvh.tree import BinaryTree
+from wrt.builders.triangles import triangle_boxes
+from wrt.kernels.launch import launch
+from wrt.mesh import TriangleMesh
+from wrt.projected_bvh import ProjectedBvh
+from wrt.scene import Scene
+
+
+@cache
+def make_search(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that asks a heuristic for the planes of nodes whose bins are filled."""
+    rays_type, search = heuristic.rays, heuristic.search
+
+    def search_nodes(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        nodes: wp.array(dtype=LiveNode),
+        scratch: Scratch,
+        slot: int,
+        tree: BinaryTree,
+        planes: wp.array(dtype=Plane),
+    ):
+        """Item: a node. slot: of the bins of the first node."""
+        i = first + wp.tid()
+        planes[i] = search(rules, rays, nodes[i].placement, scratch, slot + i, tree, nodes[i].frame)
+
+    return wp.kernel(search_nodes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+class Searches:
+    """Nodes whose planes are to be found.
+
+    Args:
+        mesh: whose triangles they have.
+        size: triangles a node; what is left over is in none.
+        accelerator: what builds the tree; its heuristic searches.
+    """
+
+    def __init__(self, mesh: TriangleMesh, size: int, accelerator: Bvh | ProjectedBvh) -> None:
+        scene = Scene(mesh, device="cpu")
+        order = scene.tree.primitive.numpy()
+        faces = wp.array(mesh.faces[order[order >= 0]], dtype=wp.vec3i, device="cpu")
+        triangles = triangle_boxes(scene.device_mesh.vertices, faces, scene.center)
+        config = accelerator.config(scene.tree.width)
+        is_aware = isinstance(accelerator, ProjectedBvh)
+        self.builder = ProjectedBuilder(triangles, config) if is_aware else BinnedBuilder(triangles, config)
+        self.builder.chunk = size
+        self.builder.make_references()
+        self.count = triangles.count // size
+        self.nodes, self.scratch = self._fill(size)
+        self.planes = wp.empty(self.count, dtype=Plane, device="cpu")
+
+    def _fill(self, size: int) -> tuple[wp.array, Scratch]:
+        """Places the nodes, fills their bins, and searches once as the build does, which leaves the bins of each in a slot."""
+        nodes, chunks = [], []
+        for i in range(self.count):
+            node, chunk = LiveNode(), Chunk()
+            node.frame.first, node.frame.count, node.frame.node = i * size, size, 2 * i * size
+            node.chunk_first, node.chunk_count, node.part_first, node.part_count = i, 1, 2 * i, 1
+            chunk.node, chunk.begin, chunk.count = i, i * size, size
+            nodes.append(node)
+            chunks.append(chunk)
+        live = wp.array(nodes, dtype=LiveNode, device="cpu")
+        lists = wp.array(chunks, dtype=Chunk, device="cpu")
+        domain, scratch = wp.empty(8 * self.count, dtype=float, device="cpu"), make_scratch(2 * self.count, self.builder.device)
+        box = self.builder.tree.box.numpy().reshape(-1, 8)  # in place
+        references = self.builder.references.numpy()[: 8 * size * self.count].reshape(self.count, size, 8)
+        box[2 * size * np.arange(self.count)] = references.min(axis=1)
+        builder = self.builder
+        builder.run(
+            levels.bin_chunks, self.count, builder.rules, builder.references, live, lists, builder.parts, domain, scratch
+        )
+        work = [builder.triangles.count, live, lists, domain, scratch, self.count, builder.tree]
+        builder.run(builder.search_planes, self.count, builder.rules, builder.rays, *work)
+        return live, scratch
+
+    def run(self) -> np.ndarray:
+        """Finds all planes; returns their prices."""
+        builder = self.builder
+        inputs = [builder.rules, builder.rays, self.nodes, self.scratch, self.count, builder.tree, self.planes]
+        launch(make_search(builder.heuristic), self.count, inputs, device=builder.device, chunk=self.count)
+        return self.planes.numpy()["price"]
+
+
+def searches(mesh: TriangleMesh, size: int, accelerators: dict[str, Bvh | ProjectedBvh]) -> dict[str, Callable[[], np.ndarray]]:
+    """What searches the same nodes through each accelerator's heuristic."""
+    return {name: Searches(mesh, size, accelerator).run for name, accelerator in accelerators.items()}

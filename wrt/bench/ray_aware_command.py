@@ -1,0 +1,82 @@
+"""`wrt bench ray-aware`: the figures of `wrt.bench.ray_aware` as tables and as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from wrt.bench.loading import load_model, progress, usage_errors
+from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, areas_of, compare_builds, compare_searches, compare_traces
+from wrt.bench.results import machine
+from wrt.kernels.launch import MAX_THREADS, get_num_threads
+
+TITLES = {
+    "search": "Search of a node's plane, one thread: projected areas / surface areas",
+    "build": "Build",
+    "trace": "Trace",
+}
+
+FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios (least - greatest); above 1 is slower. work: what single rays are counted
+to do, priced as the build prices it. ProjectedBvh: one tree for the rays' area; RayAwareBvh: the default tree and the area's."""
+
+
+@click.command("ray-aware")
+@click.argument("model", default="atrium")
+@click.option("--size", default=1024, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each tree.")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+@click.option("--traversal", "traversals", multiple=True, help="Of `Scene.intersect`; repeat. [auto, single]")
+@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+def ray_aware_command(
+    model: str, size: int, rounds: int, threads: int | None, traversals: tuple[str, ...], json_file: Path | None
+) -> None:
+    """Compares trees for rays of known directions with the default tree on MODEL, a mesh file or a built-in scene.
+
+    Shadow rays of a sun and a lamp, a camera's rays, and those of each ray caster: time to search a node, to build and to trace.
+    """
+    from rich.console import Console
+
+    mesh, count = load_model(model), threads or get_num_threads()
+    with progress() as on_turn, usage_errors():
+        figures: list[Figure] = []
+        areas = areas_of(mesh)
+        for name, area in areas.items():
+            figures += compare_searches(mesh, area, name, rounds=rounds)
+        figures += compare_builds(mesh, areas, rounds, count, on_turn)
+        options = {"size": size, "rounds": rounds, "threads": count, "traversals": traversals or TRAVERSALS}
+        figures += compare_traces(mesh, **options, on_turn=on_turn)
+    console = Console()
+    console = console if console.is_terminal else Console(width=180)
+    console.print(f"{mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", highlight=False)
+    for question, title in TITLES.items():
+        console.print(f"\n[bold]{title}[/bold]", highlight=False)
+        console.print(table_of([figure for figure in figures if figure.question == question]))
+    console.print(FOOTNOTE, style="dim", highlight=False)
+    if json_file is not None:
+        with usage_errors():
+            found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count, "machine": machine("cpu")}
+            found["figures"] = [asdict(figure) for figure in figures]
+            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def table_of(figures: Sequence[Figure]):
+    """A row a subject and tree; the reference's own ratio is left out."""
+    from wrt.bench.report import new_table, times
+
+    table = new_table(("of", "traversal", "tree"), (f"time / {REFERENCE}", "least - greatest", "work", "ns an item"))
+    for figure in figures:
+        is_reference = figure.contender == REFERENCE
+        table.add_row(
+            figure.subject if is_reference else "",
+            (figure.traversal or "") if is_reference else "",
+            figure.contender,
+            "" if is_reference else times(figure.ratio),
+            "" if is_reference else f"{figure.least:.2f} - {figure.greatest:.2f}",
+            "" if is_reference or figure.work is None else times(figure.work),
+            f"{figure.seconds / figure.items * 1e9:,.0f}",
+        )
+    return table
