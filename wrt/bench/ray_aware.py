@@ -4,7 +4,8 @@
     builds     the whole build on all threads, time / the default tree's
     traces     time to trace the rays that the trees are for, time / the default tree's, and the work counted for it
 
-Contenders take turns; ratios are medians over the rounds (`measure`). "ProjectedBvh" holds the whole scene in one tree for the
+Contenders take turns; ratios are medians over the rounds (`measure`). One thread's time is its processor time, which other
+work on the machine disturbs less; that of several is the clock's. "ProjectedBvh" holds the whole scene in one tree for the
 rays' area; "RayAwareBvh" has the default tree too, and sends each ray that belongs to the area to the area's own tree.
 
 References:
@@ -14,10 +15,11 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from math import atan, degrees
+from time import perf_counter, thread_time
 from typing import Any
 
 import numpy as np
@@ -186,8 +188,39 @@ def accelerators(area: InfluenceArea) -> dict[str, Accelerator]:
     return {REFERENCE: Bvh(), "ProjectedBvh": ProjectedBvh(areas=area), "RayAwareBvh": RayAwareBvh(areas=[area])}
 
 
+@dataclass(frozen=True)
+class Turns:
+    """How contenders are timed.
+
+    Attributes:
+        rounds: turns of each.
+        threads: CPU threads.
+        on_turn: told the name of each contender before its turn.
+    """
+
+    rounds: int = 5
+    threads: int = 1
+    on_turn: Callable[[str], None] = lambda name: None
+
+    def figures(
+        self, question: str, subject: str, runs: Mapping[str, Callable[[], Any]], items: int, traversal: str | None = None
+    ) -> list[Figure]:
+        """A figure a contender, without its work; the first is the reference."""
+        contenders = [Contender(name, run) for name, run in runs.items()]
+        options = {"budget": BUDGET, "settle": SETTLE, "on_turn": self.on_turn}
+        clock = thread_time if self.threads == 1 else perf_counter
+        with use_threads(self.threads):
+            timings = take_turns(contenders, self.rounds, clock=clock, **options)
+        figures = []
+        for name, timing in timings.items():
+            ratios = timing.ratios_to(timings[contenders[0].name])
+            spread = (float(np.median(ratios)), min(ratios), max(ratios))
+            figures.append(Figure(question, subject, traversal, name, timing.median, *spread, None, items))
+        return figures
+
+
 def compare_searches(
-    mesh: TriangleMesh, area: InfluenceArea, subject: str, sizes: Sequence[int] = SIZES, rounds: int = 7
+    mesh: TriangleMesh, area: InfluenceArea, subject: str, sizes: Sequence[int] = SIZES, *, rounds: int = 7
 ) -> list[Figure]:
     """Time to find a node's plane on one thread, by projected and by surface areas; both try all axes."""
     from wrt.bench.node_searches import Searches
@@ -196,63 +229,43 @@ def compare_searches(
     for size in (size for size in sizes if size <= mesh.triangle_count):
         nodes = {name: Searches(mesh, size, accelerators(area)[name]) for name in (REFERENCE, "ProjectedBvh")}
         runs = {name: searches.run for name, searches in nodes.items()}
-        with use_threads(1):
-            label = f"{subject}, {size} triangles"
-            figures += timed_figures("search", label, None, runs, nodes[REFERENCE].count, rounds)
+        figures += Turns(rounds).figures("search", f"{subject}, {size} triangles", runs, nodes[REFERENCE].count)
     return figures
 
 
-def compare_builds(
-    mesh: TriangleMesh,
-    areas: dict[str, InfluenceArea],
-    rounds: int = 5,
-    threads: int = 1,
-    on_turn: Callable = lambda name: None,
-) -> list[Figure]:
+def compare_builds(mesh: TriangleMesh, areas: Mapping[str, InfluenceArea], turns: Turns) -> list[Figure]:
     """Time from a mesh in memory to a scene."""
     figures = []
     for subject, area in areas.items():
         runs = {
-            name: partial(Scene, mesh, accelerator, device="cpu", num_threads=threads)
+            name: partial(Scene, mesh, accelerator, device="cpu", num_threads=turns.threads)
             for name, accelerator in accelerators(area).items()
         }
-        figures += timed_figures("build", subject, None, runs, mesh.triangle_count, rounds, on_turn)
+        figures += turns.figures("build", subject, runs, mesh.triangle_count)
     return figures
 
 
 def compare_traces(
-    mesh: TriangleMesh,
-    *,
-    size: int = 1024,
-    rounds: int = 5,
-    threads: int = 1,
-    workloads: Sequence[str] = (),
-    traversals: Sequence[str] = TRAVERSALS,
-    on_turn: Callable[[str], None] = lambda name: None,
+    mesh: TriangleMesh, turns: Turns, *, size: int = 1024, traversals: Sequence[str] = TRAVERSALS
 ) -> list[Figure]:
     """Time to trace, and the work counted.
 
     Args:
         mesh: what is traced.
+        turns: how it is timed.
         size: each workload has size * size rays.
-        rounds: turns of each tree.
-        threads: CPU threads.
-        workloads: names of `known_rays`; empty for all.
         traversals: "auto", "single" or others of `Scene.intersect`.
-        on_turn: told the name of each tree before its turn.
     """
-    default = Scene(mesh, Bvh(), device="cpu", num_threads=threads)
+    options = {"device": "cpu", "num_threads": turns.threads}
+    default = Scene(mesh, Bvh(), **options)
     figures = []
     for known in known_rays(mesh, default, size):
-        if workloads and known.name not in workloads:
-            continue
-        scenes = {name: Scene(mesh, made, device="cpu", num_threads=threads) for name, made in accelerators(known.area).items()}
+        scenes = {name: Scene(mesh, accelerator, **options) for name, accelerator in accelerators(known.area).items()}
         work = {name: work_of(scene, known) for name, scene in scenes.items()}
         for traversal in traversals:
             runs = {name: partial(ask, scene, known, traversal) for name, scene in scenes.items()}
-            rays = len(known.rays)
-            timed = timed_figures("trace", known.name, traversal, runs, rays, rounds, on_turn)
-            figures += [Figure(**{**asdict(figure), "work": work[figure.contender] / work[REFERENCE]}) for figure in timed]
+            found = turns.figures("trace", known.name, runs, len(known.rays), traversal)
+            figures += [replace(figure, work=work[figure.contender] / work[REFERENCE]) for figure in found]
     return figures
 
 
@@ -279,23 +292,3 @@ def thinned(rays: Rays, count: int) -> Rays:
     chosen = np.unique(np.linspace(0, len(rays) - 1, count).astype(int))
     origins, directions = (np.broadcast_to(a, shape).reshape(-1, 3)[chosen] for a in (rays.origins, rays.directions))
     return Rays(origins, directions, rays.t_min, rays.t_max)
-
-
-def timed_figures(
-    question: str,
-    subject: str,
-    traversal: str | None,
-    runs: dict[str, Callable[[], Any]],
-    items: int,
-    rounds: int,
-    on_turn: Callable[[str], None] = lambda name: None,
-) -> list[Figure]:
-    """A figure a contender; the first is the reference."""
-    contenders = [Contender(name, run) for name, run in runs.items()]
-    timings = take_turns(contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
-    figures = []
-    for name, timing in timings.items():
-        ratios = timing.ratios_to(timings[next(iter(runs))])
-        spread = (float(np.median(ratios)), min(ratios), max(ratios))
-        figures.append(Figure(question, subject, traversal, name, timing.median, *spread, None, items))
-    return figures

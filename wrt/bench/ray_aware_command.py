@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from wrt.bench.loading import load_model, progress, usage_errors
-from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, areas_of, compare_builds, compare_searches, compare_traces
+from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, Turns, areas_of, compare_builds, compare_searches, compare_traces
 from wrt.bench.results import machine
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 
@@ -20,8 +20,8 @@ TITLES = {
     "trace": "Trace",
 }
 
-FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios (least - greatest); above 1 is slower. work: what single rays are counted
-to do, priced as the build prices it. ProjectedBvh: one tree for the rays' area; RayAwareBvh: the default tree and the area's."""
+FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do by count, priced as
+in the build. ProjectedBvh: one tree for the rays' area; RayAwareBvh: the default tree and one for the area."""
 
 
 @click.command("ray-aware")
@@ -36,7 +36,7 @@ def ray_aware_command(
 ) -> None:
     """Compares trees for rays of known directions with the default tree on MODEL, a mesh file or a built-in scene.
 
-    Shadow rays of a sun and a lamp, a camera's rays, and those of each ray caster: time to search a node, to build and to trace.
+    Time to search a node, to build, and to trace shadow rays of a sun and a lamp, a camera's rays, and those of ray casters.
     """
     from rich.console import Console
 
@@ -46,9 +46,9 @@ def ray_aware_command(
         areas = areas_of(mesh)
         for name, area in areas.items():
             figures += compare_searches(mesh, area, name, rounds=rounds)
-        figures += compare_builds(mesh, areas, rounds, count, on_turn)
-        options = {"size": size, "rounds": rounds, "threads": count, "traversals": traversals or TRAVERSALS}
-        figures += compare_traces(mesh, **options, on_turn=on_turn)
+        turns = Turns(rounds, count, on_turn)
+        figures += compare_builds(mesh, areas, turns)
+        figures += compare_traces(mesh, turns, size=size, traversals=traversals or TRAVERSALS)
     console = Console()
     console = console if console.is_terminal else Console(width=180)
     console.print(f"{mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", highlight=False)

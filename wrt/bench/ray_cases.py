@@ -1,8 +1,8 @@
 """Scenes, influence areas and trees of the experiments on known rays: those of Falcone 2024, with scenes that are built in.
 
-The thesis has random triangles, a low-poly head (here: the teapot), a cottage, the walls of it, a wood, a crowd, and Sponza (here:
-the atrium). Each is seen by parallel and by radial rays, four ways: along an axis, turned from it by 15 and by 45 degrees in a
-plane of two axes, and oblique to all.
+The thesis has random triangles, a low-poly head (here: the teapot), a cottage, the walls of it, a wood, a crowd, and Sponza
+(here: the atrium). Each is seen by parallel and by radial rays, four ways: along an axis, turned from it by 15 and by 45
+degrees in a plane of two axes, and oblique to all.
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from math import cos, degrees, radians, sin
 
 import numpy as np
@@ -45,19 +46,16 @@ KINDS = ("plane", "point")
 
 def cottage() -> TriangleMesh:
     """A house of 10 x 8 m with three barred windows in front and a gabled roof: a few large triangles, and many small ones."""
-    sills = [0.0, 1.3, 2.7, 4.3, 5.7, 7.3, 8.7, 10.0]
+    jambs = [0.0, 1.3, 2.7, 4.3, 5.7, 7.3, 8.7, 10.0]
     parts = [boxes((x, 0.2, 0.0), (x + 0.2, 7.8, 3.0)) for x in (0.0, 9.8)]
     parts.append(boxes((0.0, 7.8, 0.0), (10.0, 8.0, 3.0)))
-    for number, (left, right) in enumerate(zip(sills, sills[1:], strict=False)):
+    for number, (left, right) in enumerate(pairwise(jambs)):
         heights = [(0.0, 0.8), (2.2, 3.0)] if number % 2 else [(0.0, 3.0)]  # below and above a window, or a pier
         parts += [boxes((left, 0.0, low), (right, 0.2, high)) for low, high in heights]
-    for left in sills[1::2]:
-        at = np.linspace(0.0, 1.4, 8)[:, None]
-        upright, level = (
-            np.hstack([left + at, 0.0 * at + 0.1, 0.0 * at + 0.8]),
-            np.hstack([0.0 * at + left, 0.0 * at + 0.1, at + 0.8]),
-        )
-        parts += [boxes(upright - 0.02, upright + (0.02, 0.02, 1.42)), boxes(level - 0.02, level + (1.42, 0.02, 0.02))]
+    for x in jambs[1::2]:
+        for bar in np.linspace(0.0, 1.36, 8):
+            parts.append(boxes((x + bar, 0.08, 0.8), (x + bar + 0.04, 0.12, 2.2)))
+            parts.append(boxes((x, 0.08, 0.8 + bar), (x + 1.4, 0.12, 0.84 + bar)))
     for lower, upper in (((-0.5, 2.8), (4.0, 5.5)), ((4.0, 5.5), (8.5, 2.8))):
         parts.append(sheets(np.array([[(x, y, z) for x in (-0.5, 10.5)] for y, z in (lower, upper)])))
     return TriangleMesh.concatenate(parts, name="cottage")
