@@ -21,7 +21,7 @@ TITLES = {
 }
 
 FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do by count, priced as
-in the build. ProjectedBvh: one tree for the rays' area; RayAwareBvh: the default tree and one for the area."""
+in the build. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
 
 
 @click.command("ray-aware")
