@@ -9,9 +9,12 @@ from wrt.projected_bvh import ProjectedBvh
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    import warp as wp
+
     from wrt.builders import common
     from wrt.builders.bvh.config import BvhConfig
     from wrt.builders.kdtree.config import KdTreeConfig
+    from wrt.builders.kdtree.lazy import LazyKdTree
     from wrt.builders.triangles import TriangleBoxes
 
 
@@ -71,6 +74,13 @@ class KdTree:
 
         return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
 
+    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree | None:
+        """Begins a tree that grows as rays ask for it, on `device`; None if the builder builds it at once."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        begin = KDTREE_BUILDERS[self.builder].start
+        return None if begin is None else begin(triangles, self.config(width), device)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Bvh:
@@ -119,6 +129,9 @@ class Bvh:
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
+
+    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> None:
+        """No hierarchy grows as rays ask for it."""
 
 
 Accelerator = KdTree | Bvh | ProjectedBvh

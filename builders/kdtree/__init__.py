@@ -11,8 +11,10 @@ To add a builder: write its file, add one line to `KDTREE_BUILDERS`; tests, comm
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import warp as wp
+
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import adaptive_sampling, binned, in_place, medians, naive, sorting_sweep, streaming, sweep
+from wrt.builders.kdtree import adaptive_sampling, binned, in_place, lazy, medians, naive, sorting_sweep, streaming, sweep
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.kdtree import MAX_INDEX
@@ -27,12 +29,14 @@ class KdTreeBuilder:
         paper: authors, title, year.
         build: (boxes, config) -> tree.
         most_triangles: beyond so many it takes too long to be put to the test; it still builds.
+        start: (boxes, config, device that traces it) -> a tree that grows as rays ask for it; None if it is built at once.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
     most_triangles: int = MAX_INDEX
+    start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
 
 WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
@@ -53,6 +57,12 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
             adaptive_sampling.build,
+        ),
+        KdTreeBuilder(
+            "lazy",
+            "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
+            lazy.build,
+            start=lazy.start,
         ),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
