@@ -97,6 +97,10 @@ class Scene(Queries):
         """The tree; of one that is built lazily, what there is by now."""
         return self._tree if self.growing is None else self.growing.current.tree
 
+    @tree.setter
+    def tree(self, tree: KdTree | Bvh) -> None:
+        self._tree, self.growing = tree, None
+
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
 
