@@ -42,31 +42,32 @@ def a_side(mesh: wrt.TriangleMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", ["random_triangles", "stadium", "grid", "degenerate"])
-def test_queries_equal_brute_force(name, small_cells):
-    """Every query, on a tree of which nothing is built but the top."""
+def test_queries(name, small_cells):
+    """Every query, on a tree of which nothing is built but the top: the answers of a finished tree, and of brute force."""
     mesh = SCENES[name]()
     origins, directions = random_rays(mesh, 300, seed=1)
     t_max = np.random.default_rng(2).random(300) * 1.5
 
-    def answers(scene: wrt.Scene, traversal: str) -> list[np.ndarray]:
-        hits = scene.intersect(origins, directions, 0.1, t_max, traversal=traversal)
-        lists = scene.intersect_all(origins, directions, traversal=traversal)
-        dark = scene.occluded(origins, directions, traversal=traversal)
-        count = scene.count(origins, directions, traversal=traversal)
-        return [hits.t, hits.primitive_id, hits.uv, dark, count, lists.t, lists.primitive_id, lists.offsets]
-
-    brute = answers(lazy_scene(mesh), "brute")
-    assert 0.02 < np.isfinite(brute[0]).mean() < 1.0
-    for found, expected in zip(answers(lazy_scene(mesh), "single"), brute, strict=True):
-        np.testing.assert_array_equal(found, expected)
-    for query in (1, 3, 6):  # each on a tree of its own
+    whole = wrt.Scene(mesh, wrt.KdTree(builder="binned"), device="cpu")
+    queries = {
+        "closest": lambda scene: scene.intersect(origins, directions, 0.1, t_max, traversal="single"),
+        "occluded": lambda scene: scene.occluded(origins, directions, traversal="single"),
+        "count": lambda scene: scene.count(origins, directions, traversal="single"),
+        "all": lambda scene: scene.intersect_all(origins, directions, traversal="single"),
+    }
+    for query, ask in queries.items():  # each of a tree of its own
         scene = lazy_scene(mesh)
-        found = {
-            1: lambda scene=scene: scene.occluded(origins, directions, traversal="single"),
-            3: lambda scene=scene: scene.count(origins, directions, traversal="single"),
-            6: lambda scene=scene: scene.intersect_all(origins, directions).primitive_id,
-        }[query]()
-        np.testing.assert_array_equal(found, brute[{1: 3, 3: 4, 6: 6}[query]])
+        found, expected = ask(scene), ask(whole)
+        if query in ("closest", "all"):
+            for field in ("t", "primitive_id", "uv"):
+                np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+        else:
+            np.testing.assert_array_equal(found, expected)
+    brute = scene.intersect(origins, directions, 0.1, t_max, traversal="brute")
+    hits = queries["closest"](scene)
+    np.testing.assert_array_equal(hits.t, brute.t)
+    np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id)
+    assert 0.02 < brute.is_hit.mean() < 1.0
 
 
 def test_only_what_is_asked_for_is_built(small_cells):

@@ -162,11 +162,12 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return best
 
 
-METHOD = scanning(search)
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread of it."""
     return build_scanning(
-        triangles, config, one_task(METHOD, triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES))
+        triangles,
+        config,
+        one_task(
+            scanning(search, config.split_clipping), triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES)
+        ),
     )

@@ -266,10 +266,10 @@ class LazyKdTree:
         """Builds the subtrees of cells and puts them into the tree."""
         device, width = self.host, self.config.cost.width
         top = self._list_references(self.cells[numbers], ids, first, sizes)
-        scan = Scan(binned.METHOD, LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
+        scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
         spare = CELL_ROOM
         while True:
-            room, _, results = build_tasks(top, self.triangles.count, self.config, scan, spare)
+            room, _, results = build_tasks(top, self.triangles, self.config, scan, spare)
             made = results.numpy()
             if not made["overflow"].any():
                 break
@@ -336,7 +336,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
 def start(triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> LazyKdTree:
     """Begins a tree that rays will complete."""
     load(
-        (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.METHOD)),
+        (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.method(config))),
         triangles.boxes.low.device,
     )
     return LazyKdTree(triangles, config, device)
