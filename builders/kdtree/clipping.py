@@ -1,18 +1,23 @@
 """Split clipping: a triangle that straddles a plane leaves each side with the box of its part there ("perfect splits").
 
-**Problem.** The box of a slanted triangle reaches far beyond it. Split again and again by their boxes, triangles end in cells that
-they do not meet, and the planes tried are those of boxes, not of what is left of the triangles.
+**Problem.** The box of a slanted triangle reaches far beyond it. Split again and again by their boxes, triangles end in cells
+that they do not meet, and the planes tried are those of boxes, not of what is left of the triangles.
 
-**Algorithm.** Where partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and Hodgman
-1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov et al.
-2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes.
+**Algorithm.** Where partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and
+Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov et
+al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes.
 
 **No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene's size: a triangle is in every leaf that
-it comes so near to. A hit lies off its triangle by less than the slack by which a traversal widens cells
-(`wrt.kernels.boxes`), so a cell that holds the point of the triangle is visited before the hit's t. Counts ask more: each
-crossing belongs to one leaf (`wrt.kernels.traversal.crossings`), which may be wrong by that slack about the side of a plane,
-and must have the triangle all the same: the pad is 64 times the slack of a ray from inside the scene, and so covers rays
-that start up to some 20 times its size away.
+it comes so near. A hit lies off its triangle by less than the slack by which a traversal widens cells (`wrt.kernels.boxes`),
+so a cell that holds the point of the triangle is visited before the hit's t. Counts ask more: each crossing belongs to one
+leaf (`wrt.kernels.traversal.crossings`), which may be wrong by that slack about the side of a plane, and must have the
+triangle all the same: the pad is 64 times the slack of a ray from inside the scene, and so covers rays that start up to some
+20 times its size away.
+
+**Measured** (one core of a Zen 5; the binned builder with clipping against that without): a soup of long triangles, 4,000:
+0.77 of the cost, 0.77 of the references, random rays take 0.5 (lockstep) and 0.65 (single) of the time; bunny, dragon, atrium,
+stadium, wood: 0.98 to 0.99 of the cost, 0.93 to 0.98 of the references, 0.89 to 0.98 of the time of single rays. The build
+takes 2 to 3 times as long.
 
 **Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below.
 

@@ -18,7 +18,7 @@ class KdTreeConfig:
     Attributes:
         cost: what a split is worth.
         stop: when a node becomes a leaf.
-        split_clipping: whether triangles are clipped to the cells that they are in, for builders that do (`KdTreeBuilder.clips`).
+        split_clipping: whether triangles are clipped to the cells that they are in, for builders that can (`clipping`).
         axis: key in `AXES`, for builders that split at a median; the others try all axes.
 
     Raises:
