@@ -52,6 +52,11 @@ class TriangleBoxes:
     vertices: wp.array | None = None
     faces: wp.array | None = None
 
+    @property
+    def size(self) -> float:
+        """Longest side of the box of all triangles."""
+        return float((self.high - self.low).max())
+
 
 def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | None = None) -> TriangleBoxes:
     """Bounding boxes of the triangles.

@@ -30,6 +30,10 @@ class KdTree:
         empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
         max_depth: greatest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
         bad_splits: splits that do not pay by themselves allowed on the way to a leaf.
+        termination: key in `wrt.builders.common.TERMINATIONS`: "cost", "automatic" or "fixed": which splits do not pay.
+        leaf_triangles: a node of at most so many triangles is a leaf.
+        least_size: a node with no longer side is a leaf; a share of the scene's longest side, at least 0 and below 1.
+        mailbox: whether the cost is that of rays with a mailbox, which test what lies in several leaves once.
         axis: "longest" or "round_robin": which axis the builders `spatial_median` and `object_median` split; the others
             try all three.
         split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides: fewer references and a
@@ -37,7 +41,7 @@ class KdTree:
             the scene from it.
 
     Raises:
-        ValueError: unknown builder or axis, a value out of its range, or a builder that does not clip.
+        ValueError: unknown builder, axis or termination, a value out of its range, or a builder that does not clip.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -49,6 +53,10 @@ class KdTree:
     empty_factor: float = 0.8
     max_depth: int | None = None
     bad_splits: int = 1
+    termination: str = "cost"
+    leaf_triangles: int = 0
+    least_size: float = 0.0
+    mailbox: bool = False
     axis: str = "longest"
     split_clipping: bool = False
 
@@ -72,10 +80,10 @@ class KdTree:
             block=self.block_cost,
             width=width if self.width is None else self.width,
             empty_factor=self.empty_factor,
+            mailbox=self.mailbox,
         )
-        return KdTreeConfig(
-            cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits), self.axis, self.split_clipping
-        )
+        stop = StopRules(self.max_depth, self.bad_splits, self.termination, self.leaf_triangles, self.least_size)
+        return KdTreeConfig(cost, stop, self.axis, self.split_clipping)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree where the boxes are."""

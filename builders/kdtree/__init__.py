@@ -14,7 +14,18 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import adaptive_sampling, binned, in_place, lazy, medians, naive, sorting_sweep, streaming, sweep
+from wrt.builders.kdtree import (
+    adaptive_sampling,
+    between_medians,
+    binned,
+    in_place,
+    lazy,
+    medians,
+    naive,
+    sorting_sweep,
+    streaming,
+    sweep,
+)
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.kdtree import MAX_INDEX
@@ -73,6 +84,12 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
         KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True),
+        KdTreeBuilder(
+            "between_medians",
+            "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
+            between_medians.build,
+            clips=True,
+        ),
         KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial, clips=True),
         KdTreeBuilder("object_median", FUSSELL, medians.build_object, clips=True),
     )

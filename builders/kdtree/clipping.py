@@ -7,7 +7,7 @@ that they do not meet, and the planes tried are those of boxes, not of what is l
 Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov et
 al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes.
 
-**No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene's size: a triangle is in every leaf that
+**No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that
 it comes so near. A hit lies off its triangle by less than the slack by which a traversal widens cells (`wrt.kernels.boxes`),
 so a cell that holds the point of the triangle is visited before the hit's t. Counts ask more: each crossing belongs to one
 leaf (`wrt.kernels.traversal.crossings`), which may be wrong by that slack about the side of a plane, and must have the

@@ -138,7 +138,7 @@ class LazyKdTree:
         self.host = triangles.boxes.low.device
         self.phase = Phases(self.host)
         self.lock = threading.Lock()
-        self.limits: StopLimits = config.stop.limits(triangles.count)
+        self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.order = wp.array(np.arange(triangles.count, dtype=np.int32), dtype=int, device=self.host)
         """Triangle ids, cluster after cluster."""
         self.clusters = np.zeros((0, 2), dtype=np.int64)

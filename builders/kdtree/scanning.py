@@ -105,11 +105,11 @@ def build_tasks(
     lists.value = wp.empty((count, scan.values), dtype=float, device=device)
     if config.split_clipping:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad = PAD * float((triangles.high - triangles.low).max())
+        lists.pad = PAD * triangles.size
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = room.rooms["lists_first"]
     roots["top"] = room.rooms["lists_first"] + roots["triangles"]
     frames = wp.array(roots, dtype=Frame, device=device)
     launch(copy_lists, count, [top.references, source, room.tasks, frames, lists], device=device, chunk=1)
-    results = build_subtrees(scan.method, triangles.count, config, room, frames, lists)
+    results = build_subtrees(scan.method, triangles, config, room, frames, lists)
     return room, lists, results
