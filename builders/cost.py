@@ -17,6 +17,9 @@ of n_L + n_R - n straddlers comes off:
 Here tests are counted in parts of a block: rounded up, one straddler more could make a plane cheaper, and a sweep that meets a
 plane several times relies on the opposite (`wrt.builders.kdtree.planes`).
 
+Measured (in-place builder, 16 triangles a block, random rays): trees get 1.5 times the nodes, rays of bunny, atrium and a soup
+of long triangles meet 0.58 to 0.67 of the triangles, and take 0.93 to 1.06 of the time.
+
 Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
 make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
 

@@ -9,6 +9,9 @@ as by the medians (`medians`). One thread.
 
 **Complexity.** O(N) a level: a selection for the object median, and a scan.
 
+**Measured** (one core of a Zen 5, against the in-place builder): bunny and atrium 1.01 of the cost, 0.25 to 0.3 of the time to
+build, 1.05 to 1.15 of the time of random rays; the spatial median alone has 1.2 to 1.4 of the cost, the object median 1.8 to 7.
+
 **What we changed.** The faces of the box of a node's triangles are tried too, along every axis: between the medians there is no
 plane that cuts off empty space.
 
