@@ -9,14 +9,14 @@ in the order of the pairs:
     random          none: a pair is anywhere, as if each had been allocated by itself
     breadth_first   level after level
     depth_first     the pair of a node's left child follows it, as in the trees that builders make
-    subtrees        a line of the cache, 64 bytes, holds the upper part of a subtree: the pair of its root's children, theirs, and
-                    so on level by level while there is room, here four pairs; what is below begins lines of its own. Lines are
-                    not shared, and not all are full
+    subtrees        a line of the cache, 64 bytes, holds the upper part of a subtree: the pair of its root's children, theirs,
+                    and so on level by level while there is room, here four pairs; what is below begins lines of its own.
+                    Lines are not shared, and not all are full
 
 **What we changed.** Havran's nodes have two pointers, here both children share one, so that a line holds twice as many.
 
-**Measured** by `wrt bench layouts` (one thread of a Zen 5, the dragon, random rays; how many times as fast as the random layout):
-with a triangle a block, 17 MB of nodes, breadth first 1.6, depth first 2.2, subtrees 2.5 (Havran expected 1.6 of depth first
+**Measured** by `wrt bench layouts` (one thread of a Zen 5, the dragon, random rays; how many times as fast as the random
+layout): with a triangle a block, 17 MB of nodes, breadth first 1.6, depth first 2.2, subtrees 2.5 (Havran expected 1.6 of depth first
 and 2.5 of subtrees, and measured 1.25 and 1.4). With 16 a block the whole tree has 191 kB, and no layout gains a tenth.
 
 References:
