@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import snapped_soup
+from conftest import SCENES, snapped_soup
 
 import wrt
 from wrt.builders.common import StopRules
@@ -163,10 +163,6 @@ def test_invariants(scene_mesh, builder, width):
         {"bad_splits": 5},
         {"empty_factor": 1.0},
         {"max_depth": 6},
-        {"mailbox": True},
-        {"mailbox": True, "width": 1, "block_cost": 1.5},
-        {"termination": "automatic"},
-        {"termination": "fixed", "leaf_triangles": 20, "least_size": 0.05, "max_depth": 12},
     ],
 )
 def test_exact_builders_equal_the_judge(scene_mesh, options):
@@ -180,6 +176,20 @@ def test_exact_builders_equal_the_judge(scene_mesh, options):
         np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
         assert leaf_lists(tree) == leaf_lists(judge)
         assert kdtree_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost == cost
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"mailbox": True},
+        {"mailbox": True, "width": 1, "block_cost": 1.5},
+        {"termination": "automatic"},
+        {"termination": "fixed", "leaf_triangles": 20, "least_size": 0.05, "max_depth": 12},
+    ],
+)
+@pytest.mark.parametrize("name", ["stadium", "grid", "degenerate"])
+def test_exact_builders_equal_the_judge_with_options(name, options):
+    test_exact_builders_equal_the_judge(SCENES[name](), options)
 
 
 def test_exact_builders_equal_the_judge_on_the_bunny(bunny):

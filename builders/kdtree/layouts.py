@@ -16,8 +16,9 @@ in the order of the pairs:
 **What we changed.** Havran's nodes have two pointers, here both children share one, so that a line holds twice as many.
 
 **Measured** by `wrt bench layouts` (one thread of a Zen 5, the dragon, random rays; how many times as fast as the random
-layout): with a triangle a block, 17 MB of nodes, breadth first 1.6, depth first 2.2, subtrees 2.5 (Havran expected 1.6 of depth first
-and 2.5 of subtrees, and measured 1.25 and 1.4). With 16 a block the whole tree has 191 kB, and no layout gains a tenth.
+layout): with a triangle a block, 17 MB of nodes, breadth first 1.6, depth first 2.2, subtrees 2.5 (Havran expected 1.6 of depth
+first and 2.5 of subtrees, and measured 1.25 and 1.4). With 16 a block the nodes have 191 kB, and no layout gains more than
+a tenth.
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.

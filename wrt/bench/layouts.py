@@ -1,4 +1,4 @@
-"""`wrt bench layouts`: what a step through a kd-tree costs, by the order of its nodes in memory (`wrt.builders.kdtree.layouts`).
+"""`wrt bench layouts`: what a step through a kd-tree costs, by the order of its nodes (`wrt.builders.kdtree.layouts`).
 
 One tree in every layout, walked by the same rays, one at a time; layouts take turns. All of a query's time is charged to its
 steps, inner nodes and leaves, triangle tests included: those are the same for every layout.
