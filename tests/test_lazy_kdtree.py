@@ -144,3 +144,15 @@ def test_threads_may_ask_at_a_time(small_cells):
     assert scene.growing.current.waiting > 0
     ids = scene.growing.current.tree.primitive.numpy()
     assert 0 < np.unique(ids[ids >= 0]).size < mesh.triangle_count
+
+
+def test_meshes_that_do_not_divide(small_cells):
+    """All triangles in one point, all alike, and stop rules that forbid to divide: one cell, built as a whole."""
+    one = np.random.default_rng(9).random((1, 3, 3))
+    for corners in (np.full((200, 3, 3), 0.5), np.repeat(one, 200, axis=0)):
+        tree, _ = build(wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(600).reshape(-1, 3)), "lazy")
+        assert set().union(*leaf_lists(tree).values()) == set(range(200))
+    mesh = SCENES["teapot"]()
+    for options in ({"max_depth": 0}, {"leaf_triangles": 10**6}, {"least_size": 0.999, "max_depth": 1}):
+        tree, _ = build(mesh, "lazy", **options)
+        assert unpack(tree).depth.max() <= options.get("max_depth", 0)

@@ -29,7 +29,8 @@ threads may trace while one of them builds.
 137, 26 are the grid and the top, 48 the cells, with an eighth of the triangles, 20 the tracing, and 20 the asking. Built to the
 end, the tree's cost is within 4 % of the binned one's.
 
-**Limits.** A waiting cell is built as a whole. As long as any cell waits, rays pay for asking: 60 nanoseconds each.
+**Limits.** A waiting cell is built as a whole. As long as any cell waits, rays pay for asking: 60 nanoseconds each. Planes above
+the cells are chosen without a count of triangles, so that `leaf_triangles` holds below them only.
 
 References:
     W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
@@ -163,14 +164,13 @@ class LazyKdTree:
                 return
             with self.phase("lists"):
                 ids, first, sizes = self._list_triangles(numbers)
-            small = sizes <= LARGE
+            small = sizes <= max(LARGE, self.config.stop.leaf_triangles)
             for i in np.flatnonzero(~small):
                 with self.phase("top levels"):
                     small[i] = not self._divide(numbers[i], ids[int(first[i]) : int(first[i] + sizes[i])])
             if small.any():
                 with self.phase("subtrees"):
                     self._build(numbers[small], ids, first[small], sizes[small])
-            self.cells["waiting"][numbers] = False
             launch(close_finished, 1, [self.skeleton], device=self.host)
             self.current = self._snapshot()
 
@@ -208,8 +208,11 @@ class LazyKdTree:
     def _divide(self, number: int, ids: wp.array) -> bool:
         """Divides a cell into cells; False if no plane does, or if too many lie across the planes."""
         parent = self.cells[number]
+        least, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
+        if size <= least:
+            return False
         clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
-        top = self._build_top(parent, clusters)
+        top = self._build_top(parent, clusters, least / size)
         flat = unpack(top)
         leaf, listed = leaves_of(clusters, top.nodes)
         multiplied = clusters.sizes[listed].sum() / len(ids)
@@ -233,17 +236,18 @@ class LazyKdTree:
         bounds = np.stack([clusters.first[:-1], clusters.first[1:]], axis=1)
         self.clusters = np.concatenate([self.clusters, bounds + len(self.order)])
         self.order = joined(self.order, clusters.order)
+        self.cells["waiting"][number] = False
         return True
 
-    def _build_top(self, parent: np.void, clusters: Clusters) -> KdTree:
-        """The tree of a cell's clusters."""
+    def _build_top(self, parent: np.void, clusters: Clusters, least_size: float) -> KdTree:
+        """The tree of a cell's clusters; least_size: `StopRules.least_size`, as a share of the cell."""
         boxes, corners = Boxes(), (clusters.core_low.T, clusters.core_high.T)
         boxes.low, boxes.high = (wp.array(np.ascontiguousarray(c), dtype=float, device=self.host) for c in corners)
         cost = self.config.cost
         depth = min(StopRules().limits(len(clusters.low)).depth, self.limits.depth - int(parent["depth"]))
         config = KdTreeConfig(
             SurfaceAreaCost(1.0, CLUSTER_COST, width=CLUSTERS, empty_factor=cost.empty_factor),
-            StopRules(max_depth=depth, bad_splits=0),
+            StopRules(max_depth=depth, bad_splits=0, least_size=least_size),
         )
         return binned.build(TriangleBoxes(boxes, len(clusters.low), parent["low"], parent["high"]), config)
 
@@ -283,6 +287,7 @@ class LazyKdTree:
         self.primitive = primitive
         self.skeleton = wp.clone(self.skeleton)  # the one that is there may be in use
         self.skeleton.numpy()[self.cells["leaf"][numbers]] = EMPTY
+        self.cells["waiting"][numbers] = False
 
     def _list_references(self, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
         """The cells as roots of subtrees, and their references."""
