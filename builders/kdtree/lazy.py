@@ -29,8 +29,8 @@ threads may trace while one of them builds.
 137, 26 are the grid and the top, 48 the cells, with an eighth of the triangles, 20 the tracing, and 20 the asking. Built to the
 end, the tree's cost is within 4 % of the binned one's.
 
-**Limits.** A waiting cell is built as a whole. As long as any cell waits, rays pay for asking: 60 nanoseconds each. Planes above
-the cells are chosen without a count of triangles, so that `leaf_triangles` holds below them only.
+**Limits.** A waiting cell is built as a whole. As long as any cell waits, rays pay for asking: 60 nanoseconds each. Planes
+above the cells are chosen without a count of triangles, so that `leaf_triangles` holds below them only.
 
 References:
     W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
