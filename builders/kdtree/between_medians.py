@@ -40,7 +40,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 @wp.func
 def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int):
     """The best plane between the medians of one axis."""
-    along = axis_frame(axis, frame.low, frame.high, frame.triangles)
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
     spatial = 0.5 * (frame.low[axis] + frame.high[axis])
     step = (median_position(lists, number, frame, axis) - spatial) / float(SAMPLES - 1)
     for i in range(SAMPLES):
@@ -58,7 +58,7 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
 def cut_off(cost: SplitCost, frame: Frame, best: Split):
     """The better of `best` and the faces of the triangles' box."""
     for axis in range(3):
-        along = axis_frame(axis, frame.low, frame.high, frame.triangles)
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
         best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
         best = cheaper_split(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
     return best

@@ -128,7 +128,7 @@ def search_planes(
     for node in range(before.shape[2]):
         counts = before[axis, chunk, node]
         row[node] = start_sweep(counts[0], nodes[node].triangles - counts[1])
-        along[node] = axis_frame(axis, nodes[node].low, nodes[node].high, nodes[node].triangles)
+        along[node] = axis_frame(cost, axis, nodes[node].low, nodes[node].high, nodes[node].triangles)
     for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)

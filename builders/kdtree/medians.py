@@ -48,7 +48,7 @@ def split_at(cost: SplitCost, lists: ReferenceLists, frame: Frame, axis: int, po
     """The split at a position, with planar triangles on the right; `no_split()` if it is not inside the node."""
     sides = Sides()
     measure_sides(lists.reference, frame.first[0], frame.triangles, axis, position, False, sides)
-    along = axis_frame(axis, frame.low, frame.high, frame.triangles)
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
     return cheaper_split(cost, along, position, sides.left, sides.right, False, no_split())
 
 

@@ -161,7 +161,7 @@ def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: Waiting):
     for axis in range(3):
         events = list_events(boxes, work, node, axis)
         first = merge_sort(work, events)
-        along = axis_frame(axis, node.low, node.high, node.triangles)
+        along = axis_frame(cost, axis, node.low, node.high, node.triangles)
         best = sweep_axis(cost, along, work, first, events, node.triangles, best)
     return best
 
