@@ -15,9 +15,10 @@ of n_L + n_R - n straddlers comes off:
     cost = f (C_t + C_b (blocks(n_L) (A_L - F) / A + blocks(n_R) (A_R - F) / A + blocks(n) F / A))
 
 Written so, every term grows with its count, which a sweep that meets a plane several times relies on
-(`wrt.builders.kdtree.planes`), and the sum is the one above with another face and another price to begin with (`axis_frame`). Measured (in-place builder, 16
-triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9 % more nodes, rays meet 4 to 6 % fewer
-triangles; in a soup of long triangles, which gets three times the references, a third fewer, in 0.85 of the time.
+(`wrt.builders.kdtree.planes`), and the sum is the one above with another face and another price to begin with (`axis_frame`).
+Measured (in-place builder, 16 triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9 % more nodes,
+rays meet 4 to 6 % fewer triangles; in a soup of long triangles, which gets three times the references, a third fewer, in 0.85
+of the time.
 
 Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
 make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.

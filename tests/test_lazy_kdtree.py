@@ -146,6 +146,16 @@ def test_threads_may_ask_at_a_time(small_cells):
     assert 0 < np.unique(ids[ids >= 0]).size < mesh.triangle_count
 
 
+def test_kernels_of_others_get_the_whole_tree(small_cells):
+    """What walks a tree without asking for more gets all of it."""
+    scene = lazy_scene(SCENES["teapot"]())
+    assert scene.growing.current.waiting > 0
+    scene.handle()
+    assert scene.growing.current.waiting == 0
+    ids = scene.tree.primitive.numpy()
+    assert np.unique(ids[ids >= 0]).size == scene.triangle_count
+
+
 def test_meshes_that_do_not_divide(small_cells):
     """All triangles in one point, all alike, and stop rules that forbid to divide: one cell, built as a whole."""
     one = np.random.default_rng(9).random((1, 3, 3))

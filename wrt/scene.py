@@ -101,6 +101,12 @@ class Scene(Queries):
     def tree(self, tree: KdTree | Bvh) -> None:
         self._tree, self.growing = tree, None
 
+    def complete(self) -> None:
+        """Builds what is left to build of a tree that is built lazily, before it is walked by what does not ask for more."""
+        if self.growing is not None:
+            with use_threads(self.num_threads):
+                self.growing.finish()
+
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
 

@@ -114,8 +114,7 @@ def compare_builders(
         ]
         traced[rays.name] = take_turns(tracing, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
     for scene in scenes.values():
-        if scene.growing is not None:
-            scene.growing.finish()
+        scene.complete()
     statistics = {name: scenes[name].statistics() for name in names}
     costs = {name: statistics[name].tree.sah_cost for name in names}
     return [

@@ -94,6 +94,7 @@ def compare_layouts(
     """
     cost = CLASSIC_BLOCK if width == 1 else KdTree.block_cost
     scene = Scene(mesh, KdTree(builder=builder, width=width, block_cost=cost), device="cpu", num_threads=threads)
+    scene.complete()
     trees = {name: lay_out(scene.tree, name) for name in LAYOUTS}
     steps: dict[str, dict[str, float]] = {name: {} for name in LAYOUTS}
     ratios: dict[str, dict[str, float | None]] = {name: {} for name in LAYOUTS}
