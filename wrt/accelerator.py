@@ -147,9 +147,6 @@ class Bvh:
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
 
-    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> None:
-        """No hierarchy grows as rays ask for it."""
-
 
 Accelerator = KdTree | Bvh | ProjectedBvh
 

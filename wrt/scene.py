@@ -80,7 +80,7 @@ class Scene(Queries):
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
         boxes = triangle_boxes(host_vertices, host_faces, self.center)
         width = native_width(self.device)
-        self.growing = self.accelerator.start(boxes, width, self.device)
+        self.growing = self.accelerator.start(boxes, width, self.device) if self.accelerator.kind == "kdtree" else None
         """The tree that is built lazily; None if it was built at once."""
         self._tree = self.accelerator.build(boxes, width).to(self.device) if self.growing is None else None
         self.device_mesh = SceneMesh()
