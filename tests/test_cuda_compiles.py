@@ -17,8 +17,9 @@ from wrt.builders.bvh.heuristic import SURFACE
 from wrt.builders.bvh.levels import make_search_planes
 from wrt.builders.bvh.projected import PROJECTED
 from wrt.builders.bvh.subtrees import make_build_subtrees as make_bvh_subtrees
-from wrt.builders.kdtree import adaptive_sampling, binned, medians, naive
+from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, exact_planes, medians
 from wrt.builders.kdtree.event_lists import EVENTS
+from wrt.builders.kdtree.reference_lists import scanning
 from wrt.builders.kdtree.subtrees import make_build_subtrees
 from wrt.kernels.launch import CUDA_BLOCK
 from wrt.kernels.packet import CULLINGS
@@ -35,7 +36,15 @@ from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
 
-KDTREE_METHODS = (EVENTS, binned.METHOD, naive.METHOD, medians.SPACE, medians.OBJECTS, adaptive_sampling.METHOD)
+KDTREE_SEARCHES = (
+    binned.search,
+    exact_planes.search_exactly,
+    medians.search_space,
+    medians.search_objects,
+    between_medians.search,
+    adaptive_sampling.search,
+)
+KDTREE_METHODS = (EVENTS, *(scanning(search) for search in KDTREE_SEARCHES), scanning(binned.search, clipping=True))
 
 
 def modules_with_kernels() -> list[str]:

@@ -21,7 +21,7 @@ from wrt.rays import shared_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.builders.common import Bvh
+    from wrt.builders.common import Bvh, KdTree
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
@@ -33,7 +33,8 @@ Origin = tuple[float, float, float]
 class Scene(Queries):
     """Triangle meshes that rays can be shot at.
 
-    The tree is built at once; a scene does not change afterwards and may be used from several threads.
+    The tree is built at once, or as far as rays ask for it (`wrt.KdTree(builder="lazy")`); else a scene does not change
+    afterwards, and it may be used from several threads.
 
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, or a sequence of such; each mesh of a sequence is a
@@ -81,7 +82,10 @@ class Scene(Queries):
         host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
         boxes = triangle_boxes(host_vertices, host_faces, self.center)
-        self.tree = self.accelerator.build(boxes, native_width(self.device)).to(self.device)
+        width = native_width(self.device)
+        self.growing = self.accelerator.start(boxes, width, self.device) if self.accelerator.kind == "kdtree" else None
+        """The tree that is built lazily; None if it was built at once."""
+        self._tree = self.accelerator.build(boxes, width).to(self.device) if self.growing is None else None
         self.device_mesh = SceneMesh()
         """All triangles on the device, for kernels."""
         self.device_mesh.vertices = host_vertices.to(self.device)
@@ -98,6 +102,21 @@ class Scene(Queries):
         other = copy(self)
         other.tree, other.local_trees, other._blocks = tree, None, {}
         return other
+
+    @property
+    def tree(self) -> KdTree | Bvh:
+        """The tree; of one that is built lazily, what there is by now."""
+        return self._tree if self.growing is None else self.growing.current.tree
+
+    @tree.setter
+    def tree(self, tree: KdTree | Bvh) -> None:
+        self._tree, self.growing = tree, None
+
+    def complete(self) -> None:
+        """Builds what is left to build of a tree that is built lazily, before it is walked by what does not ask for more."""
+        if self.growing is not None:
+            with use_threads(self.num_threads):
+                self.growing.finish()
 
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
@@ -150,7 +169,8 @@ class Scene(Queries):
     def triangles(self, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
         """The triangles in the order of the tree's leaves ("none": of their ids), as the plan's triangle test stores them.
 
-        Made once; records that depend on the rays' shared origin are made again when it has changed. Others need no rays.
+        Made once; records that depend on the rays' shared origin are made again when it has changed. Others need no rays. Those
+        of a tree that has grown are made for what is new.
         """
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks
@@ -158,15 +178,17 @@ class Scene(Queries):
         tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
         origin = shared_origin(rays) if record.per_origin else None
         made_for, blocks = self._blocks.get((tree, record), (None, None))
-        if blocks is None or made_for != origin:
-            primitive = self.tree.primitive
+        primitive = self.tree.primitive
+        if made_for != origin:
+            blocks = None
+        if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
             if tree == "none":
                 count, width = self.triangle_count, self.tree.width
                 ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
             mesh, width = self.device_mesh, self.tree.width
-            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0))
+            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0), blocks)
             self._blocks[tree, record] = origin, blocks
         return blocks
 

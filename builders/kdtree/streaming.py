@@ -53,7 +53,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         with phase("sort"):
             room, lists, frames = list_events(top, config.cost.width, spare)
         with phase("subtrees"):
-            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
+            results = build_subtrees(EVENTS, triangles, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
