@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from wrt.blocks import BlockQueries
 from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from wrt.verification import Verification
 
 
-class Queries:
+class Queries(BlockQueries):
     """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it."""
 
     def intersect(

@@ -40,7 +40,7 @@ class Rays:
     def shape(self) -> tuple[int, ...]:
         """The leading shape: that of the results."""
         return np.broadcast_shapes(
-            *(_leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
+            *(leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
         )
 
     def __len__(self) -> int:
@@ -149,7 +149,7 @@ def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
     return bool((alike & near).mean() > 0.5), bool(near.mean() <= 0.5)
 
 
-def _leading_shape(values: Array) -> tuple[int, ...]:
+def leading_shape(values: Array) -> tuple[int, ...]:
     if isinstance(values, wp.array):
         return values.shape if values.dtype in (wp.vec3f, wp.vec3d) else values.shape[:-1]
     return np.shape(values)[:-1]
@@ -212,7 +212,7 @@ def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray
 
 
 def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
-    shapes = [_leading_shape(origins), _leading_shape(directions), np.shape(t_min), np.shape(t_max)]
+    shapes = [leading_shape(origins), leading_shape(directions), np.shape(t_min), np.shape(t_max)]
     if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
         return shapes[1]
     try:
