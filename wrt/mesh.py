@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -230,6 +230,10 @@ class TriangleMesh:
     def _sorted_corners(self) -> np.ndarray:
         """(F, 3) int64 corners of every triangle in ascending order; coincident vertices count as the first of them."""
         return np.sort(_first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold what the constructor takes: what comes out is checked, and read-only."""
+        return partial(TriangleMesh, name=self.name), (self._vertices, self._faces)
 
     def __repr__(self) -> str:
         label = f"'{self.name}', " if self.name else ""

@@ -19,9 +19,13 @@ from wrt.rays import shared_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from wrt.builders.common import Bvh, KdTree
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
+    from wrt.storage import TreeSource
 
 Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
@@ -40,9 +44,11 @@ class Scene(Queries):
             their own. Only the default one counts (`count`, `intersect_all`, `contains`) exactly, and stays in charge of that.
         device: a Warp device or its name, such as "cpu" or "cuda:0"; None for Warp's default device.
         num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
+        cache: path of a folder in which to look for the tree, by a hash of all that it depends on; one that is not there is
+            built and written there. Trees of any number of scenes share a folder. None: no file is read or written.
 
     Raises:
-        TypeError: `geometry`, `accelerator` or `num_threads` is of a wrong type.
+        TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
         ValueError: unknown names, no such device, an empty sequence.
     """
 
@@ -54,6 +60,7 @@ class Scene(Queries):
         triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
+        cache: str | Path | TreeSource | None = None,
     ) -> None:
         self.meshes = _as_meshes(geometry)
         self.accelerator = resolve_accelerator(accelerator)
@@ -66,9 +73,9 @@ class Scene(Queries):
         """(3,) float64; geometry is held in float32 relative to this point."""
         centered = (vertices - self.center).astype(np.float32)
         with use_threads(self.num_threads):
-            self._build(centered, faces, first)
+            self._build(centered, faces, first, cache)
 
-    def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray) -> None:
+    def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray, cache: Any) -> None:
         from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
 
@@ -76,8 +83,18 @@ class Scene(Queries):
         host = wp.get_device("cpu")
         host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        boxes = triangle_boxes(host_vertices, host_faces)
-        self.tree = self.accelerator.build(boxes, native_width(self.device)).to(self.device)
+        width = native_width(self.device)
+
+        def build() -> Bvh | KdTree:
+            return self.accelerator.build(triangle_boxes(host_vertices, host_faces), width)
+
+        if cache is None:
+            tree = build()
+        else:
+            from wrt.storage import as_source, tree_key
+
+            tree = as_source(cache).tree(tree_key(vertices, faces, self.accelerator, width), len(faces), build)
+        self.tree = tree.to(self.device)
         self.device_mesh = SceneMesh()
         """All triangles on the device, for kernels."""
         self.device_mesh.vertices = host_vertices.to(self.device)
@@ -86,6 +103,43 @@ class Scene(Queries):
         self.device_mesh.low, self.device_mesh.high = wp.vec3(*self.tree.low), wp.vec3(*self.tree.high)
         self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+
+    def save(self, path: str | Path) -> None:
+        """Writes the meshes, the description of the tree, and the tree, to a file that `load` reads.
+
+        An .npz archive of plain arrays, whatever its name. It takes the place of an earlier file only when it is complete.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        from wrt.storage import save_scene
+
+        save_scene(self, path)
+
+    @classmethod
+    def load(cls, path: str | Path, *, device: str | wp.Device | None = None, num_threads: int | None = None) -> Scene:
+        """Reads a scene that was saved. Its answers are the same to the bit.
+
+        The tree is built again if it is not the one that would be built here: another version of wrt wrote it, or for a
+        device with vectors of another width. Nothing in a file is run, so those of strangers are safe to read.
+
+        Args:
+            path: of the file.
+            device, num_threads: as of the constructor.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: it is no scene that wrt saved, or it is damaged; no such device.
+        """
+        from wrt.storage import load_scene
+
+        return load_scene(path, device, num_threads)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles take the tree along."""
+        from wrt.storage import reduce_scene
+
+        return reduce_scene(self)
 
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
