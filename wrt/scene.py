@@ -76,6 +76,9 @@ class Scene(Queries):
             self._build(centered, faces, first, cache)
 
     def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray, cache: Any) -> None:
+        # What queries need is imported here: `wrt.kernels.traversal` and its parts import one another, and threads that enter
+        # such a package from two ends at a time fail.
+        import wrt.kernels.traversal  # noqa: F401
         from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
 

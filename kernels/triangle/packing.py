@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -70,5 +70,5 @@ def pack_blocks(
     blocks.primitive = primitive
     blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)
     inputs = [vertices, faces, primitive, width, wp.vec3(*origin), blocks.records]
-    launch(make_kernel(record), len(primitive), inputs, device=vertices.device, chunk=4096)
+    launch(specialise(make_kernel, record), len(primitive), inputs, device=vertices.device, chunk=4096)
     return blocks
