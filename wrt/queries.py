@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from wrt.blocks import BlockQueries
+from wrt.few_rays import trace_few
 from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
@@ -56,6 +57,8 @@ class Queries(BlockQueries):
                 `precise` together with a traversal, a triangle test or counters.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
+        if not (counters or precise) and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             if precise:
@@ -81,6 +84,8 @@ class Queries(BlockQueries):
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
+        if (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test)
@@ -138,6 +143,8 @@ class Queries(BlockQueries):
         What `intersect_all` would list, counted; arguments and errors as there.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
+        if (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
@@ -229,6 +236,12 @@ class Queries(BlockQueries):
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
         with use_threads(self.num_threads):
             return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
+
+    def _trace_few(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
+        """The answer, if there are few rays and the choice is ours; else None."""
+        if not (traversal == AUTO == triangle_test == self.triangle_test):
+            return None
+        return trace_few(self, rays, query)
 
 
 def _as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:

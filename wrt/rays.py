@@ -91,9 +91,9 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     origins = as_vectors(rays.origins, "origins", device)
     directions = as_vectors(rays.directions, "directions", device)
     is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
-    t_min = _as_range(rays.t_min, "t_min", device)
-    t_max = _as_range(rays.t_max, "t_max", device)
-    shape = _common_shape(origins, directions, t_min, t_max)
+    t_min = as_range(rays.t_min, "t_min", device)
+    t_max = as_range(rays.t_max, "t_max", device)
+    shape = common_shape(origins, directions, t_min, t_max)
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = one_origin(origins)
     batch = RayBatch()
@@ -190,7 +190,7 @@ def _as_real(values: Array, name: str) -> np.ndarray:
     return values.astype(np.float32 if values.dtype == np.float16 else np.float64)
 
 
-def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
+def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
     """A bound of t: a number as it is, else float32. Of Warp arrays no value is looked at: a bad one makes its ray miss."""
     if isinstance(values, wp.array):
         if values.dtype is not wp.float32:
@@ -211,7 +211,7 @@ def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray
         return np.asarray(values, dtype=np.float32)
 
 
-def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
+def common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
     shapes = [leading_shape(origins), leading_shape(directions), np.shape(t_min), np.shape(t_max)]
     if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
         return shapes[1]

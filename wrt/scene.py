@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders.common import Bvh, KdTree
+    from wrt.few_rays import Desk
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.statistics import SceneStatistics
@@ -105,6 +107,8 @@ class Scene(Queries):
         self.device_mesh.center = wp.vec3d(*map(float, self.center))
         self.device_mesh.low, self.device_mesh.high = wp.vec3(*self.tree.low), wp.vec3(*self.tree.high)
         self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
+        self.desks: dict[str, deque[Desk]] = {}
+        """Those that are free, for each query; see `wrt.few_rays`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
 
     def save(self, path: str | Path) -> None:
