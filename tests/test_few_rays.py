@@ -17,10 +17,9 @@ ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "is_hit", "position", "n
 def scene(request) -> wrt.Scene:
     """Two meshes, far from the origin."""
     teapot = wrt.scenes.build("teapot", level=3)
-    far = teapot.vertices.astype(np.float64) + (3e4, -1e4, 2e4)
-    return wrt.Scene(
-        [wrt.TriangleMesh(far, teapot.faces), wrt.TriangleMesh(far + 0.4, teapot.faces)], request.param, device="cpu"
-    )
+    far = teapot.vertices + np.array([3e4, -1e4, 2e4])
+    meshes = [wrt.TriangleMesh(far, teapot.faces), wrt.TriangleMesh(far + 0.4, teapot.faces)]
+    return wrt.Scene(meshes, request.param, device="cpu")
 
 
 def assert_as_many(scene: wrt.Scene, *rays) -> None:
@@ -62,7 +61,7 @@ def test_shapes_and_ranges(scene):
         (tuple(scene.center), directions),
         (wrt.Rays(origins, [1.0, 0, 0], bounds, np.inf),),
         (origins, directions, 0.0, 1e300),
-        (origins * 1e300, directions * 1e-60),
+        (np.full(3, 1e300), directions.astype(np.float64) * 1e-60),
     ):
         assert_as_many(scene, *rays)
 

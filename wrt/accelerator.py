@@ -65,7 +65,7 @@ class KdTree:
         return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits), self.axis)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
@@ -114,7 +114,7 @@ class Bvh:
         return BvhConfig(cost, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))

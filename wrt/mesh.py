@@ -129,7 +129,7 @@ class TriangleMesh:
         return trimesh.Trimesh(self._vertices.copy(), self._faces.copy(), process=False)
 
     def save(self, path: str | Path) -> None:
-        """Writes a file whose format follows from its extension (.ply .obj .stl .glb .off ...).
+        """Writes a file whose format follows from the extension of `path` (.ply .obj .stl .glb .off ...).
 
         Raises:
             ValueError: trimesh cannot write that format.
@@ -154,10 +154,12 @@ class TriangleMesh:
 
     @property
     def vertex_count(self) -> int:
+        """V, those that no triangle uses included."""
         return len(self._vertices)
 
     @property
     def triangle_count(self) -> int:
+        """F."""
         return len(self._faces)
 
     @cached_property
@@ -269,7 +271,7 @@ class TriangleMesh:
 
     @staticmethod
     def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
-        """Joins meshes into one, triangles in the order given; float64 if any of them is.
+        """Joins meshes into one called `name`, triangles in the order given; float64 if any of them is.
 
         Raises:
             ValueError: `meshes` is empty.

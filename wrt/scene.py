@@ -114,7 +114,8 @@ class Scene(Queries):
     def save(self, path: str | Path) -> None:
         """Writes the meshes, the description of the tree, and the tree, to a file that `load` reads.
 
-        An .npz archive of plain arrays, whatever its name. It takes the place of an earlier file only when it is complete.
+        The file is an .npz archive of plain arrays, whatever name `path` gives it. It takes the place of an earlier one only
+        when it is complete.
 
         Raises:
             OSError: the file cannot be written.
