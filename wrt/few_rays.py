@@ -26,7 +26,7 @@ import warp as wp
 
 from wrt.hits import Hits
 from wrt.kernels.launch import load, specialise
-from wrt.kernels.rays import HitBatch
+from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import new_rays
 from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, make_plan, plan_for, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, as_range, as_vectors, common_shape
@@ -34,6 +34,10 @@ from wrt.tracing import new_hits, no_work
 
 if TYPE_CHECKING:
     from wrt.scene import Scene
+
+
+NO_RAYS = RayBatch()
+"""What hits hold in the place of rays on the device: those on a desk are other rays soon."""
 
 
 class Desk:
@@ -48,12 +52,11 @@ class Desk:
         device = scene.device
         self.rays, self.center, self.tree = new_rays(FEW_RAYS, device), scene.center, scene.tree
         self.plan = make_plan(scene, RayBuffers(self.rays, (FEW_RAYS,), False, np.float32, True, False, []), AUTO, AUTO, query)
-        carried_out = plan_for(self.plan, query)
-        way, config = way_of(carried_out), traversal_config(carried_out, scene, query, False)
-        self.record = carried_out
-        self.blocks = scene.triangles(carried_out, self.rays)
+        self.carried_out = plan_for(self.plan, query)
+        way, config = way_of(self.carried_out), traversal_config(self.carried_out, scene, query, False)
+        self.blocks = scene.triangles(self.carried_out, self.rays)
         hits = new_hits(FEW_RAYS, query, device)
-        kernel = specialise(way.kernels[carried_out.accelerator], config)
+        kernel = specialise(way.kernels[self.carried_out.accelerator], config)
         load([kernel], device)
         inputs = [0, scene.tree.struct(), self.blocks, self.rays, hits, no_work(way.counters, device.alias)]
         self.launch = wp.launch(kernel, FEW_RAYS, inputs, device=device, record_cmd=True)
@@ -66,7 +69,7 @@ class Desk:
 
     def suits(self, scene: Scene) -> bool:
         """Whether the scene still has what this desk was made for."""
-        return self.tree is scene.tree and self.blocks is scene.triangles(self.record, self.rays)
+        return self.tree is scene.tree and self.blocks is scene.triangles(self.carried_out, self.rays)
 
     def trace(self, rays: tuple[Any, ...], shape: tuple[int, ...]) -> list[np.ndarray]:
         """Answers to rays that have this shape when broadcast."""
@@ -129,7 +132,7 @@ def trace_few(scene: Scene, rays: Rays, query: str) -> Any:
     if query != CLOSEST:
         return answers[0]
     dtype = np.float64 if np.float64 in (origins.dtype, directions.dtype) else np.float32
-    return FewHits(answers, RayBuffers(desk.rays, shape, False, dtype, True, False, []), scene, desk)
+    return FewHits(answers, RayBuffers(NO_RAYS, shape, False, dtype, True, False, []), scene, desk)
 
 
 def _is_small(values: Any) -> bool:
