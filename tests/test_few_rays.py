@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.few_rays import FewHits
-from wrt.plan import FEW_RAYS
+from wrt.few_rays import FewHits, trace_few
+from wrt.plan import CLOSEST, FEW_RAYS
 
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "is_hit", "position", "normal")
 
@@ -69,13 +70,12 @@ def test_shapes_and_ranges(scene):
 def test_only_few(scene):
     """Many rays, Warp's and a way that is asked for go as ever; none at all too."""
     origins, directions = mixed_rays(scene.meshes[0], FEW_RAYS + 1)
-    few = scene.intersect(origins[1:], directions[1:])
-    many = scene.intersect(origins, directions)
-    assert isinstance(few, FewHits)
-    assert not isinstance(many, FewHits)
-    np.testing.assert_array_equal(few.t, many.t[1:])
-    assert scene.explain(origins[1:], directions[1:]).traversal == "single"
-    assert not isinstance(scene.intersect(origins[:5], directions[:5], counters=True), FewHits)
+    assert isinstance(scene.intersect(origins[1:], directions[1:]), FewHits)
+    assert trace_few(scene, wrt.Rays(origins, directions), CLOSEST) is None
+    assert scene.explain(origins[1:], directions[1:]).traversal == "single" != scene.explain(origins, directions).traversal
+    on_device = [wp.array(a[:5], dtype=wp.vec3, device="cpu") for a in (origins, directions)]
+    assert isinstance(scene.intersect(*on_device).t, wp.array)
+    assert not isinstance(scene.intersect(origins[:5], directions[:5], precise=True), FewHits)
     assert scene.intersect(origins[:0], directions[:0]).t.shape == (0,)
 
 

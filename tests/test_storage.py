@@ -37,7 +37,8 @@ def meshes() -> list[wrt.TriangleMesh]:
 
 @pytest.fixture(params=DESCRIPTIONS)
 def scene(request, device) -> wrt.Scene:
-    return wrt.Scene(meshes(), DESCRIPTIONS[request.param], triangle_test="moeller_trumbore", device=device, num_threads=2)
+    test = "moeller_trumbore" if request.param == "bvh" else "auto"
+    return wrt.Scene(meshes(), DESCRIPTIONS[request.param], triangle_test=test, device=device, num_threads=2)
 
 
 @pytest.fixture
