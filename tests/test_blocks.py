@@ -56,6 +56,8 @@ def test_same_answers_whatever_the_size(scene, rays, size):
     for name in ATTRIBUTES:
         np.testing.assert_array_equal(gathered(blocks, name), getattr(whole, name))
     assert blocks.done == len(origins)
+    blocks = scene.intersect_blocks(origins[:40], directions[:40], precise=True, memory=for_rays(size))
+    np.testing.assert_array_equal(gathered(blocks, "t"), scene.intersect(origins[:40], directions[:40], precise=True).t)
     dark = [answer for _, answer in scene.occluded_blocks(origins, directions, memory=for_rays(size))]
     np.testing.assert_array_equal(np.concatenate(dark), scene.occluded(origins, directions))
     counts = [answer for _, answer in scene.count_blocks(origins, directions, memory=for_rays(size))]

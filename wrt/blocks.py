@@ -157,6 +157,7 @@ class BlockQueries:
         progress: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
+        precise: bool = False,
     ) -> Blocks:
         """Closest hits of any number of rays, block by block: pairs (rows, hits) to iterate over, or to `write` to arrays.
 
@@ -173,14 +174,15 @@ class BlockQueries:
             memory: bound on what is held for a block, in bytes or as in "1.5 GB" or "512 MiB", some 320 bytes a ray. A block
                 has at least one row.
             progress: whether to show a bar on the standard error stream.
-            traversal, triangle_test: as in `intersect`.
+            traversal, triangle_test, precise: as in `intersect`.
 
         Raises:
             TypeError: an argument is of a wrong type.
             ValueError: as `intersect`, or rays without a leading axis, or a bound that is no amount of memory. What depends on
                 values and types of arrays is checked block by block.
         """
-        return self._in_blocks(self.intersect, (origins, directions, t_min, t_max), memory, progress, traversal, triangle_test)
+        asked = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
 
     def occluded_blocks(
         self,
@@ -195,7 +197,8 @@ class BlockQueries:
         triangle_test: str = AUTO,
     ) -> Blocks:
         """Whether anything is hit, block by block: (rows, bool array), or to `write`; arguments as in `intersect_blocks`."""
-        return self._in_blocks(self.occluded, (origins, directions, t_min, t_max), memory, progress, traversal, triangle_test)
+        asked = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
 
     def count_blocks(
         self,
@@ -210,19 +213,8 @@ class BlockQueries:
         triangle_test: str = AUTO,
     ) -> Blocks:
         """Numbers of hits, block by block: (rows, int32 array), or to `write`; arguments as in `intersect_blocks`."""
-        return self._in_blocks(self.count, (origins, directions, t_min, t_max), memory, progress, traversal, triangle_test)
-
-    def _in_blocks(
-        self,
-        query: Callable[..., Any],
-        rays: tuple[Any, Any, Any, Any],
-        memory: int | str,
-        progress: bool,
-        traversal: str | Plan,
-        triangle_test: str,
-    ) -> Blocks:
-        asked = partial(query, traversal=traversal, triangle_test=triangle_test)
-        return Blocks(asked, as_source(*rays), memory, progress)
+        asked = partial(self.count, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
