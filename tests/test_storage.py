@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import pickle
 import subprocess
@@ -86,6 +87,13 @@ def test_pickles(scene, built):
     revived = pickle.loads(pickle.dumps(scene))
     assert_same(scene, revived)
     assert (revived.device, revived.num_threads) == (scene.device, 2)
+    assert built == []
+
+
+def test_copies_share_the_tree(scene, built):
+    twin = copy.copy(scene)
+    assert twin.tree is scene.tree
+    assert_same(scene, twin)
     assert built == []
 
 

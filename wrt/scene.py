@@ -149,6 +149,12 @@ class Scene(Queries):
 
         return reduce_scene(self)
 
+    def __copy__(self) -> Scene:
+        """A scene of its own with the same meshes and tree, where they are."""
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__ | {"desks": {}, "_blocks": dict(self._blocks)}
+        return other
+
     def __repr__(self) -> str:
         return f"Scene({self.triangle_count} triangles, {self.accelerator}, device={str(self.device)!r})"
 
