@@ -87,17 +87,23 @@ class KdTree:
         return KdTreeConfig(cost, stop, self.axis, self.split_clipping)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
 
-    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree | None:
-        """Begins a tree that grows as rays ask for it, on `device`; None if the builder builds it at once."""
+    @property
+    def is_lazy(self) -> bool:
+        """Whether the tree grows as rays ask for it."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
-        begin = KDTREE_BUILDERS[self.builder].start
-        return None if begin is None else begin(triangles, self.config(width), device)
+        return KDTREE_BUILDERS[self.builder].start is not None
+
+    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
+        """Begins a tree that grows as rays ask for it, on `device`."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +149,7 @@ class Bvh:
         return BvhConfig(cost, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, traversal_config, way_of
@@ -123,7 +123,7 @@ def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: 
     if way.streams:
         grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
     launch(
-        way.kernels[plan.accelerator](config),
+        specialise(way.kernels[plan.accelerator], config),
         -(-rays.count // grain),
         [tree, scene.triangles(plan, rays), rays, hits, work],
         device=scene.device,

@@ -19,7 +19,7 @@ from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chun
 from wrt.builders.kdtree.reference_lists import ReferenceLists
 from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import launch, load
+from wrt.kernels.launch import launch, load, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -72,7 +72,7 @@ def one_task(method: Method, triangles: int, values: int, bins: int = 1, counter
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, copy_lists, copy_subtrees, make_build_subtrees(scan.method)), phase.device)
+    load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, scan.levels)
     spare = SPARE_ROOM

@@ -26,7 +26,7 @@ from wrt.builders.cost import SplitCost, no_split
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels import kdtree
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -234,5 +234,5 @@ def build_subtrees(
     results = wp.empty(count, dtype=Result, device=device)
     rules = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size)]
     inputs = [*rules, room.tasks, frames, memory, room.parts, stack, results]
-    launch(make_build_subtrees(method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
+    launch(specialise(make_build_subtrees, method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
     return results

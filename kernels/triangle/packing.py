@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -76,5 +76,5 @@ def pack_blocks(
         wp.copy(blocks.records, earlier.records)
     if done < len(primitive):
         inputs = [vertices, faces, primitive[done:], width, wp.vec3(*origin), blocks.records[done * record.components :]]
-        launch(make_kernel(record), len(primitive) - done, inputs, device=vertices.device, chunk=4096)
+        launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=vertices.device, chunk=4096)
     return blocks
