@@ -100,7 +100,7 @@ class KdTree:
         return KDTREE_BUILDERS[self.builder].start is not None
 
     def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
-        """Begins a tree that grows as rays ask for it, on `device`."""
+        """Begins a tree over `triangles` that grows as rays ask for it, on `device`; width: as in `config`."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
