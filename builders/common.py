@@ -27,41 +27,77 @@ class StopLimits:
 
     depth: int
     bad_splits: int
+    quality: float
+    """A split is bad if it costs at least so many times as much as the leaf."""
+    leaf_triangles: int
+    least_size: float
+    """Of a node's longest side."""
+
+
+COST, AUTOMATIC, FIXED = "cost", "automatic", "fixed"
+TERMINATIONS = {
+    COST: "splits must cost less than the leaf, but for some",
+    AUTOMATIC: "splits must cost less than 3/4 of the leaf, but for more in larger meshes (Havran, Bittner 2002)",
+    FIXED: "every node is split until it is deep or small enough, whatever that costs",
+}
+"""When a split is bad, and how many are allowed on a way."""
 
 
 @dataclass(frozen=True)
 class StopRules:
     """When a node becomes a leaf.
 
-    A node is a leaf if no plane splits it, if it is as deep as allowed, or if its best split costs at least as much as
-    the leaf and its ancestors have used up the allowance of such bad splits: a bad split may make good ones possible
-    (Wald and Havran 2006 call the alternative a local minimum), but not again and again. Nor is a node split if the splits on
-    the way to it would have multiplied its triangles by 64 (`Descent`).
+    A node is a leaf if no plane splits it, if it is as deep, has as few triangles, or is as small as a leaf may be, or if its
+    best split is bad and its ancestors have used up the allowance of such: a bad split may make good ones possible (Wald and
+    Havran 2006 call the alternative a local minimum), but not again and again. Nor is a node split if the splits on the way to
+    it would have multiplied its triangles by 64 (`Descent`).
 
     Attributes:
         max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a
-            bound of the form that Havran and Bittner (2002) found, with the constants of Pharr and Humphreys (2004).
-        bad_splits: bad splits allowed between the root and a leaf.
+            bound of the form that Havran and Bittner (2002) found, with the constants of Pharr and Humphreys (2004);
+            "automatic" has their own, 2 + 1.2 log2(triangles).
+        bad_splits: bad splits allowed between the root and a leaf; "automatic" allows 1 + max_depth / 5 instead.
+        termination: key in `TERMINATIONS`: which splits are bad.
+        leaf_triangles: a node of at most so many triangles is a leaf.
+        least_size: a node none of whose sides is longer than this is a leaf; a share of the scene's longest side, below 1.
 
     Raises:
-        ValueError: a value is out of range.
+        ValueError: a value is out of range, or an unknown termination.
+
+    References:
+        V. Havran, J. Bittner: On improving kd-trees for ray shooting. WSCG 2002.
+        M. Pharr, G. Humphreys: Physically based rendering. Morgan Kaufmann, 2004.
     """
 
     max_depth: int | None = None
     bad_splits: int = 1
+    termination: str = COST
+    leaf_triangles: int = 0
+    least_size: float = 0.0
 
     def __post_init__(self) -> None:
         if self.max_depth is not None and not 0 <= self.max_depth <= MAX_TREE_DEPTH:
             raise ValueError(f"max_depth is {self.max_depth}; it must be None or from 0 to {MAX_TREE_DEPTH}")
         if self.bad_splits < 0:
             raise ValueError(f"bad_splits is {self.bad_splits}; it must not be negative")
+        if self.termination not in TERMINATIONS:
+            raise ValueError(f"termination is {self.termination!r}; choose from {', '.join(TERMINATIONS)}")
+        if self.leaf_triangles < 0:
+            raise ValueError(f"leaf_triangles is {self.leaf_triangles}; it must not be negative")
+        if not 0.0 <= self.least_size < 1.0:
+            raise ValueError(f"least_size is {self.least_size}; it must be at least 0 and below 1")
 
-    def limits(self, triangles: int) -> StopLimits:
-        """The rules for a mesh of so many triangles."""
+    def limits(self, triangles: int, size: float = 0.0) -> StopLimits:
+        """The rules for a mesh of so many triangles, whose box has a longest side of this size."""
         limits = StopLimits()
-        automatic = min(MAX_TREE_DEPTH, round(8 + 1.3 * log2(max(triangles, 1))))
+        havran = self.termination == AUTOMATIC
+        base, slope = (2.0, 1.2) if havran else (8.0, 1.3)
+        automatic = min(MAX_TREE_DEPTH, round(base + slope * log2(max(triangles, 1))))
         limits.depth = automatic if self.max_depth is None else self.max_depth
-        limits.bad_splits = self.bad_splits
+        limits.bad_splits = 1 + limits.depth // 5 if havran else self.bad_splits
+        limits.quality = {COST: 1.0, AUTOMATIC: 0.75, FIXED: float("inf")}[self.termination]
+        limits.leaf_triangles = self.leaf_triangles
+        limits.least_size = self.least_size * size
         return limits
 
 
@@ -75,17 +111,18 @@ class Descent:
 
 
 @wp.func
-def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: Descent, split: Split):
-    """The way to the children of a node; its `bad_splits` are -1 if the node becomes a leaf instead.
+def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: Descent, split: Split, size: wp.vec3):
+    """The way to the children of a node, whose box has this size; its `bad_splits` are -1 if the node becomes a leaf instead.
 
     What bounds the growth on every way bounds the references of all leaves together, to so many times the triangles.
     """
     below = Descent()
     below.bad_splits = -1
-    if depth < limits.depth and split.cost < INFINITY:
+    large = triangles > limits.leaf_triangles and not (wp.max(size[0], wp.max(size[1], size[2])) <= limits.least_size)
+    if large and depth < limits.depth and split.cost < INFINITY:
         below.growth = (1.0 + path.growth) * float(split.left + split.right) / float(triangles) - 1.0
         if below.growth < MAX_GROWTH:
-            if split.cost < leaf_cost(cost, triangles):
+            if split.cost < limits.quality * leaf_cost(cost, triangles):
                 below.bad_splits = path.bad_splits
             elif path.bad_splits < limits.bad_splits:
                 below.bad_splits = path.bad_splits + 1

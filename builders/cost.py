@@ -8,6 +8,18 @@ For a box of surface area A split into two of areas A_L and A_R, with n_L and n_
 leaf tests W triangles at once: with W = 1 this is the textbook's formula. f < 1 rewards cutting off empty space; triangles
 in the splitting plane are tried on both sides.
 
+With a mailbox (`wrt.kernels.mailbox`) a ray that passes both children tests what straddles the plane once, not twice (Hunt
+2008). It passes both with probability A_L / A + A_R / A - 1, the share of the plane's faces, F / A, so that much of the tests
+of n_L + n_R - n straddlers comes off:
+
+    cost = f (C_t + C_b (blocks(n_L) (A_L - F) / A + blocks(n_R) (A_R - F) / A + blocks(n) F / A))
+
+Written so, every term grows with its count, which a sweep that meets a plane several times relies on
+(`wrt.builders.kdtree.planes`), and the sum is the one above with another face and another price to begin with (`axis_frame`).
+Measured (in-place builder, 16 triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9 % more nodes,
+rays meet 4 to 6 % fewer triangles; in a soup of long triangles, which gets three times the references, a third fewer, in 0.85
+of the time.
+
 Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
 make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
 
@@ -16,6 +28,8 @@ References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
+    W. A. Hunt: Corrections to the surface area metric with respect to mail-boxing.
+        IEEE Symposium on Interactive Ray Tracing 2008.
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
@@ -40,6 +54,7 @@ class SplitCost:
     """log2 of the triangles in a block."""
     unit_bits: int
     """log2 of the triangles that are paid for together."""
+    mailbox: bool
 
 
 @dataclass(frozen=True)
@@ -53,6 +68,7 @@ class SurfaceAreaCost:
         empty_factor: f, by which the cost of a split with an empty side is multiplied; 1 turns the bonus off.
         unit: triangles that are paid for together, a power of two; None for a block. With 1, `block` is the cost of testing
             one triangle, as in the textbooks, whatever the width of blocks.
+        mailbox: whether rays remember the triangles that they have been tested against.
 
     Raises:
         ValueError: a cost is negative or not finite, width or unit no power of two up to 16, or the factor not in (0, 1].
@@ -63,6 +79,7 @@ class SurfaceAreaCost:
     width: int = 8
     empty_factor: float = 0.8
     unit: int | None = None
+    mailbox: bool = False
 
     def __post_init__(self) -> None:
         for name, count in (("width", self.width), ("unit", self.width if self.unit is None else self.unit)):
@@ -81,6 +98,7 @@ class SurfaceAreaCost:
         cost.empty_factor = self.empty_factor
         cost.width_bits = self.width.bit_length() - 1
         cost.unit_bits = (self.unit or self.width).bit_length() - 1
+        cost.mailbox = self.mailbox
         return cost
 
     def of_leaf(self, triangles: np.ndarray) -> np.ndarray:
@@ -112,10 +130,12 @@ class AxisFrame:
     low: float
     high: float
     face: float
-    """Half the area of the two faces across the axis."""
+    """Half the area of the two faces across the axis; 0 with a mailbox, see the module's docstring."""
     rim: float
     """Half the circumference of such a face."""
     inverse_area: float
+    base: float
+    """What a split costs before its children do."""
 
 
 @wp.func
@@ -127,8 +147,14 @@ def no_split():
 
 
 @wp.func
-def axis_frame(axis: int, low: wp.vec3, high: wp.vec3):
-    """The box along `axis`."""
+def leaf_cost(cost: SplitCost, triangles: int):
+    """Cost of a leaf."""
+    return cost.block * float((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits)
+
+
+@wp.func
+def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangles: int):
+    """The box, with so many triangles, along `axis`."""
     size = high - low
     one = wp.where(axis == 0, size[1], size[0])
     two = wp.where(axis == 2, size[1], size[2])
@@ -139,13 +165,11 @@ def axis_frame(axis: int, low: wp.vec3, high: wp.vec3):
     frame.face = one * two
     frame.rim = one + two
     frame.inverse_area = 1.0 / (frame.face + size[axis] * frame.rim)
+    frame.base = cost.traversal
+    if cost.mailbox:
+        frame.base = cost.traversal + leaf_cost(cost, triangles) * (frame.face * frame.inverse_area)
+        frame.face = 0.0
     return frame
-
-
-@wp.func
-def leaf_cost(cost: SplitCost, triangles: int):
-    """Cost of a leaf."""
-    return cost.block * float((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits)
 
 
 @wp.func
@@ -153,7 +177,7 @@ def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, ri
     """Cost of a split into children with so many triangles."""
     area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area
     area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area
-    price = cost.traversal + (area_left * leaf_cost(cost, left) + area_right * leaf_cost(cost, right))
+    price = frame.base + (area_left * leaf_cost(cost, left) + area_right * leaf_cost(cost, right))
     return wp.where(left == 0 or right == 0, price * cost.empty_factor, price)
 
 

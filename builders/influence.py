@@ -61,7 +61,7 @@ class PlaneInfluenceArea:
         return frame_of(self.direction, self.up)
 
     def view(self, center: np.ndarray) -> AreaView:
-        """The area for kernels, relative to a scene's centre (3,)."""
+        """The area for kernels, relative to a scene's center, (3,) float64."""
         view = _view(self, center)
         view.near, view.far = 0.0, self.depth
         view.half = wp.vec2(self.width / 2, self.height / 2)
@@ -115,7 +115,7 @@ class PointInfluenceArea:
         return tan(radians(self.fov[0]) / 2), tan(radians(self.fov[1]) / 2)
 
     def view(self, center: np.ndarray) -> AreaView:
-        """The area for kernels, relative to a scene's centre (3,)."""
+        """The area for kernels, relative to a scene's center, (3,) float64."""
         view = _view(self, center)
         view.near, view.far = self.near, self.far
         view.half = wp.vec2(*self.tangents)

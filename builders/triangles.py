@@ -34,13 +34,28 @@ def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array
 
 @dataclass
 class TriangleBoxes:
-    """Boxes of all triangles, the box of them all, and the point (3,) that positions are relative to."""
+    """Boxes of all triangles and the box of them all.
+
+    Attributes:
+        boxes: of each triangle.
+        count: number of triangles.
+        low, high: (3,) float32, the box of all of them.
+        center: (3,) the point that positions are relative to.
+        vertices, faces: the triangles themselves, for builders that clip them; None where boxes stand for other things.
+    """
 
     boxes: Boxes
     count: int
     low: np.ndarray
     high: np.ndarray
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    vertices: wp.array | None = None
+    faces: wp.array | None = None
+
+    @property
+    def size(self) -> float:
+        """Longest side of the box of all triangles."""
+        return float((self.high - self.low).max())
 
 
 def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | None = None) -> TriangleBoxes:
@@ -57,4 +72,4 @@ def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | Non
     boxes.high = wp.empty((3, count), dtype=float, device=device)
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
     low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
-    return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center)
+    return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)

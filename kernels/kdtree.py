@@ -9,6 +9,9 @@ A node is two 32-bit words:
 
 The left (lower) child of node i is node i + 1. A leaf of n triangles owns ceil(n / W) consecutive blocks of W lanes.
 
+In pairs, another order of the same nodes, the children of a node stand side by side, wherever they are: an inner node has the
+index of its left child, and the right one follows. Pairs can be in any order (`wrt.builders.kdtree.layouts`).
+
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001 (depth-first layout).
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004 (8-byte node).
@@ -53,6 +56,18 @@ def leaf_node(first_block: int, triangles: int):
 def load_node(nodes: wp.array(dtype=wp.vec2i), index: int) -> wp.vec2i:
     """Node `index`, without the index checks of `nodes[index]`: every step of a traversal waits for this load."""
     ...
+
+
+@wp.func
+def children_depth_first(index: int, node: wp.vec2i):
+    """Indices of an inner node's children, (lower, upper)."""
+    return wp.vec2i(index + 1, node[1] >> 2)
+
+
+@wp.func
+def children_in_pairs(index: int, node: wp.vec2i):
+    """The same where nodes are in pairs."""
+    return wp.vec2i(node[1] >> 2, (node[1] >> 2) + 1)
 
 
 @wp.func

@@ -358,7 +358,7 @@ def test_bad_calls(wood, case):
 def test_plans():
     """`explain` takes the query; a plan that was made for another query is refused by name."""
     scene = wrt.Scene(wrt.scenes.build("teapot", level=2), "kdtree", device="cpu")
-    rays = np.zeros((500, 3)), np.ones((500, 3))
+    rays = np.zeros((2000, 3)), np.ones((2000, 3))
     assert scene.explain(*rays, query="all").traversal == scene.explain(*rays, query="count").traversal == "single"
     assert scene.explain(*rays).traversal != "single"
     with pytest.raises(ValueError, match="query 'some' is unknown; choose from closest, any, count, all"):

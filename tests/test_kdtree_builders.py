@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import warp as wp
-from conftest import snapped_soup
+from conftest import SCENES, snapped_soup
 
 import wrt
 from wrt.builders.common import StopRules
@@ -20,7 +20,7 @@ from wrt.kernels.launch import use_threads
 EXACT = ("in_place", "sweep", "naive")
 """Builders that evaluate every plane at which a box begins or ends."""
 
-MEDIANS = ("spatial_median", "object_median")
+MEDIANS = ("spatial_median", "object_median", "between_medians")
 """Builders that do not choose planes by their cost."""
 
 PARALLEL = ("binned", "streaming")
@@ -156,7 +156,14 @@ def test_invariants(scene_mesh, builder, width):
 
 
 @pytest.mark.parametrize(
-    "options", [{}, {"width": 1, "block_cost": 1.5}, {"bad_splits": 5}, {"empty_factor": 1.0}, {"max_depth": 6}]
+    "options",
+    [
+        {},
+        {"width": 1, "block_cost": 1.5},
+        {"bad_splits": 5},
+        {"empty_factor": 1.0},
+        {"max_depth": 6},
+    ],
 )
 def test_exact_builders_equal_the_judge(scene_mesh, options):
     """They make the sorting sweep's tree: the same nodes to the bit, the same leaf lists, the same cost."""
@@ -169,6 +176,20 @@ def test_exact_builders_equal_the_judge(scene_mesh, options):
         np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
         assert leaf_lists(tree) == leaf_lists(judge)
         assert kdtree_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost == cost
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"mailbox": True},
+        {"mailbox": True, "width": 1, "block_cost": 1.5},
+        {"termination": "automatic"},
+        {"termination": "fixed", "leaf_triangles": 20, "least_size": 0.05, "max_depth": 12},
+    ],
+)
+@pytest.mark.parametrize("name", ["stadium", "grid", "degenerate"])
+def test_exact_builders_equal_the_judge_with_options(name, options):
+    test_exact_builders_equal_the_judge(SCENES[name](), options)
 
 
 def test_exact_builders_equal_the_judge_on_the_bunny(bunny):
@@ -302,7 +323,7 @@ def test_medians(axis):
     mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(27).reshape(-1, 3))
     low, high = corners.min((0, 1)), corners.max((0, 1))
     centers = (corners.min(1) + corners.max(1)) / 2
-    for builder in MEDIANS:
+    for builder in ("spatial_median", "object_median"):
         tree, _ = build(mesh, builder, width=1, block_cost=10.0, bad_splits=9, max_depth=2, axis=axis)
         flat = unpack(tree)
         first = 0 if axis == "round_robin" else 1
@@ -334,6 +355,49 @@ def test_stop_rules():
     assert kdtree_statistics(*some).nodes > kdtree_statistics(*none).nodes
 
 
+def test_terminations():
+    """Which splits are made, worked out from the finished trees."""
+    mesh = wrt.scenes.build("teapot", level=6)
+    fixed = unpack(build(mesh, termination="fixed", leaf_triangles=4, max_depth=40)[0])
+    inner = ~fixed.is_leaf
+    assert np.bincount(fixed.triangles[fixed.is_leaf])[: 4 + 1].sum() > 0.9 * fixed.is_leaf.sum()
+    by_depth = unpack(build(mesh, termination="fixed", max_depth=5)[0])
+    full = (by_depth.depth[by_depth.is_leaf] == 5) | (by_depth.triangles[by_depth.is_leaf] == 0)
+    assert full.all()
+    size = (fixed.high - fixed.low)[0].max()
+    coarse = unpack(build(mesh, least_size=0.2)[0])
+    longest = (coarse.high - coarse.low).max(axis=1)
+    assert (longest[~coarse.is_leaf] > 0.2 * size * (1 - 1e-6)).all()
+    assert ((fixed.high - fixed.low).max(axis=1)[inner] < 0.2 * size).any()
+    count = mesh.triangle_count
+    rules = StopRules(termination="automatic").limits(count)
+    assert (rules.depth, rules.bad_splits) == (round(2 + 1.2 * np.log2(count)), 1 + rules.depth // 5)
+    automatic = unpack(build(mesh, termination="automatic")[0])
+    assert automatic.depth.max() <= rules.depth
+
+
+def test_mailboxes_pay_for_straddlers():
+    """One split of three triangles, one of which lies across it: its cost is Hunt's, worked out by hand."""
+    corners = np.array(
+        [[[0, 0, 0], [4, 1, 0], [4, 0, 1]], [[6, 0, 0], [10, 1, 0], [10, 0, 1]], [[3, 0, 0], [7, 1, 0], [7, 0, 1]]]
+    )
+    mesh = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(9).reshape(-1, 3))
+    root, face = 1 * 1 + 2 * 10, 1
+    for mailbox in (False, True):
+        for block, is_split in ((0.9, False), (60.0, True)):
+            tree, _ = build(mesh, "naive", width=1, block_cost=block, bad_splits=0, empty_factor=1.0, mailbox=mailbox)
+            assert unpack(tree).is_leaf[0] != is_split
+    # at x = 4 or 6: 2 triangles on one side, 2 on the other, one of them on both; areas 1 + 2 * 4 and 1 + 2 * 6
+    plain = (2 * 9 + 2 * 13) / root
+    hunt = plain - 1 * face / root
+    between = 1.0 / (3.0 - (plain + hunt) / 2)  # a block cost that pays for a step only with a mailbox
+    for mailbox in (False, True):
+        tree, _ = build(
+            mesh, "naive", width=1, block_cost=between, bad_splits=0, empty_factor=1.0, mailbox=mailbox, max_depth=1
+        )
+        assert unpack(tree).is_leaf[0] != mailbox
+
+
 @pytest.mark.parametrize(
     "make",
     [
@@ -346,6 +410,10 @@ def test_stop_rules():
         lambda: StopRules(max_depth=65),
         lambda: StopRules(max_depth=-1),
         lambda: StopRules(bad_splits=-1),
+        lambda: StopRules(termination="none such"),
+        lambda: StopRules(leaf_triangles=-1),
+        lambda: StopRules(least_size=1.0),
+        lambda: StopRules(least_size=float("nan")),
         lambda: wrt.KdTree(builder="none such"),
         lambda: wrt.KdTree(width=5),
         lambda: wrt.KdTree(builder="spatial_median", axis="shortest"),

@@ -24,6 +24,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "AllHits": "wrt.all_hits",
+    "Blocks": "wrt.blocks",
     "Bvh": "wrt.accelerator",
     "CircularCapCaster": "wrt.ray_casters",
     "Hits": "wrt.hits",

@@ -10,9 +10,12 @@ from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    import warp as wp
+
     from wrt.builders import common
     from wrt.builders.bvh.config import BvhConfig
     from wrt.builders.kdtree.config import KdTreeConfig
+    from wrt.builders.kdtree.lazy import LazyKdTree
     from wrt.builders.triangles import TriangleBoxes
 
 
@@ -28,11 +31,18 @@ class KdTree:
         empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
         max_depth: greatest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
         bad_splits: splits that do not pay by themselves allowed on the way to a leaf.
+        termination: key in `wrt.builders.common.TERMINATIONS`: "cost", "automatic" or "fixed": which splits do not pay.
+        leaf_triangles: a node of at most so many triangles is a leaf.
+        least_size: a node with no longer side is a leaf; a share of the scene's longest side, at least 0 and below 1.
+        mailbox: whether the cost is that of rays with a mailbox, which test what lies in several leaves once.
         axis: "longest" or "round_robin": which axis the builders `spatial_median` and `object_median` split; the others
             try all three.
+        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides: fewer references and a
+            cheaper tree, for a slower build. Counts and inside tests are then exact for rays that start within some 20 sizes of
+            the scene from it.
 
     Raises:
-        ValueError: unknown builder or axis, or a value out of its range.
+        ValueError: unknown builder, axis or termination, a value out of its range, or a builder that does not clip.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -44,11 +54,19 @@ class KdTree:
     empty_factor: float = 0.8
     max_depth: int | None = None
     bad_splits: int = 1
+    termination: str = "cost"
+    leaf_triangles: int = 0
+    least_size: float = 0.0
+    mailbox: bool = False
     axis: str = "longest"
+    split_clipping: bool = False
 
     def __post_init__(self) -> None:
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
+        if self.split_clipping and not lookup(KDTREE_BUILDERS, self.builder, "builder").clips:
+            able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.clips)
+            raise ValueError(f"builder {self.builder!r} does not clip; choose from {able}, or leave split_clipping off")
         lookup(KDTREE_BUILDERS, self.builder, "builder")
         self.config(width=8)
 
@@ -63,14 +81,29 @@ class KdTree:
             block=self.block_cost,
             width=width if self.width is None else self.width,
             empty_factor=self.empty_factor,
+            mailbox=self.mailbox,
         )
-        return KdTreeConfig(cost, StopRules(max_depth=self.max_depth, bad_splits=self.bad_splits), self.axis)
+        stop = StopRules(self.max_depth, self.bad_splits, self.termination, self.leaf_triangles, self.least_size)
+        return KdTreeConfig(cost, stop, self.axis, self.split_clipping)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
+
+    @property
+    def is_lazy(self) -> bool:
+        """Whether the tree grows as rays ask for it."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].start is not None
+
+    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
+        """Begins a tree over `triangles` that grows as rays ask for it, on `device`; width: as in `config`."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +149,7 @@ class Bvh:
         return BvhConfig(cost, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))

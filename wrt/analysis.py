@@ -147,11 +147,11 @@ class TreeAnalysis:
         return {"tree": self.summary(), "levels": self.levels, "boxes": self.rows()}
 
     def save_json(self, path: str | Path) -> None:
-        """Writes `to_dict` to a file."""
+        """Writes `to_dict` to a file at `path`."""
         Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
 
     def save_csv(self, path: str | Path) -> None:
-        """Writes `rows` to a file, a line a box under a line of names; what is None is empty."""
+        """Writes `rows` to a file at `path`, a line a box under a line of names; what is None is empty."""
         rows = self.rows()
         with Path(path).open("w", newline="") as file:
             writer = csv.DictWriter(file, rows[0])

@@ -165,7 +165,7 @@ class PinholeCamera(_Camera):
         )
 
     def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
-        """Rays of `count` pixels on a device; origins of shape (1,), directions of shape (count,)."""
+        """Rays of some pixels, as in any camera: origins of shape (1,), directions of shape (count,)."""
         directions = wp.empty(count, dtype=wp.vec3, device=device)
         launch(pinhole_directions, count, [self._view(offset), first_pixel, directions], device=device, chunk=4096)
         return Rays(wp.array([self.position], dtype=wp.vec3d, device=device), directions)
@@ -202,7 +202,7 @@ class OrthographicCamera(_Camera):
         )
 
     def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
-        """Rays of `count` pixels on a device; origins of shape (count,), directions of shape (1,)."""
+        """Rays of some pixels, as in any camera: origins of shape (count,), directions of shape (1,)."""
         origins = wp.empty(count, dtype=wp.vec3d, device=device)
         launch(orthographic_origins, count, [self._view(offset), first_pixel, origins], device=device, chunk=4096)
         return Rays(origins, wp.array([self.forward], dtype=wp.vec3, device=device))

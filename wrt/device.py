@@ -125,6 +125,7 @@ def launch(
 
 def handle_of(scene: Scene) -> Any:
     """What kernels get of a scene: `Scene.handle`."""
+    scene.complete()
     plan = Plan(
         accelerator=scene.accelerator.kind,
         traversal="single",

@@ -13,6 +13,8 @@ from collections import OrderedDict
 import numpy as np
 import warp as wp
 
+from wrt.kernels.rays import RayBatch
+
 LEAST_BYTES = 1 << 20
 """Smaller arrays are allocated as usual."""
 
@@ -74,6 +76,16 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
         _pool.give_back(block)
 
     return wp.array(ptr=block.ctypes.data, dtype=dtype, shape=count, capacity=size, device=device, deleter=give_back)
+
+
+def new_rays(count: int, device: wp.Device) -> RayBatch:
+    """Memory for rays relative to the scene's centre, each with a range of its own."""
+    rays = RayBatch()
+    rays.count = count
+    rays.origin_stride = rays.direction_stride = rays.t_min_stride = rays.t_max_stride = 1
+    rays.origins, rays.directions = empty(count, wp.vec3, device), empty(count, wp.vec3, device)
+    rays.t_min, rays.t_max = empty(count, wp.float32, device), empty(count, wp.float32, device)
+    return rays
 
 
 def release() -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +129,7 @@ class TriangleMesh:
         return trimesh.Trimesh(self._vertices.copy(), self._faces.copy(), process=False)
 
     def save(self, path: str | Path) -> None:
-        """Writes a file whose format follows from its extension (.ply .obj .stl .glb .off ...).
+        """Writes a file whose format follows from the extension of `path` (.ply .obj .stl .glb .off ...).
 
         Raises:
             ValueError: trimesh cannot write that format.
@@ -154,10 +154,12 @@ class TriangleMesh:
 
     @property
     def vertex_count(self) -> int:
+        """V, those that no triangle uses included."""
         return len(self._vertices)
 
     @property
     def triangle_count(self) -> int:
+        """F."""
         return len(self._faces)
 
     @cached_property
@@ -231,6 +233,10 @@ class TriangleMesh:
         """(F, 3) int64 corners of every triangle in ascending order; coincident vertices count as the first of them."""
         return np.sort(_first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold what the constructor takes: what comes out is checked, and read-only."""
+        return partial(TriangleMesh, name=self.name), (self._vertices, self._faces)
+
     def __repr__(self) -> str:
         label = f"'{self.name}', " if self.name else ""
         low, high = (", ".join(f"{value:.4g}" for value in corner) for corner in self.bounds)
@@ -265,7 +271,7 @@ class TriangleMesh:
 
     @staticmethod
     def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
-        """Joins meshes into one, triangles in the order given; float64 if any of them is.
+        """Joins meshes into one called `name`, triangles in the order given; float64 if any of them is.
 
         Raises:
             ValueError: `meshes` is empty.

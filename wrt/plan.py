@@ -27,8 +27,9 @@ DEFAULT_TEST = "woop"
 it is the fastest for views, and costs 2 to 6 % against Moeller and Trumbore's for single and for random rays; Komatsu's, at
 half the operations, is no faster, and its records are made again for each origin."""
 
-LEAST_FOR_PACKETS = 256
-"""Rays below which the set-up of packets and streams is not worth compiling another kernel."""
+FEW_RAYS = 1024
+"""Rays up to which each goes alone: what that takes is kept ready (`wrt.few_rays`), and to look whether rays are alike and to
+set up packets or streams would take as long as to trace them."""
 
 PACKET_VECTORS = 2
 """Rays of a packet, in vectors of the tree's width. Of 1, 2, 4 and 8, measured with 16 lanes, 2 was best or within 5 % of
@@ -161,7 +162,7 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str) -> tuple[str, s
     """Name of the traversal, and the reason."""
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
-    if rays.count < LEAST_FOR_PACKETS:
+    if rays.count <= FEW_RAYS:
         return "single", "few rays"
     if query in (COUNT, ALL):
         return (

@@ -65,6 +65,7 @@ def find_precisely(scene: Scene, rays: Rays, buffers: RayBuffers) -> PreciseHits
     hits.t = empty(buffers.count, wp.float64, scene.device)
     hits.uv = empty(buffers.count, wp.vec2d, scene.device)
     center = wp.vec3d(*map(float, scene.center))
+    scene.complete()
     inputs = [scene.tree.struct(), scene.triangles(plan, None), mesh, center, exact_rays(rays, buffers, scene.device), hits]
     kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
     launch(kernel, buffers.count, inputs, device=scene.device)

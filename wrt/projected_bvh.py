@@ -78,7 +78,7 @@ class ProjectedBvh:
     def published(cls, areas: Any, **changes: Any) -> ProjectedBvh:
         """Two children a node, 1 a box, 1.2 a triangle, two triangles a leaf, axes that face away from the rays, no other rays.
 
-        Bins are 32 along an axis in place of 40. changes: other attributes, by name.
+        Bins are 32 along an axis in place of 40. areas: as of the class; changes: other attributes, by name.
         """
         prices = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
         return cls(areas=areas, **prices | {"axes": "facing", "bins": 32, "others": 0.0} | changes)
@@ -110,7 +110,7 @@ class ProjectedBvh:
         )
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the tree where the boxes are."""
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
         from wrt.builders.bvh.projected import build
 
         return build(triangles, self.config(width))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from wrt.blocks import BlockQueries
+from wrt.few_rays import trace_few
 from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from wrt.verification import Verification
 
 
-class Queries:
+class Queries(BlockQueries):
     """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it."""
 
     def intersect(
@@ -55,6 +57,8 @@ class Queries:
                 `precise` together with a traversal, a triangle test or counters.
         """
         rays = as_rays(origins, directions, t_min, t_max)
+        if not (counters or precise) and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             if precise:
@@ -80,6 +84,8 @@ class Queries:
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
         rays = as_rays(origins, directions, t_min, t_max)
+        if (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test)
@@ -137,6 +143,8 @@ class Queries:
         What `intersect_all` would list, counted; arguments and errors as there.
         """
         rays = as_rays(origins, directions, t_min, t_max)
+        if (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
+            return few
         with use_threads(self.num_threads):
             buffers = to_device(rays, self.device, self.center)
             plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
@@ -228,6 +236,12 @@ class Queries:
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
         with use_threads(self.num_threads):
             return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
+
+    def _trace_few(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
+        """The answer, if there are few rays, the choice is ours, and the tree is all there; else None."""
+        if self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
+            return None
+        return trace_few(self, rays, query)
 
 
 def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:

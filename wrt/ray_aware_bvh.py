@@ -83,15 +83,15 @@ class RayAwareBvh:
         return 0 if is_array else self.depth
 
     def config(self, width: int) -> BvhConfig:
-        """The configuration of the whole scene's tree."""
+        """The configuration of the whole scene's tree; `width` is used where the description leaves it open."""
         return self.whole.config(width)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the whole scene's tree where the boxes are."""
+        """Builds the whole scene's tree over `triangles`, on their device; width: as in `config`."""
         return self.whole.build(triangles, width)
 
     def build_local(self, area: InfluenceArea, triangles: TriangleBoxes, width: int) -> common.Bvh:
-        """Builds the tree of an area over some triangles, where their boxes are."""
+        """Builds the tree of an area over some triangles, on their device; width: of its nodes and leaf blocks."""
         local = self.local or ProjectedBvh(areas=(area,))
         if isinstance(local, ProjectedBvh):
             local = replace(local, areas=(area,), shares=None)

@@ -97,7 +97,7 @@ class PlaneCaster(_Caster):
 
     @classmethod
     def of(cls, area: PlaneInfluenceArea, tolerance: float = 0.0) -> PlaneCaster:
-        """The caster of an influence area's rays."""
+        """The caster of an influence area's rays; tolerance: as of the class."""
         sizes = {"width": area.width, "height": area.height, "up": area.up}
         return cls(position=area.position, direction=area.direction, tolerance=tolerance, **sizes)
 
@@ -143,7 +143,7 @@ class CircularCapCaster(_Caster):
             raise ValueError(f"angle is {self.angle}; it must be from 0 to 180 degrees")
 
     def rays(self, count: int, seed: int = 0) -> Rays:
-        """`count` rays that share their origin; arguments and errors as `PlaneCaster.rays`."""
+        """`count` rays that share their origin; arguments and errors as in `PlaneCaster.rays`."""
         from wrt.kernels.casting import cast_circular_cap
 
         aim = self._aim()
@@ -177,7 +177,7 @@ class SquareCapCaster(_Caster):
         return cls(position=area.position, direction=area.direction, fov=area.fov, up=area.up)
 
     def rays(self, count: int, seed: int = 0) -> Rays:
-        """`count` rays that share their origin; arguments and errors as `PlaneCaster.rays`."""
+        """`count` rays that share their origin; arguments and errors as in `PlaneCaster.rays`."""
         from wrt.kernels.casting import cast_square_cap
 
         aim = self._aim()

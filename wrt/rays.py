@@ -40,7 +40,7 @@ class Rays:
     def shape(self) -> tuple[int, ...]:
         """The leading shape: that of the results."""
         return np.broadcast_shapes(
-            *(_leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
+            *(leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
         )
 
     def __len__(self) -> int:
@@ -91,9 +91,9 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     origins = as_vectors(rays.origins, "origins", device)
     directions = as_vectors(rays.directions, "directions", device)
     is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
-    t_min = _as_range(rays.t_min, "t_min", device)
-    t_max = _as_range(rays.t_max, "t_max", device)
-    shape = _common_shape(origins, directions, t_min, t_max)
+    t_min = as_range(rays.t_min, "t_min", device)
+    t_max = as_range(rays.t_max, "t_max", device)
+    shape = common_shape(origins, directions, t_min, t_max)
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = one_origin(origins)
     batch = RayBatch()
@@ -149,7 +149,7 @@ def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
     return bool((alike & near).mean() > 0.5), bool(near.mean() <= 0.5)
 
 
-def _leading_shape(values: Array) -> tuple[int, ...]:
+def leading_shape(values: Array) -> tuple[int, ...]:
     if isinstance(values, wp.array):
         return values.shape if values.dtype in (wp.vec3f, wp.vec3d) else values.shape[:-1]
     return np.shape(values)[:-1]
@@ -190,7 +190,7 @@ def _as_real(values: Array, name: str) -> np.ndarray:
     return values.astype(np.float32 if values.dtype == np.float16 else np.float64)
 
 
-def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
+def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
     """A bound of t: a number as it is, else float32. Of Warp arrays no value is looked at: a bad one makes its ray miss."""
     if isinstance(values, wp.array):
         if values.dtype is not wp.float32:
@@ -211,8 +211,8 @@ def _as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray
         return np.asarray(values, dtype=np.float32)
 
 
-def _common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
-    shapes = [_leading_shape(origins), _leading_shape(directions), np.shape(t_min), np.shape(t_max)]
+def common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
+    shapes = [leading_shape(origins), leading_shape(directions), np.shape(t_min), np.shape(t_max)]
     if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
         return shapes[1]
     try:

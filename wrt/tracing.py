@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, traversal_config, way_of
@@ -91,7 +91,24 @@ def new_lists(count: int, hits: int, device: wp.Device) -> HitBatch:
 
 
 def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
-    """Launches the traversal; `work` has an entry for each ray if `counters`, else any number."""
+    """Traces rays; `work` has an entry for each ray if `counters`, else any number. Builds what rays ask for, if any waits."""
+    if scene.growing is not None and plan.accelerator != "none" and scene.growing.current.waiting:
+        from wrt.growing import trace_growing
+
+        device = scene.device
+        idle = no_work(way_of(plan).counters, device.alias)
+
+        def trace_part(some: RayBatch, found: HitBatch) -> None:
+            run_kernel(scene, plan, some, found, query, idle, False)
+
+        trace_growing(scene.growing, rays, hits, query, trace_part, lambda count: new_hits(count, query, device))
+        if not counters:
+            return
+    run_kernel(scene, plan, rays, hits, query, work, counters)
+
+
+def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
+    """Launches the traversal for the tree as it stands."""
     from wrt.kernels.traversal.brute import AllTriangles
 
     way, config = way_of(plan), traversal_config(plan, scene, query, counters)
@@ -106,7 +123,7 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
     if way.streams:
         grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
     launch(
-        way.kernels[plan.accelerator](config),
+        specialise(way.kernels[plan.accelerator], config),
         -(-rays.count // grain),
         [tree, scene.triangles(plan, rays), rays, hits, work],
         device=scene.device,

@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.launch import launch, use_threads
-from wrt.kernels.rays import RayBatch
-from wrt.memory import empty
+from wrt.memory import empty, new_rays
 from wrt.plan import ALL, AUTO, CLOSEST, make_plan
 from wrt.rays import RayBuffers, as_vectors, sample_coherence
 from wrt.tracing import trace
@@ -77,16 +76,6 @@ def visible_block(scene: Scene, ends: list[tuple[wp.array, wp.array]], rounding:
         lists = [*pairs, order, offsets, hits.primitive, rounding, verdict]
         launch(judge_lists, len(undecided), lists, device=device, chunk=1024)
     return verdict.numpy() == VISIBLE
-
-
-def new_rays(count: int, device: wp.Device) -> RayBatch:
-    """Memory for rays relative to the scene's centre, each with a range of its own."""
-    rays = RayBatch()
-    rays.count = count
-    rays.origin_stride = rays.direction_stride = rays.t_min_stride = rays.t_max_stride = 1
-    rays.origins, rays.directions = empty(count, wp.vec3, device), empty(count, wp.vec3, device)
-    rays.t_min, rays.t_max = empty(count, wp.float32, device), empty(count, wp.float32, device)
-    return rays
 
 
 def _as_points(points: Any, name: str, device: wp.Device) -> np.ndarray:

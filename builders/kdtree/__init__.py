@@ -11,8 +11,21 @@ To add a builder: write its file, add one line to `KDTREE_BUILDERS`; tests, comm
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import warp as wp
+
 from wrt.builders.common import KdTree
-from wrt.builders.kdtree import adaptive_sampling, binned, in_place, medians, naive, sorting_sweep, streaming, sweep
+from wrt.builders.kdtree import (
+    adaptive_sampling,
+    between_medians,
+    binned,
+    in_place,
+    lazy,
+    medians,
+    naive,
+    sorting_sweep,
+    streaming,
+    sweep,
+)
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.kdtree import MAX_INDEX
@@ -27,12 +40,16 @@ class KdTreeBuilder:
         paper: authors, title, year.
         build: (boxes, config) -> tree.
         most_triangles: beyond so many it takes too long to be put to the test; it still builds.
+        clips: whether it clips triangles to cells where the config asks for that.
+        start: (boxes, config, device that traces it) -> a tree that grows as rays ask for it; None if it is built at once.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
     most_triangles: int = MAX_INDEX
+    clips: bool = False
+    start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
 
 WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
@@ -43,7 +60,9 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
         KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
-        KdTreeBuilder("binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build),
+        KdTreeBuilder(
+            "binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build, clips=True
+        ),
         KdTreeBuilder(
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
@@ -53,11 +72,25 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
             adaptive_sampling.build,
+            clips=True,
+        ),
+        KdTreeBuilder(
+            "lazy",
+            "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
+            lazy.build,
+            clips=True,
+            start=lazy.start,
         ),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
-        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000),
-        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial),
-        KdTreeBuilder("object_median", FUSSELL, medians.build_object),
+        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True),
+        KdTreeBuilder(
+            "between_medians",
+            "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
+            between_medians.build,
+            clips=True,
+        ),
+        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial, clips=True),
+        KdTreeBuilder("object_median", FUSSELL, medians.build_object, clips=True),
     )
 }

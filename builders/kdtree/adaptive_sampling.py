@@ -131,7 +131,7 @@ def try_segment(cost: SplitCost, along: AxisFrame, a: Sample, b: Sample, best: S
 @wp.func
 def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, at: int, best: Split):
     """The best of `best` and the planes of one axis, whose samples are placed and counted."""
-    along = axis_frame(axis, frame.low, frame.high)
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
     total = float(frame.triangles)
     best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
     a = Sample(frame.inner_low[axis], 0.0, total)
@@ -162,11 +162,12 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return best
 
 
-METHOD = scanning(search)
-
-
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread of it."""
     return build_scanning(
-        triangles, config, one_task(METHOD, triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES))
+        triangles,
+        config,
+        one_task(
+            scanning(search, config.split_clipping), triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES)
+        ),
     )

@@ -31,7 +31,7 @@ from wrt.builders.kdtree.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.reference_levels import LevelRules, sample_step
 from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
 from wrt.builders.kdtree.scanning import Scan, build_scanning
-from wrt.builders.kdtree.subtrees import Frame
+from wrt.builders.kdtree.subtrees import Frame, Method
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads
 
@@ -47,6 +47,9 @@ TASKS_PER_THREAD = 2
 LEAST_LARGE = 4096
 """Triangles below which a node is not worth more than one thread."""
 
+CLIPPED_LARGE = 1 << 14
+"""The same where triangles are clipped, which only tasks do: for any number of threads."""
+
 
 @wp.func
 def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
@@ -58,11 +61,15 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return best_bin_plane(cost, frame, lists.counter, number, lists.rules.bins, step)
 
 
-METHOD = scanning(search)
+def method(config: KdTreeConfig) -> Method:
+    """How subtrees are built."""
+    return scanning(search, config.split_clipping)
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
     large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
-    return build_scanning(triangles, config, Scan(METHOD, LevelRules(large, BINS, SAMPLED), values_for(BINS)))
+    if config.split_clipping:  # which levels clip is not to depend on the threads
+        large = CLIPPED_LARGE
+    return build_scanning(triangles, config, Scan(method(config), LevelRules(large, BINS, SAMPLED), values_for(BINS)))

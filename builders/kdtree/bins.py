@@ -123,7 +123,7 @@ def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int)
     best = no_split()
     triangles = frame.triangles
     for axis in range(3):
-        along = axis_frame(axis, frame.low, frame.high)
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
         low = frame.inner_low[axis]
         high = frame.inner_high[axis]
         best = cheaper_split(cost, along, low, 0, triangles, False, best)

@@ -18,6 +18,7 @@ class KdTreeConfig:
     Attributes:
         cost: what a split is worth.
         stop: when a node becomes a leaf.
+        split_clipping: whether triangles are clipped to the cells that they are in, for builders that can (`clipping`).
         axis: key in `AXES`, for builders that split at a median; the others try all axes.
 
     Raises:
@@ -27,6 +28,7 @@ class KdTreeConfig:
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
     stop: StopRules = field(default_factory=StopRules)
     axis: str = LONGEST
+    split_clipping: bool = False
 
     def __post_init__(self) -> None:
         if self.axis not in AXES:

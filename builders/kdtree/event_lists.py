@@ -38,7 +38,7 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
     """The best plane of a node: one sweep per axis."""
     best = no_split()
     for axis in range(3):
-        along = axis_frame(axis, frame.low, frame.high)
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
         sweep = start_sweep(0, frame.triangles)
         sweep.best = best
         for i in range(frame.first[axis], frame.first[axis] + frame.count[axis]):

@@ -85,7 +85,7 @@ def search_exactly(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
     best.axis = 3
     padded = (frame.triangles + LANES - 1) / LANES * LANES
     for axis in range(3):
-        along = axis_frame(axis, frame.low, frame.high)
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
         gather_axis(lists, number, frame.first[0], frame.triangles, axis, padded)
         for i in range(frame.triangles):
             best = try_position(cost, along, lists, number, padded, lists.value[number, i], best)

@@ -75,7 +75,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
         with builder.phase("fill"):
             room, lists, frames = builder.fill(events, membership, spare)
         with builder.phase("subtrees"):
-            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
+            results = build_subtrees(EVENTS, triangles, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
@@ -94,7 +94,7 @@ class InPlaceBuilder:
         self.triangles = triangles
         self.device = triangles.boxes.low.device
         self.cost: SplitCost = config.cost.struct()
-        self.limits: StopLimits = config.stop.limits(triangles.count)
+        self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.width = config.cost.width
         self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []

@@ -128,7 +128,7 @@ def search_planes(
     for node in range(before.shape[2]):
         counts = before[axis, chunk, node]
         row[node] = start_sweep(counts[0], nodes[node].triangles - counts[1])
-        along[node] = axis_frame(axis, nodes[node].low, nodes[node].high)
+        along[node] = axis_frame(cost, axis, nodes[node].low, nodes[node].high, nodes[node].triangles)
     for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)
@@ -158,7 +158,7 @@ def decide(
                 candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
-        below = descend(limits, cost, node.depth, node.triangles, node.path, best)
+        below = descend(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
         node.split = best
         node.finished = below.bad_splits < 0
         if below.bad_splits >= 0:

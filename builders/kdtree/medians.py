@@ -48,7 +48,7 @@ def split_at(cost: SplitCost, lists: ReferenceLists, frame: Frame, axis: int, po
     """The split at a position, with planar triangles on the right; `no_split()` if it is not inside the node."""
     sides = Sides()
     measure_sides(lists.reference, frame.first[0], frame.triangles, axis, position, False, sides)
-    along = axis_frame(axis, frame.low, frame.high)
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
     return cheaper_split(cost, along, position, sides.left, sides.right, False, no_split())
 
 
@@ -116,15 +116,13 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
     return split
 
 
-SPACE = scanning(search_space)
-OBJECTS = scanning(search_objects)
-
-
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of spatial medians on the device that holds the boxes, on one thread of it."""
-    return build_scanning(triangles, config, one_task(SPACE, triangles.count, values=1))
+    return build_scanning(triangles, config, one_task(scanning(search_space, config.split_clipping), triangles.count, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of object medians on the device that holds the boxes, on one thread of it."""
-    return build_scanning(triangles, config, one_task(OBJECTS, triangles.count, values=triangles.count))
+    return build_scanning(
+        triangles, config, one_task(scanning(search_objects, config.split_clipping), triangles.count, values=triangles.count)
+    )

@@ -21,9 +21,11 @@ from wrt.builders.kdtree.reference_lists import scanning
 from wrt.builders.kdtree.scanning import build_scanning, one_task
 from wrt.builders.triangles import TriangleBoxes
 
-METHOD = scanning(search_exactly)
-
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread of it."""
-    return build_scanning(triangles, config, one_task(METHOD, triangles.count, values_for(triangles.count)))
+    return build_scanning(
+        triangles,
+        config,
+        one_task(scanning(search_exactly, config.split_clipping), triangles.count, values_for(triangles.count)),
+    )

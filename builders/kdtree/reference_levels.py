@@ -137,7 +137,8 @@ def decide(
         merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
         step = sample_step(node.frame.triangles, sampled)
         node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
-        below = descend(limits, cost, node.frame.depth, node.frame.triangles, node.frame.path, node.split)
+        frame = node.frame
+        below = descend(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
         node.finished = below.bad_splits < 0
         if below.bad_splits >= 0:
             node.frame.path = below
@@ -216,7 +217,7 @@ def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules)
     nodes = root_level(triangles, rules)
     levels = []
     while not nodes["finished"].all():
-        nodes, children, references = split_level(nodes, references, config, count, rules)
+        nodes, children, references = split_level(nodes, references, config, triangles, rules)
         levels.append(nodes)
         nodes = children
     return TopLevels([*levels, nodes], references)
@@ -236,7 +237,7 @@ def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
 
 
 def split_level(
-    nodes: np.ndarray, references: wp.array, config: KdTreeConfig, triangles: int, rules: LevelRules
+    nodes: np.ndarray, references: wp.array, config: KdTreeConfig, triangles: TriangleBoxes, rules: LevelRules
 ) -> tuple[np.ndarray, np.ndarray, wp.array]:
     """Splits one level; returns its nodes with their splits, the next level's nodes, and their references."""
     device = references.device
@@ -248,7 +249,7 @@ def split_level(
     measured = wp.empty(slots, dtype=Sides, device=device)
     sampling = [rules.bins, rules.sampled]
     launch(bin_chunks, slots, [*sampling, references, live, parts, counter], device=device, chunk=1)
-    rule = [config.cost.struct(), config.stop.limits(triangles), *sampling]
+    rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
     launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=16)
     launch(measure_chunks, slots, [references, live, parts, measured], device=device, chunk=1)
     nodes, sides = live.numpy(), measured.numpy()

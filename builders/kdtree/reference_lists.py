@@ -5,6 +5,8 @@ every reference to the side or sides of the plane on which its box lies, and gro
 The counts of a split may be estimates (bins, samples): those of the children are counted here, by the plane itself.
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.builders.cost import Split
@@ -44,6 +46,11 @@ class ReferenceLists:
     value: wp.array2d(dtype=float)
     """(tasks, values): what a task's search writes down."""
     rules: SearchRules
+    vertices: wp.array(dtype=wp.vec3)
+    """The mesh, for builds that clip."""
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """By how much cells and boxes are enlarged when they are clipped."""
 
 
 @wp.struct
@@ -203,6 +210,11 @@ def emit_leaf(lists: ReferenceLists, task: Task, frame: Frame, parts: Parts, beg
     write_order(lists.reference, frame.first[0], frame.count[0], parts.primitive, begin)
 
 
-def scanning(search: wp.Function) -> Method:
-    """The method of a builder that searches by scanning references."""
-    return Method(ReferenceLists, search, divide, emit_leaf)
+@cache
+def scanning(search: wp.Function, clipping: bool = False) -> Method:
+    """The method of a builder that searches by scanning references; clipping: whether straddlers are clipped."""
+    if not clipping:
+        return Method(ReferenceLists, search, divide, emit_leaf)
+    from wrt.builders.kdtree.clipping import divide_clipping
+
+    return Method(ReferenceLists, search, divide_clipping, emit_leaf)

@@ -13,12 +13,13 @@ import warp as wp
 from wrt.builders.common import KdTree, Phases
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.bins import counters_for
+from wrt.builders.kdtree.clipping import PAD
 from wrt.builders.kdtree.config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.reference_lists import ReferenceLists
 from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import launch, load
+from wrt.kernels.launch import launch, load, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -71,13 +72,13 @@ def one_task(method: Method, triangles: int, values: int, bins: int = 1, counter
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, copy_lists, copy_subtrees, make_build_subtrees(scan.method)), phase.device)
+    load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, scan.levels)
     spare = SPARE_ROOM
     while True:
         with phase("subtrees"):
-            room, lists, results = build_tasks(top, triangles.count, config, scan, spare)
+            room, lists, results = build_tasks(top, triangles, config, scan, spare)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
@@ -89,7 +90,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
 
 
 def build_tasks(
-    top: TopLevels, triangles: int, config: KdTreeConfig, scan: Scan, spare: float
+    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
     """Builds the subtrees below the top levels; returns the tasks' shares, their lists, and what each task made."""
     device, roots = top.references.device, top.levels[-1]["frame"].copy()
@@ -102,6 +103,9 @@ def build_tasks(
     lists.reference = wp.empty(8 * room.entries, dtype=float, device=device)
     lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
     lists.value = wp.empty((count, scan.values), dtype=float, device=device)
+    if config.split_clipping:
+        lists.vertices, lists.faces = triangles.vertices, triangles.faces
+        lists.pad = PAD * triangles.size
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = room.rooms["lists_first"]
     roots["top"] = room.rooms["lists_first"] + roots["triangles"]

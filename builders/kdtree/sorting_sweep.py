@@ -161,7 +161,8 @@ def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: Waiting):
     for axis in range(3):
         events = list_events(boxes, work, node, axis)
         first = merge_sort(work, events)
-        best = sweep_axis(cost, axis_frame(axis, node.low, node.high), work, first, events, node.triangles, best)
+        along = axis_frame(cost, axis, node.low, node.high, node.triangles)
+        best = sweep_axis(cost, along, work, first, events, node.triangles, best)
     return best
 
 
@@ -187,7 +188,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
             parent = work.nodes[node.parent]
             work.nodes[node.parent] = kdtree.inner_node(kdtree.split_axis(parent), kdtree.split_position(parent), nodes)
         split = find_plane(cost, boxes, work, node)
-        below = descend(limits, cost, node.depth, node.triangles, node.path, split)
+        below = descend(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
         if below.bad_splits < 0:
             work.nodes[nodes] = kdtree.leaf_node(lanes / width, node.triangles)
             for i in range(node.triangles):
@@ -259,7 +260,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         work.primitive = wp.empty(room + room % width + width, dtype=int, device=device)
         work.used = wp.zeros(3, dtype=int, device=device)
         launch(list_all, count, [work.triangle], device=device, chunk=4096)
-        inputs = [config.cost.struct(), config.stop.limits(count), triangles.boxes, root, work]
+        inputs = [config.cost.struct(), config.stop.limits(count, triangles.size), triangles.boxes, root, work]
         launch(build_serially, 1, inputs, device=device)
         nodes, lanes, overflow = map(int, work.used.numpy())
         if not overflow:

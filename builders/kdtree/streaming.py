@@ -30,7 +30,7 @@ from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chun
 from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.kdtree.task_events import list_task_events
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import launch, load
+from wrt.kernels.launch import launch, load, specialise
 
 SAMPLES = 1024
 """Bins an axis, with a sample between any two."""
@@ -45,7 +45,7 @@ SPARE_ROOM = 1.5
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, list_task_events, copy_subtrees, make_build_subtrees(EVENTS)), phase.device)
+    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, EVENTS)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
     spare = SPARE_ROOM
@@ -53,7 +53,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         with phase("sort"):
             room, lists, frames = list_events(top, config.cost.width, spare)
         with phase("subtrees"):
-            results = build_subtrees(EVENTS, triangles.count, config, room, frames, lists)
+            results = build_subtrees(EVENTS, triangles, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0

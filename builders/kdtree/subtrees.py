@@ -24,8 +24,9 @@ import warp as wp
 from wrt.builders.common import Descent, StopLimits, descend
 from wrt.builders.cost import SplitCost, no_split
 from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels import kdtree
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -139,7 +140,7 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
             split = no_split()
             if frame.depth < limits.depth:
                 split = search(cost, memory, number, frame)
-            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, split)
+            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, split, frame.high - frame.low)
             index = result.nodes
             result.nodes += 1
             if frame.parent >= 0:
@@ -216,13 +217,13 @@ class Reservation:
 
 
 def build_subtrees(
-    method: Method, triangles: int, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
+    method: Method, triangles: TriangleBoxes, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
 ) -> wp.array:
     """Builds all subtrees, the threads taking them from one pool; returns what each task made.
 
     Args:
         method: how they are built.
-        triangles: triangles of the mesh.
+        triangles: of the mesh.
         config: cost model and stop rules.
         room: the tasks and their shares.
         frames: (tasks,) their roots.
@@ -231,7 +232,7 @@ def build_subtrees(
     device, count = frames.device, len(frames)
     stack = wp.empty((count, STACK), dtype=Frame, device=device)
     results = wp.empty(count, dtype=Result, device=device)
-    rules = [config.cost.struct(), config.stop.limits(triangles)]
+    rules = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size)]
     inputs = [*rules, room.tasks, frames, memory, room.parts, stack, results]
-    launch(make_build_subtrees(method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
+    launch(specialise(make_build_subtrees, method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
     return results

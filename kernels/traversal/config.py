@@ -36,6 +36,8 @@ class TraversalConfig:
         stream: rays of a stream, 1 to 4096.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
         block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
+        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.kdtree`); the traversal "single" can take them for the
+            nearest queries.
         one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
@@ -51,6 +53,7 @@ class TraversalConfig:
     stream: int = 1024
     mailbox: str = NONE
     block: int = 0
+    pairs: bool = False
     one_by_one: bool = False
 
     @property

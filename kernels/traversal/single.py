@@ -122,6 +122,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     make_own_step = exact_step if config.query == EXACT else crossing_step
     test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
+    children_of = kdtree.children_in_pairs if config.pairs else kdtree.children_depth_first
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
@@ -148,8 +149,8 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                 crossing = cross_plane(slabs, axis, kdtree.split_position(node))
                 crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
                 crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
-                right = kdtree.right_child(node)
-                step(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
+                children = children_of(cell.node, node)
+                step(crossing, children[0], children[1], cell, stack_node, stack_entry, stack_leave, size)
                 if wp.static(counting):
                     work.nodes += 1
             else:

@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -55,6 +55,7 @@ def pack_blocks(
     primitive: wp.array,
     width: int,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    earlier: "TriangleBlocks | None" = None,
 ) -> TriangleBlocks:
     """Packs triangles into blocks.
 
@@ -65,10 +66,15 @@ def pack_blocks(
         primitive: (blocks * width,) int32 triangle ids, -1 in unused lanes.
         width: triangles a block.
         origin: where all rays start, relative to the scene's centre, for a record that depends on it.
+        earlier: blocks of the same kind made of the first of these ids: they are copied, not made again.
     """
     blocks = TriangleBlocks()
     blocks.primitive = primitive
     blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)
-    inputs = [vertices, faces, primitive, width, wp.vec3(*origin), blocks.records]
-    launch(make_kernel(record), len(primitive), inputs, device=vertices.device, chunk=4096)
+    done = 0 if earlier is None else len(earlier.primitive)
+    if done:
+        wp.copy(blocks.records, earlier.records)
+    if done < len(primitive):
+        inputs = [vertices, faces, primitive[done:], width, wp.vec3(*origin), blocks.records[done * record.components :]]
+        launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=vertices.device, chunk=4096)
     return blocks

@@ -1,7 +1,8 @@
 """`wrt bench builders`: what a kd-tree builder costs and what its tree is worth, beside the O(N log N) sweep in the same run.
 
 Builders take turns on the same boxes, then on the same rays; times are ratios of medians over rounds (`measure`). The SAH cost
-is the same for all: the default cost model's, whatever the builder minimised. Builders that would not end are left out.
+is the same for all: the default cost model's, whatever the builder minimised. Builders that would not end are left out. Where
+rays build what they need, the build is its beginning, and the tree is completed before its cost is taken.
 """
 
 from __future__ import annotations
@@ -112,6 +113,8 @@ def compare_builders(
             for name in names
         ]
         traced[rays.name] = take_turns(tracing, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
+    for scene in scenes.values():
+        scene.complete()
     statistics = {name: scenes[name].statistics() for name in names}
     costs = {name: statistics[name].tree.sah_cost for name in names}
     return [

@@ -1,0 +1,82 @@
+"""Local search: the best plane between the spatial and the object median (MacDonald and Booth 1990; survey, section 4.1).
+
+**Problem.** A median ignores the cost, and a search of all planes looks at most of them in vain.
+
+**Algorithm.** If no triangle straddled the planes, the one of least cost would lie between the spatial and the object median:
+beyond either, moving the plane towards it shrinks the child that has more than its share. So 16 planes, evenly spaced from one
+median to the other, are counted in one scan of the node (`adaptive_sampling`), and the cheapest is taken. The axis is chosen
+as by the medians (`medians`). One thread.
+
+**Complexity.** O(N) a level: a selection for the object median, and a scan.
+
+**Measured** (one core of a Zen 5, against the in-place builder): bunny and atrium 1.01 of the cost, 0.25 to 0.3 of the time to
+build, 1.05 to 1.15 of the time of random rays; the spatial median alone has 1.2 to 1.4 of the cost, the object median 1.8 to 7.
+
+**What we changed.** The faces of the box of a node's triangles are tried too, along every axis: between the medians there is no
+plane that cuts off empty space.
+
+References:
+    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import warp as wp
+
+from wrt.builders.common import KdTree
+from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
+from wrt.builders.kdtree.bins import bin_count
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.medians import first_axis, median_position
+from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scanning import build_scanning, one_task
+from wrt.builders.kdtree.subtrees import Frame
+from wrt.builders.triangles import TriangleBoxes
+from wrt.kernels.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int):
+    """The best plane between the medians of one axis."""
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+    spatial = 0.5 * (frame.low[axis] + frame.high[axis])
+    step = (median_position(lists, number, frame, axis) - spatial) / float(SAMPLES - 1)
+    for i in range(SAMPLES):
+        lists.value[number, i] = spatial + step * float(i)
+    count_samples(lists, number, frame.first[0], frame.triangles, axis, 0)
+    best = no_split()
+    for i in range(SAMPLES):
+        left = bin_count(lists.counter, number, i)
+        right = wp.max(bin_count(lists.counter, number, SAMPLES + i), frame.triangles - left)  # planar ones go to the right
+        best = cheaper_split(cost, along, lists.value[number, i], left, right, False, best)
+    return best
+
+
+@wp.func
+def cut_off(cost: SplitCost, frame: Frame, best: Split):
+    """The better of `best` and the faces of the triangles' box."""
+    for axis in range(3):
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+        best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
+        best = cheaper_split(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
+    return best
+
+
+@wp.func
+def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+    """The best plane of a node; along an axis that no plane divides there is none."""
+    split = no_split()
+    axis = first_axis(lists, frame)
+    for _turn in range(3):
+        if frame.triangles > 0 and split.cost == INFINITY:
+            split = search_axis(cost, lists, number, frame, axis)
+        axis = (axis + 1) % 3
+    return cut_off(cost, frame, split)
+
+
+def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
+    """Builds the tree on the device that holds the boxes, on one thread of it."""
+    method, values = scanning(search, config.split_clipping), max(triangles.count, int(SAMPLES))
+    return build_scanning(triangles, config, one_task(method, triangles.count, values, counters=2 * int(SAMPLES)))

@@ -1,0 +1,90 @@
+"""Every public name is documented, with every argument, and the package says that it is typed."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import re
+from importlib.resources import files
+
+import pytest
+
+import wrt
+
+ELSEWHERE = re.compile(r"\b[Aa]s (in|there)\b")
+"""What a docstring says whose arguments are explained at another place."""
+
+ANSWERS = ("AllHits", "Blocks", "Hits", "Verification")
+"""Classes that users get and do not make: what is in them is explained, not how they are made."""
+
+
+def is_explained(owner: type, name: str, member: object) -> bool:
+    """Whether a member of a class needs a word: public ones but constants."""
+    is_field = dataclasses.is_dataclass(owner) and name in [field.name for field in dataclasses.fields(owner)]
+    return not name.startswith("_") and (is_field or not isinstance(member, (str, int)))
+
+
+def public() -> dict[str, object]:
+    """Public names and, of classes, their public methods and properties."""
+    found = {}
+    for name in wrt.__all__:
+        value = getattr(wrt, name)
+        if name == "__version__":
+            continue
+        found[name] = value
+        if inspect.isclass(value):
+            for base in value.__mro__:
+                if base.__module__.startswith("wrt"):
+                    own = {key: member for key, member in vars(base).items() if is_explained(base, key, member)}
+                    found |= {f"{name}.{key}": member for key, member in own.items() if f"{name}.{key}" not in found}
+        elif inspect.ismodule(value):
+            found |= {f"{name}.{key}": getattr(value, key) for key in value.__all__ if callable(getattr(value, key))}
+    return found
+
+
+NAMES = public()
+
+
+def in_class_docstring(owner: str, attribute: str) -> bool:
+    """Whether an attribute is explained among those of its class."""
+    text = inspect.getdoc(getattr(wrt, owner)) or ""
+    return re.search(rf"^\s+(\w+, )*{attribute}(, \w+)*:", text, re.MULTILINE) is not None
+
+
+def test_some_names_are_public():
+    assert {"Scene", "Scene.intersect", "Scene.load", "Scene.intersect_blocks", "Hits.t", "Blocks.write"} <= NAMES.keys()
+    assert set(dir(wrt)) == set(wrt.__all__)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_documented(name):
+    """By a docstring of its own, whose first line is a sentence, or, for attributes, in that of the class."""
+    owner, _, attribute = name.partition(".")
+    if attribute and in_class_docstring(owner, attribute):
+        return
+    text = inspect.getdoc(NAMES[name])
+    assert text, f"wrt.{name} has no docstring"
+    first = text.split("\n\n")[0]
+    assert first.endswith((".", ":", ".)")), f"the docstring of wrt.{name} does not begin with a sentence: {first!r}"
+
+
+CALLED = [name for name, member in NAMES.items() if callable(member) or isinstance(member, (classmethod, staticmethod))]
+BY_MODULE = [name for name in CALLED if name.startswith("device.")]
+"""What a user's own kernels call: the module's docstring explains it together."""
+
+
+@pytest.mark.parametrize("name", [name for name in CALLED if name not in (*ANSWERS, *BY_MODULE)])
+def test_arguments_are_explained(name):
+    """Each parameter is named in the docstring, or that refers to another; and each has a type."""
+    member = getattr(NAMES[name], "__func__", NAMES[name])
+    text, parameters = inspect.getdoc(member) or "", inspect.signature(member).parameters
+    several = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    own = [key for key, parameter in parameters.items() if key not in ("self", "cls") and parameter.kind not in several]
+    missing = [key for key in own if not re.search(rf"\b{key}\b", text)]
+    assert not missing or ELSEWHERE.search(text), f"the docstring of wrt.{name} does not explain {', '.join(missing)}"
+    untyped = [key for key in own if parameters[key].annotation is inspect.Parameter.empty]
+    assert not untyped, f"wrt.{name}: {', '.join(untyped)} have no type"
+
+
+def test_typed():
+    assert files("wrt").joinpath("py.typed").is_file()

@@ -1,0 +1,128 @@
+"""Few rays, for which everything is kept ready: what many would get, to the bit, from memory that is the caller's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import assert_same_hits, mixed_rays
+
+import wrt
+from wrt.few_rays import FewHits, trace_few
+from wrt.plan import CLOSEST, FEW_RAYS
+
+ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "is_hit", "position", "normal")
+
+
+@pytest.fixture(scope="module", params=["bvh", "kdtree"])
+def scene(request) -> wrt.Scene:
+    """Two meshes, far from the origin."""
+    teapot = wrt.scenes.build("teapot", level=3)
+    far = teapot.vertices + np.array([3e4, -1e4, 2e4])
+    meshes = [wrt.TriangleMesh(far, teapot.faces), wrt.TriangleMesh(far + 0.4, teapot.faces)]
+    return wrt.Scene(meshes, request.param, device="cpu")
+
+
+def assert_as_many(scene: wrt.Scene, *rays) -> None:
+    """The same as by the way of many rays, which a traversal by name takes."""
+    few, many = scene.intersect(*rays), scene.intersect(*rays, traversal="single")
+    assert isinstance(few, FewHits)
+    assert not isinstance(many, FewHits)
+    assert few.shape == many.shape
+    assert few.plan.traversal == "single"
+    assert_same_hits(few, many)
+    for name in ATTRIBUTES:
+        one, other = getattr(few, name), getattr(many, name)
+        assert (one.shape, one.dtype, type(one)) == (other.shape, other.dtype, type(other))
+        np.testing.assert_array_equal(one, other, err_msg=name)
+    for query in (scene.occluded, scene.count):
+        one, other = query(*rays), query(*rays, traversal="single")
+        assert (one.shape, one.dtype, type(one)) == (other.shape, other.dtype, type(other))
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64, np.int32])
+@pytest.mark.parametrize("count", [1, 7, FEW_RAYS])
+def test_as_many_rays(scene, dtype, count):
+    mesh = wrt.TriangleMesh.concatenate(scene.meshes)
+    origins, directions = mixed_rays(mesh, count)
+    with np.errstate(all="ignore"):
+        assert_as_many(scene, origins.astype(dtype), directions)
+        assert_as_many(scene, origins.astype(np.float64), directions.astype(dtype), 0.01, 3.0)
+
+
+def test_shapes_and_ranges(scene):
+    origins, directions = (a.reshape(4, 5, 3) for a in mixed_rays(scene.meshes[0], 20, seed=1))
+    bounds = np.linspace(0.2, 9.0, 5)
+    for rays in (
+        (origins[0, 0], directions[0, 0]),
+        (origins[0, 0].tolist(), directions[1].tolist(), 0, 5),
+        (origins[:, :1], directions[0], 0.0, bounds),
+        (origins[0, 0], directions[::2, ::-1], bounds / 9, np.float32(4.0)),
+        (tuple(scene.center), directions),
+        (wrt.Rays(origins, [1.0, 0, 0], bounds, np.inf),),
+        (origins, directions, 0.0, 1e300),
+        (np.full(3, 1e300), directions.astype(np.float64) * 1e-60),
+    ):
+        assert_as_many(scene, *rays)
+
+
+def test_only_few(scene):
+    """Many rays, Warp's and a way that is asked for go as ever; none at all too."""
+    origins, directions = mixed_rays(scene.meshes[0], FEW_RAYS + 1)
+    assert isinstance(scene.intersect(origins[1:], directions[1:]), FewHits)
+    assert trace_few(scene, wrt.Rays(origins, directions), CLOSEST) is None
+    assert scene.explain(origins[1:], directions[1:]).traversal == "single" != scene.explain(origins, directions).traversal
+    on_device = [wp.array(a[:5], dtype=wp.vec3, device="cpu") for a in (origins, directions)]
+    assert isinstance(scene.intersect(*on_device).t, wp.array)
+    assert not isinstance(scene.intersect(origins[:5], directions[:5], precise=True), FewHits)
+    assert scene.intersect(origins[:0], directions[:0]).t.shape == (0,)
+
+
+def test_answers_are_the_callers_own(scene):
+    origins, directions = mixed_rays(scene.meshes[0], 50, seed=3)
+    first = scene.intersect(origins, directions)
+    dark, before = scene.occluded(origins, directions), first.t.copy()
+    scene.intersect(origins[::-1] + 1, directions)
+    scene.occluded(origins[::-1], -directions)
+    np.testing.assert_array_equal(first.t, before)
+    np.testing.assert_array_equal(dark, np.isfinite(before))
+    np.testing.assert_array_equal(first.position, scene.intersect(origins, directions, traversal="brute").position)
+    np.testing.assert_array_equal(
+        first.spawn(directions), scene.intersect(origins, directions, traversal="brute").spawn(directions)
+    )
+    with pytest.raises(ValueError, match="counters=True"):
+        _ = first.counters
+
+
+def test_nothing_stale():
+    """What was kept ready for a tree is not used for another."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene, moved = (wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu") for scale in (1.0, 0.5))
+    origins, directions = mixed_rays(mesh, 50)
+    scene.intersect(origins, directions)
+    scene.tree, scene.device_mesh, scene.center, scene._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    assert_same_hits(scene.intersect(origins, directions), moved.intersect(origins, directions))
+
+
+@pytest.mark.parametrize("name", ["komatsu", "woop"])
+def test_a_triangle_test_of_the_scene(name):
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, triangle_test=name, device="cpu")
+    _, directions = mixed_rays(mesh, 60)
+    assert scene.intersect([4.0, 3, 2], directions).plan.triangle_test == name
+
+
+def test_refused(scene):
+    for rays, message in (
+        (([0, 0, 0], [1, 0]), "directions must have shape"),
+        (([0, 0, 0], [1, 0, 0], -1.0), "t_min must not be negative"),
+        (([0, 0, 0], [1, 0, 0], np.inf), "t_min must be finite"),
+        (([0, 0, 0], [1, 0, 0], 0.0, np.nan), "t_max must not be negative or NaN"),
+        ((np.zeros((3, 3)), np.ones((4, 3))), "do not broadcast"),
+    ):
+        for query in (scene.intersect, scene.occluded, scene.count):
+            with pytest.raises(ValueError, match=message):
+                query(*rays)
+    with pytest.raises(TypeError, match="real numbers"):
+        scene.intersect(["a", "b", "c"], [1, 0, 0])

@@ -1,0 +1,151 @@
+"""`wrt bench layouts`: what a step through a kd-tree costs, by the order of its nodes (`wrt.builders.kdtree.layouts`).
+
+One tree in every layout, walked by the same rays, one at a time; layouts take turns. All of a query's time is charged to its
+steps, inner nodes and leaves, triangle tests included: those are the same for every layout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from wrt.accelerator import KdTree
+from wrt.bench.measure import Contender, take_turns
+from wrt.bench.workloads import WorkloadMaker
+from wrt.builders.kdtree.layouts import LAYOUTS, lay_out
+from wrt.kernels.launch import MAX_THREADS, get_num_threads, launch, use_threads
+from wrt.mesh import TriangleMesh
+from wrt.plan import CLOSEST, make_plan
+from wrt.rays import Rays, to_device
+from wrt.scene import Scene
+
+if TYPE_CHECKING:
+    from wrt.builders import common
+    from wrt.kernels.rays import HitBatch
+    from wrt.rays import RayBuffers
+
+REFERENCE = "random"
+"""The layout that all figures refer to."""
+
+CLASSIC_BLOCK = 1.5
+"""Cost of a block of one triangle, as usual with a traversal cost of 1."""
+
+RAYS = ("near", "random")
+"""Workloads: a camera's rays, and rays from anywhere to anywhere."""
+
+
+@dataclass(frozen=True)
+class LayoutFigures:
+    """What a layout costs.
+
+    Attributes:
+        layout: key in `LAYOUTS`.
+        node_bytes: memory of the nodes.
+        step_ns: nanoseconds a step, by workload.
+        ratios: how many times as fast as `REFERENCE`, by workload.
+    """
+
+    layout: str
+    node_bytes: int
+    step_ns: dict[str, float]
+    ratios: dict[str, float | None]
+
+
+def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> HitBatch:
+    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
+    from wrt.kernels.traversal.leaf import Counters
+    from wrt.kernels.traversal.single import make_kernel
+    from wrt.tracing import new_hits, no_work, traversal_config
+
+    plan = make_plan(scene, rays, "single", "auto")
+    config = replace(traversal_config(plan, scene, CLOSEST, False), pairs=True)
+    hits = new_hits(rays.count, CLOSEST, scene.device)
+    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits, no_work(Counters, scene.device.alias)]
+    launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
+    return hits
+
+
+def compare_layouts(
+    mesh: TriangleMesh,
+    *,
+    builder: str = "in_place",
+    width: int | None = None,
+    rounds: int = 5,
+    threads: int = 1,
+    size: int = 512,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> list[LayoutFigures]:
+    """Traces the rays through one tree in every layout.
+
+    Args:
+        mesh: what the tree is built of.
+        builder: key in `KDTREE_BUILDERS`.
+        width: triangles a block, as in `wrt.KdTree`; 1 makes the deep trees of the literature.
+        rounds: turns of each layout.
+        threads: CPU threads.
+        size: each workload has size * size rays.
+        on_turn: told the name of each layout before its turn.
+
+    Raises:
+        ValueError: a size that does not divide into tiles.
+    """
+    cost = CLASSIC_BLOCK if width == 1 else KdTree.block_cost
+    scene = Scene(mesh, KdTree(builder=builder, width=width, block_cost=cost), device="cpu", num_threads=threads)
+    scene.complete()
+    trees = {name: lay_out(scene.tree, name) for name in LAYOUTS}
+    steps: dict[str, dict[str, float]] = {name: {} for name in LAYOUTS}
+    ratios: dict[str, dict[str, float | None]] = {name: {} for name in LAYOUTS}
+    with use_threads(threads):
+        for made in WorkloadMaker(mesh, size=size).make(RAYS):
+            work = scene.intersect(made.origins, made.directions, traversal="single", counters=True).counters
+            total = int(work["nodes"].sum() + work["leaves"].sum())
+            rays = to_device(Rays(made.origins, made.directions), scene.device, scene.center)
+            contenders = [
+                Contender(name, lambda tree=tree, rays=rays: trace_pairs(scene, tree, rays)) for name, tree in trees.items()
+            ]
+            timings = take_turns(contenders, rounds, on_turn=on_turn)
+            for name, timing in timings.items():
+                steps[name][made.name] = timing.median * 1e9 * threads / total
+                ratio = timing.ratio_to(timings[REFERENCE])
+                ratios[name][made.name] = None if ratio is None else 1.0 / ratio
+    return [LayoutFigures(name, trees[name].nodes.shape[0] * 8, steps[name], ratios[name]) for name in LAYOUTS]
+
+
+@click.command("layouts")
+@click.argument("model", default="teapot")
+@click.option("--builder", default="in_place", show_default=True, help="Of the tree.")
+@click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
+@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+def layouts_command(model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None) -> None:
+    """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
+    from rich.console import Console
+
+    from wrt.bench.loading import load_model, progress, usage_errors
+
+    mesh, count = load_model(model), threads or get_num_threads()
+    with progress() as on_turn, usage_errors():
+        figures = compare_layouts(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
+    console = Console()
+    print_layouts(figures, mesh, count, console if console.is_terminal else Console(width=180))
+
+
+def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
+    """The table of layouts."""
+    from wrt.bench.report import new_table, times
+
+    columns = [text for rays in RAYS for text in (f"{rays}, ns a step", "speed")]
+    table = new_table(("layout",), ("node kB", *columns))
+    for row in figures:
+        cells = [text for rays in RAYS for text in (f"{row.step_ns[rays]:.1f}", times(row.ratios[rays]))]
+        table.add_row(row.layout, f"{row.node_bytes / 1e3:.0f}", *cells)
+    label = f"kd-tree layouts: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
+    console.print(f"[bold]{label}[/bold]", highlight=False)
+    console.print(table)
+    console.print(
+        f"Speed is a ratio to {REFERENCE}'s; a step is a node or a leaf with its tests.", style="dim", highlight=False
+    )
