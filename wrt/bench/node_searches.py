@@ -4,7 +4,6 @@ A mesh's triangles, in the order of the leaves of a finished tree, are cut into 
 as in the build; then only the search runs, on all nodes, through the heuristic that the build has.
 """
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -73,20 +72,18 @@ class Searches:
 
     def _fill(self, size: int) -> tuple[wp.array, Scratch]:
         """Places the nodes, fills their bins, and searches once as the build does, which leaves the bins of each in a slot."""
-        nodes, chunks = [], []
-        for i in range(self.count):
-            node, chunk = LiveNode(), Chunk()
-            node.frame.first, node.frame.count, node.frame.node = i * size, size, 2 * i * size
-            node.chunk_first, node.chunk_count, node.part_first, node.part_count = i, 1, 2 * i, 1
-            chunk.node, chunk.begin, chunk.count = i, i * size, size
-            nodes.append(node)
-            chunks.append(chunk)
-        live = wp.array(nodes, dtype=LiveNode, device="cpu")
-        lists = wp.array(chunks, dtype=Chunk, device="cpu")
+        first = size * np.arange(self.count)
+        nodes = np.zeros(self.count, dtype=LiveNode.numpy_dtype())
+        nodes["frame"]["first"], nodes["frame"]["count"], nodes["frame"]["node"] = first, size, 2 * first
+        nodes["chunk_first"], nodes["chunk_count"] = np.arange(self.count), 1
+        nodes["part_first"], nodes["part_count"] = 2 * np.arange(self.count), 1
+        chunks = np.zeros(self.count, dtype=Chunk.numpy_dtype())
+        chunks["node"], chunks["begin"], chunks["count"] = np.arange(self.count), first, size
+        live, lists = wp.array(nodes, dtype=LiveNode, device="cpu"), wp.array(chunks, dtype=Chunk, device="cpu")
         domain, scratch = wp.empty(8 * self.count, dtype=float, device="cpu"), make_scratch(2 * self.count, self.builder.device)
         box = self.builder.tree.box.numpy().reshape(-1, 8)  # in place
         references = self.builder.references.numpy()[: 8 * size * self.count].reshape(self.count, size, 8)
-        box[2 * size * np.arange(self.count)] = references.min(axis=1)
+        box[2 * first] = references.min(axis=1)
         builder = self.builder
         builder.run(
             levels.bin_chunks, self.count, builder.rules, builder.references, live, lists, builder.parts, domain, scratch
@@ -101,8 +98,3 @@ class Searches:
         inputs = [builder.rules, builder.rays, self.nodes, self.scratch, self.count, builder.tree, self.planes]
         launch(make_search(builder.heuristic), self.count, inputs, device=builder.device, chunk=self.count)
         return self.planes.numpy()["price"]
-
-
-def searches(mesh: TriangleMesh, size: int, accelerators: dict[str, Bvh | ProjectedBvh]) -> dict[str, Callable[[], np.ndarray]]:
-    """What searches the same nodes through each accelerator's heuristic."""
-    return {name: Searches(mesh, size, accelerator).run for name, accelerator in accelerators.items()}

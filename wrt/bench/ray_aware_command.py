@@ -20,8 +20,8 @@ TITLES = {
     "trace": "Trace",
 }
 
-FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do by count, priced as
-in the build. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
+FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do, by count and
+by the build's prices. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
 
 
 @click.command("ray-aware")

@@ -27,11 +27,12 @@ from wrt.rays import Rays
 from wrt.scenes import build
 from wrt.scenes.shapes import boxes, copies, lathe, sheets
 
-COVERED = 0.9
-"""Share of the scene's width and height, as seen along the rays, that the window of an area shows."""
+COVERED = {"walls": (0.35, 0.35), "wood": (0.45, 0.45), "atrium": (0.15, 0.6)}
+"""Shares of the scene's width and height, as seen along the rays, that the window of an area shows; 0.9 of others."""
 
-AWAY = 1.5
-"""Distance of a point area's apex from the middle of the scene, in radii of the scene's sphere."""
+AWAY = {"atrium": 0.13}
+"""Distance of an area's window, or apex, from the middle of the scene, in radii of the scene's sphere: within the court of the
+atrium; 1.5 of others."""
 
 DIRECTIONS = {
     "parallel": (0.0, 1.0, 0.0),
@@ -92,11 +93,11 @@ SCENES: dict[str, Callable[[], TriangleMesh]] = {
     "teapot": lambda: build("teapot", level=4, ground=False),
     "cottage": cottage,
     "walls": cottage,
-    "wood": lambda: build("wood", trees=3, leaves=4),
+    "wood": lambda: build("wood", trees=5, leaves=1),
     "crowd": crowd,
-    "atrium": lambda: build("atrium", bays=(3, 2), storeys=2, detail=2),
+    "atrium": lambda: build("atrium", bays=(5, 3), storeys=2, detail=2),
 }
-"""By the thesis' names, but for its head and for Sponza. Of the walls, the areas show a part that all rays hit."""
+"""By the thesis' names, but for its head and for Sponza. Of the walls, areas show a part that all rays hit."""
 
 
 @dataclass(frozen=True)
@@ -117,15 +118,14 @@ class Case:
 
     @cached_property
     def area(self) -> InfluenceArea:
-        """What covers most of the scene, or, of the walls, a part that all rays hit."""
+        """What shows most of the scene, or `COVERED` of it."""
         low, high = self.mesh.bounds
         corners = np.array([[(low, high)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
         direction, center, radius = DIRECTIONS[self.way], self.mesh.center, self.mesh.extent / 2
         seen = (corners - center) @ frame_of(direction, (0.0, 0.0, 1.0)).T
-        share = 0.35 if self.scene == "walls" else COVERED
-        half = share * np.abs(seen[:, :2]).max(axis=0)
+        half = np.array(COVERED.get(self.scene, (0.9, 0.9))) * np.abs(seen[:, :2]).max(axis=0)
         forward = np.array(direction) / np.linalg.norm(direction)
-        away = AWAY * radius
+        away = AWAY.get(self.scene, 1.5) * radius
         place = {"position": center - away * forward, "direction": direction, "up": (0.0, 0.0, 1.0)}
         if self.kind == "plane":
             return PlaneInfluenceArea(**place, width=2 * half[0], height=2 * half[1], depth=3 * radius)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from math import radians, sin
 from time import perf_counter
 from typing import Any
@@ -163,17 +164,17 @@ def balances(cases: Iterable[Case], *, rays: int = 4096, reaches: Sequence[float
 
 
 def random_areas(count: int, seed: int = 0) -> list[InfluenceArea]:
-    """Influence areas in the unit cube, every other one of parallel, every other one of radial rays."""
+    """Influence areas in the unit cube, of parallel and of radial rays in turn; each holds a sixth of it, on average."""
     random = np.random.default_rng(seed)
     areas: list[InfluenceArea] = []
     for number in range(count):
-        place = {"position": random.uniform(0.2, 0.8, 3), "direction": random.normal(size=3)}
+        place = {"position": random.uniform(0.1, 0.9, 3), "direction": random.normal(size=3)}
         if number % 2:
             areas.append(
-                PointInfluenceArea(**place, fov=random.uniform(15.0, 40.0, 2), near=0.01, far=random.uniform(0.3, 0.6))
+                PointInfluenceArea(**place, fov=random.uniform(60.0, 110.0, 2), near=0.01, far=random.uniform(0.6, 1.2))
             )
         else:
-            width, height, depth = random.uniform(0.1, 0.4, 3)
+            width, height, depth = random.uniform(0.5, 1.0, 3)
             areas.append(PlaneInfluenceArea(**place, width=width, height=height, depth=depth))
     return areas
 
@@ -192,7 +193,7 @@ def top_levels(
     Returns:
         A row for each count and depth: areas, depth, cells, bytes, build (seconds), error (share by which the leaves around
         random points list more areas than hold them), seconds (to find the areas of all rays), ratio (to the first of
-        `depths`), least, greatest.
+        `depths`), least, greatest; listed (areas a point).
     """
     rows = []
     for count in counts:
@@ -201,7 +202,7 @@ def top_levels(
         timings = timed({name: finder.find for name, finder in finders.items()}, rounds)
         for name, finder in finders.items():
             row = {"areas": count, "depth": int(name), "cells": finder.top.cells, "bytes": finder.top.bytes}
-            row |= {"build": finder.seconds, "error": finder.error()}
+            row |= {"build": finder.seconds, "listed": finder.listed.sum(axis=1).mean(), "error": finder.error}
             rows.append(row | ratios(timings[name], timings[str(depths[0])]))
     return rows
 
@@ -238,10 +239,16 @@ class Finder:
         launch(assign_rays, len(self.sums), inputs, device=self.sums.device, chunk=1)
         return self.found[0].numpy()
 
+    @cached_property
+    def listed(self) -> np.ndarray:
+        """(rays, areas) bool: those that the leaf around each origin lists."""
+        return self.top.candidates(self.points)
+
+    @property
     def error(self) -> float:
         """Areas that are listed but do not hold the point, over those that hold it."""
-        listed, inside = self.top.candidates(self.points), contain_points(self.regions, self.points)
-        return float((listed & ~inside).sum() / max(inside.sum(), 1))
+        inside = contain_points(self.regions, self.points)
+        return float((self.listed & ~inside).sum() / max(inside.sum(), 1))
 
 
 def sweep(cases: Iterable[Case], properties: Mapping[str, AxisChoice] = PROPERTIES, *, rays: int = 1024) -> list[Row]:
@@ -314,29 +321,32 @@ def stretched(area: InfluenceArea, low: np.ndarray, high: np.ndarray) -> Influen
     return replace(area, **changes, **{name: size * getattr(area, name) for name in lengths})
 
 
+def half_window(area: InfluenceArea) -> np.ndarray:
+    """(2,) half the width and height of an area's window: of a point area, at depth 1."""
+    return np.array((area.width / 2, area.height / 2) if isinstance(area, PlaneInfluenceArea) else area.tangents)
+
+
 def outlines(found: TreeAnalysis, area: InfluenceArea, level: int) -> np.ndarray:
-    """(N, 2, 2) segments: the edges of all boxes at a level, as the area's window shows them, which reaches from -1 to 1."""
+    """(N, 2, 2) segments in the plane of the area's window: the edges of all boxes at a level, all of them in front of it."""
     boxes = found.boxes
     here = boxes.level == level
     corners = np.array([np.where([k & 1, k & 2, k & 4], boxes.high[here], boxes.low[here]) for k in range(8)])
     ends = [(k, k | bit) for k in range(8) for bit in (1, 2, 4) if not k & bit]
     seen = (corners - np.array(area.position)) @ area.frame.T
-    if isinstance(area, PlaneInfluenceArea):
-        across = seen[..., :2] / (area.width / 2, area.height / 2)
-    else:
-        across = seen[..., :2] / seen[..., 2:] / area.tangents
+    across = seen[..., :2] if isinstance(area, PlaneInfluenceArea) else seen[..., :2] / seen[..., 2:]
     return np.concatenate([across[list(pair)].transpose(1, 0, 2) for pair in ends])
 
 
 def picture(case: Case, size: int = 200) -> np.ndarray:
     """(size, size) how much surfaces face the rays, from 0 to 1, as the area's window shows them; NaN where nothing is."""
+    area = case.area
     x, y = np.meshgrid(*2 * [(np.arange(size) + 0.5) / size * 2 - 1], indexing="xy")
-    area, across = case.area, np.stack([x, -y, 0 * x], axis=-1)
+    across = np.stack([x, -y], axis=-1) * half_window(area) @ area.frame[:2]
     if case.kind == "plane":
-        origins = area.position + across * (area.width / 2, area.height / 2, 0) @ area.frame
+        origins = area.position + across
         rays = Rays(origins, np.broadcast_to(area.frame[2], origins.shape))
     else:
-        rays = Rays(np.array(area.position), (across * (*area.tangents, 0) + (0, 0, 1)) @ area.frame)
+        rays = Rays(np.array(area.position), across + area.frame[2])
     hits = Scene(case.mesh, device="cpu").intersect(rays)
     unit = rays.directions / np.linalg.norm(rays.directions, axis=-1, keepdims=True)
     return np.where(hits.is_hit, np.abs((hits.normal * unit).sum(axis=-1)), np.nan)
