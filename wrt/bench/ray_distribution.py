@@ -163,30 +163,41 @@ def balances(cases: Iterable[Case], *, rays: int = 4096, reaches: Sequence[float
     return rows
 
 
-def random_areas(count: int, seed: int = 0) -> list[InfluenceArea]:
-    """Influence areas in the unit cube, of parallel and of radial rays in turn; each holds a sixth of it, on average."""
+def random_areas(count: int, seed: int = 0, size: float = 1.0) -> list[InfluenceArea]:
+    """Influence areas in the unit cube, of parallel and of radial rays in turn; each holds a sixth of it, on average.
+
+    Args:
+        count: how many.
+        seed: the same seed gives the same areas.
+        size: by which lengths and fields of view are scaled, above 0 and at most 1.
+    """
     random = np.random.default_rng(seed)
     areas: list[InfluenceArea] = []
     for number in range(count):
         place = {"position": random.uniform(0.1, 0.9, 3), "direction": random.normal(size=3)}
         if number % 2:
-            areas.append(
-                PointInfluenceArea(**place, fov=random.uniform(60.0, 110.0, 2), near=0.01, far=random.uniform(0.6, 1.2))
-            )
+            fov, far = size * random.uniform(60.0, 110.0, 2), size * random.uniform(0.6, 1.2)
+            areas.append(PointInfluenceArea(**place, fov=fov, near=0.01 * far, far=far))
         else:
-            width, height, depth = random.uniform(0.5, 1.0, 3)
+            width, height, depth = size * random.uniform(0.5, 1.0, 3)
             areas.append(PlaneInfluenceArea(**place, width=width, height=height, depth=depth))
     return areas
 
 
 def top_levels(
-    counts: Sequence[int] = (20,), depths: Sequence[int] = (0, 3, 4, 5, 6), *, rays: int = 1 << 16, rounds: int = 7
+    counts: Sequence[int] = (20,),
+    depths: Sequence[int] = (0, 3, 4, 5, 6),
+    *,
+    size: float = 1.0,
+    rays: int = 1 << 16,
+    rounds: int = 7,
 ) -> list[Row]:
     """Octrees and arrays over random areas.
 
     Args:
         counts: numbers of areas.
         depths: levels of octrees below the root; 0 for an array.
+        size: of `random_areas`.
         rays: how many look their areas up.
         rounds: turns of each depth.
 
@@ -197,7 +208,7 @@ def top_levels(
     """
     rows = []
     for count in counts:
-        areas = random_areas(count)
+        areas = random_areas(count, size=size)
         finders = {str(depth): Finder(areas, depth, rays) for depth in depths}
         timings = timed({name: finder.find for name, finder in finders.items()}, rounds)
         for name, finder in finders.items():
