@@ -8,7 +8,7 @@ from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
 from wrt.precision import find_precisely
-from wrt.rays import Rays, to_device
+from wrt.rays import RayBuffers, Rays, set_mask, to_device
 from wrt.tables import lookup
 from wrt.tracing import trace
 
@@ -27,6 +27,8 @@ class Queries:
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         counters: bool = False,
@@ -41,6 +43,10 @@ class Queries:
             origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
             directions: (..., 3), of any length; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances that have a bit in
+                common with it (`wrt.Instance`); None for all bits.
+            cull_backfaces: whether triangles are hit only from their front, from which they are wound counter-clockwise. Not
+                all traversals can: of those that can, "auto" takes the fastest.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
                 the plan's triangle test then counts.
             triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
@@ -52,16 +58,20 @@ class Queries:
         Raises:
             TypeError: an argument is of a wrong type.
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
-                `precise` together with a traversal, a triangle test or counters.
+                `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
+        if counters and self.instances and traversal == AUTO and not precise:
+            traversal = "single"  # what is counted there
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
+            buffers = self._on_device(rays, mask)
             if precise:
-                if (traversal, triangle_test, counters) != (AUTO, AUTO, False):
-                    raise ValueError("precise=True takes no traversal, triangle_test or counters; leave them out")
+                if (traversal, triangle_test, counters, cull_backfaces) != (AUTO, AUTO, False, False):
+                    raise ValueError(
+                        "precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out"
+                    )
                 return find_precisely(self, rays, buffers)
-            plan = make_plan(self, buffers, traversal, triangle_test)
+            plan = make_plan(self, buffers, traversal, triangle_test, CLOSEST, cull_backfaces)
             batch, work = trace(self, plan, buffers, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
@@ -72,6 +82,8 @@ class Queries:
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
@@ -81,8 +93,8 @@ class Queries:
         """
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, ANY, cull_backfaces)
             batch, _ = trace(self, plan, buffers, ANY)
         return shaped(batch.occluded, buffers)
 
@@ -94,6 +106,8 @@ class Queries:
         t_max: Any = float("inf"),
         *,
         max_hits: int | None = None,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> AllHits:
@@ -104,8 +118,8 @@ class Queries:
         each; a triangle that is seen edge-on is not. (`intersect` may name another of the triangles at an edge.)
 
         Args:
-            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`; not every traversal and triangle
-                test answers this.
+            origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`; not every
+                traversal and triangle test answers this.
             max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
                 time: all are found.
 
@@ -117,8 +131,8 @@ class Queries:
 
         bound, rays = check_max_hits(max_hits), _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test, ALL)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, ALL, cull_backfaces)
             batch, offsets = find_all(self, plan, buffers.batch, bound)
         return AllHits(batch, offsets, buffers, self.device_mesh, plan, self.num_threads)
 
@@ -129,6 +143,8 @@ class Queries:
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
@@ -138,8 +154,8 @@ class Queries:
         """
         rays = _as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, COUNT, cull_backfaces)
             batch, _ = trace(self, plan, buffers, COUNT)
         return shaped(batch.counts, buffers)
 
@@ -215,6 +231,7 @@ class Queries:
         t_max: Any = float("inf"),
         *,
         query: str = CLOSEST,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Plan:
@@ -222,12 +239,25 @@ class Queries:
 
         Args:
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
-            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`.
+            origins, directions, t_min, t_max, cull_backfaces, traversal, triangle_test: as in `intersect`.
         """
         rays = _as_rays(origins, directions, t_min, t_max)
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
         with use_threads(self.num_threads):
-            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
+            return make_plan(self, self._on_device(rays, None), traversal, triangle_test, query, cull_backfaces)
+
+    def _on_device(self, rays: Rays, mask: Any) -> RayBuffers:
+        """The rays on the scene's device, with their masks.
+
+        Raises:
+            ValueError: masks in a scene whose geometries have none.
+        """
+        if mask is not None and not self.instances:
+            raise ValueError("mask goes with instances, and this scene has none; give masks by wrt.Instance(mesh, mask=...)")
+        buffers = to_device(rays, self.device, self.center)
+        if mask is not None:
+            set_mask(buffers, mask, self.device)
+        return buffers
 
 
 def _as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:

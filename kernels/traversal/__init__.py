@@ -31,7 +31,7 @@ from wrt.kernels.traversal import (
     stream_bvh,
     stream_kdtree,
 )
-from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.config import ALL, NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters
 
 
@@ -69,6 +69,10 @@ class Traversal:
     def answers(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a kind of tree."""
         return query in self.queries.get(tree, NEAREST_QUERIES)
+
+    def culls_backfaces(self, tree: str) -> bool:
+        """Whether it can cull back faces on a kind of tree: those do that answer every query, as they test hits one by one."""
+        return tree in self.kernels and self.answers(ALL, tree)
 
     @property
     def trees(self) -> tuple[str, ...]:

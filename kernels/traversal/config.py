@@ -36,6 +36,7 @@ class TraversalConfig:
         stream: rays of a stream, 1 to 4096.
         mailbox: key in `wrt.kernels.mailbox.MAILBOXES`.
         block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
+        cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
         one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
@@ -51,6 +52,7 @@ class TraversalConfig:
     stream: int = 1024
     mailbox: str = NONE
     block: int = 0
+    cull_backfaces: bool = False
     one_by_one: bool = False
 
     @property
