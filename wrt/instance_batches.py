@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import get_num_threads, launch
+from wrt.kernels.launch import get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty
 from wrt.plan import ANY, COUNT, Plan, stack_levels, traversal_config, way_of
@@ -62,7 +63,8 @@ def trace_packets(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBa
     from wrt.kernels.traversal.packet_kernel import rays_per_item
 
     config = traversal_config(plan, scene, query, False)
-    kernel, grain = make_kernel(config, stack_levels(scene.tree.depth)), rays_per_item(config)
+    kernel = specialise(partial(make_kernel, levels=stack_levels(scene.tree.depth)), config)
+    grain = rays_per_item(config)
     size = -(-min(rays.count, BLOCK) // grain) * grain
     own, found = new_rays(size, scene.device), new_hits(size, query, scene.device)
     work = no_work(way_of(plan).counters, scene.device.alias)
@@ -92,7 +94,7 @@ class Rounds:
 
         self.scene, self.plan, self.rays, self.query, self.device = scene, plan, rays, query, scene.device
         config = traversal_config(plan, scene, query, False)
-        self.kernel = make_stream_kernel(config)
+        self.kernel = specialise(make_stream_kernel, config)
         self.segment = max(SEGMENT, plan.stream)
         self.top, self.lower = scene.upper(), scene.lower(plan, rays)
         self.work = no_work(way_of(plan).counters, self.device.alias)

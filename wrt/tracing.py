@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, COUNT, Plan, plan_for, stack_levels, traversal_config, way_of
@@ -125,7 +125,7 @@ def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, quer
         trace_batch(scene, plan, rays, hits, query)
         return
     config = traversal_config(plan, scene, query, counters)
-    kernel = make_kernel(config, plan.accelerator, stack_levels(scene.tree.depth))
+    kernel = specialise(partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth)), config)
     inputs = [scene.upper(), scene.lower(plan, rays), rays, hits, work]
     launch(kernel, rays.count, inputs, device=scene.device, chunk=1024)
 

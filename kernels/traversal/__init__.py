@@ -9,6 +9,9 @@ to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t
 
 Kernels that are built around one ray's walk elsewhere (`wrt.kernels.device`, `wrt.kernels.exact`) find it in `walk_table`.
 
+Scenes of instances are walked on two levels by kernels of their own, made of the same parts: `instances` for single rays,
+`instance_packets`, and `instance_batches` for streams.
+
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
 
