@@ -139,7 +139,7 @@ class Rounds:
     def trace_round(self, turn: int, hits: HitBatch) -> bool:
         """Traces the rays through their instances of this turn; whether there were any."""
         from wrt.kernels.reorder import scan_counts
-        from wrt.kernels.traversal.instance_batches import count_instances, make_merge, sort_by_instance
+        from wrt.kernels.traversal.instance_batches import MERGE, count_instances, sort_by_instance
 
         chunks = -(-self.count // self.chunk)
         counts = wp.zeros((chunks, len(self.scene.instances)), dtype=int, device=self.device)
@@ -159,7 +159,7 @@ class Rounds:
         work = [segments, self.top.placements, self.lower, sorted_rays.rays, found, self.work]
         launch(self.kernel, len(segments), work, device=self.device, chunk=1)
         work = [self.top.placements, sorted_rays, found, self.search, hits]
-        launch(make_merge(self.query), count, work, device=self.device, chunk=4096)
+        launch(MERGE[self.query], count, work, device=self.device, chunk=4096)
         return True
 
     def trace_alone(self, order: wp.array, hits: HitBatch) -> None:

@@ -30,7 +30,7 @@ from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal import stream_bvh
-from wrt.kernels.traversal.config import ANY, COUNT, TraversalConfig
+from wrt.kernels.traversal.config import ANY, CLOSEST, COUNT, TraversalConfig
 from wrt.kernels.traversal.instances import BvhPart, InstanceTree
 from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, store_stream, stream_ray
 from wrt.kernels.traversal.stream_load import load_stream
@@ -233,29 +233,44 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     return wp.kernel(streams_of_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
-@cache
-def make_merge(query: str) -> wp.Kernel:
-    """The kernel that takes what a round found for each ray over to its answer."""
-    any_hit, counting = query == ANY, query == COUNT
+@wp.kernel
+def merge_hits(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. Takes what it found over to its answer, if that is better, and shortens the ray."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    if found.primitive[k] >= 0:
+        t = found.t[k]
+        primitive = placements[sorted_rays.instance[k]].first + found.primitive[k]
+        if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
+            hits.t[i] = t
+            hits.primitive[i] = primitive
+            hits.uv[i] = found.uv[k]
+            search.bound[i - search.begin] = t
 
-    def merge_round(
-        first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
-    ):
-        k = first + wp.tid()
-        i = sorted_rays.order[k]
-        if wp.static(any_hit):
-            if found.occluded[k]:
-                hits.occluded[i] = True
-                search.bound[i - search.begin] = -INFINITY
-        elif wp.static(counting):
-            hits.counts[i] = hits.counts[i] + found.counts[k]
-        elif found.primitive[k] >= 0:
-            t = found.t[k]
-            primitive = placements[sorted_rays.instance[k]].first + found.primitive[k]
-            if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
-                hits.t[i] = t
-                hits.primitive[i] = primitive
-                hits.uv[i] = found.uv[k]
-                search.bound[i - search.begin] = t
 
-    return wp.kernel(merge_round, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+@wp.kernel
+def merge_occlusion(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. One that found something is done."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    if found.occluded[k]:
+        hits.occluded[i] = True
+        search.bound[i - search.begin] = -INFINITY
+
+
+@wp.kernel
+def merge_counts(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. Adds what it counted."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    hits.counts[i] = hits.counts[i] + found.counts[k]
+
+
+MERGE = {CLOSEST: merge_hits, ANY: merge_occlusion, COUNT: merge_counts}
+"""What takes the results of a round over, for each query."""
