@@ -41,14 +41,6 @@ RAYS_PER_TRIANGLE = 2.0
 """Rays a triangle of the scene from which on coherent rays with origins of their own go in packets: where triangles are as
 small as the gaps between rays, streams lose less on rays that part company."""
 
-TRIANGLES_PER_RAY = 8
-"""Triangles of all instances a ray up to which packets go through two levels: measured on views of 10 and 100 bunnies, they are
-1.0 to 2 times as fast as single rays with up to 7 triangles a ray, and 0.7 to 1.1 times with 27."""
-
-RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
-"""Rays an instance of the scene from which on it pays to bring those together that reach the same: neighbours that look alike
-(1.2 to 1.4 times as fast as single rays), and others (1.05 times, with a mesh of 70,000 triangles)."""
-
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
 """Rays of a stream: the longer, the better its lanes are used, as long as each thread has several. On CUDA, where a stream
 is a thread's, they lie in its local memory."""
@@ -149,7 +141,10 @@ def make_plan(
     accelerator = tree_for(way, scene)
     check_query(query, way, accelerator, test)
     check_culling(cull_backfaces, way, accelerator)
-    check_instances(scene, query, way, test)
+    if scene.instances:
+        from wrt.instance_plan import check_instances
+
+        check_instances(scene, query, way, test)
     options: dict[str, object] = {}
     if way.packets:
         options["packet"] = PACKET_VECTORS * scene.width
@@ -187,6 +182,8 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     if rays.count < LEAST_FOR_PACKETS:
         return "single", "few rays"
     if scene.instances:
+        from wrt.instance_plan import choose_for_instances
+
         return choose_for_instances(scene, rays, query, cull_backfaces)
     if query in (COUNT, ALL) or cull_backfaces:
         what = "all hits" if query in (COUNT, ALL) else "front faces"
@@ -199,18 +196,6 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
         return "stream", f"{ALIKE}, but each has its own origin and triangles are small"
     return "packet", ALIKE
-
-
-def choose_for_instances(scene: Scene, rays: RayBuffers, query: str, cull_backfaces: bool) -> tuple[str, str]:
-    """The same for many rays on the CPU and a scene of two levels."""
-    alone = "two levels, a ray at a time"
-    if scene.accelerator.kind != "bvh" or query == ALL:
-        return "single", alone
-    if rays.coherent and rays.batch.origin_stride == 0 and query in (CLOSEST, ANY) and not cull_backfaces:
-        dense = rays.count * TRIANGLES_PER_RAY >= scene.triangle_count
-        return ("packet", f"two levels, {ALIKE}") if dense else ("single", f"{alone}: triangles are small")
-    least = (RAYS_PER_INSTANCE if rays.coherent else SCATTERED_PER_INSTANCE) * len(scene.instances)
-    return ("stream", "two levels, rays sorted by instance") if rays.count >= least else ("single", alone)
 
 
 def tree_for(way: Traversal, scene: Scene) -> str:
@@ -279,7 +264,10 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         raise ValueError(f"plan.accelerator is {plan.accelerator!r}, but the scene has a {scene.accelerator.kind}")
     check_query(query, way, plan.accelerator, test)
     check_culling(plan.cull_backfaces, way, plan.accelerator)
-    check_instances(scene, query, way, test)
+    if scene.instances:
+        from wrt.instance_plan import check_instances
+
+        check_instances(scene, query, way, test)
     if plan.width != scene.width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.width}")
     if plan.shared_origin and (rays.batch.origin_stride != 0 or scene.instances):
@@ -360,26 +348,6 @@ def check_culling(cull_backfaces: bool, way: Traversal, tree: str) -> None:
             name for name, entry in TRAVERSALS.items() if entry.culls_backfaces(tree) or entry.culls_backfaces("none")
         )
         raise ValueError(f"traversal {way.name!r} does not cull back faces on a {tree}; choose from auto, {able}")
-
-
-def check_instances(scene: Scene, query: str, way: Traversal, test: TriangleTest) -> None:
-    """Refuses what does not go with instances.
-
-    Raises:
-        ValueError: the scene has instances, and a traversal of one level, or records for one origin, were asked for.
-    """
-    together = scene.accelerator.kind == "bvh" and query != ALL and scene.device.is_cpu
-    able = ("single", "packet", "stream") if together else ("single",)
-    if scene.instances and way.name not in able:
-        raise ValueError(
-            f"traversal {way.name!r} does not answer the query {query!r} on two levels of {scene.accelerator.kind}; "
-            f"for this scene of instances choose from auto, {', '.join(able)}"
-        )
-    if scene.instances and test.record.per_origin:
-        raise ValueError(
-            f"triangle_test {test.name!r} needs one origin for all triangles, and each instance sees the rays from another; "
-            "choose triangle_test='woop'"
-        )
 
 
 def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
