@@ -3,7 +3,7 @@
 A plane influence area holds parallel rays, as those of a directional light or of an orthographic camera: a cuboid whose rays
 leave one face, the window, at right angles. A point influence area holds radial rays, as those of a point light or of a
 pinhole camera: a frustum whose rays leave its near plane on lines through its apex. Trees are built for areas
-(`wrt.builders.cost`), and rays are told by area (`wrt.kernels.influence.view.is_affine`).
+(`wrt.builders.cost`), and rays are told by area (`affine`; batches that are traced, by the loops of `wrt.kernels.area_lanes`).
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
@@ -11,12 +11,13 @@ References:
 """
 
 from dataclasses import dataclass
-from math import isfinite, radians, tan
+from math import isfinite, radians, sin, tan
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.influence.view import AreaView
+from wrt.kernels.influence.view import AreaView, tell_affine
+from wrt.kernels.launch import launch
 
 Point = tuple[float, float, float]
 
@@ -67,6 +68,15 @@ class PlaneInfluenceArea:
         view.half = wp.vec2(self.width / 2, self.height / 2)
         view.radial = False
         return view
+
+    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
+        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+
+        Args:
+            origins, directions: (N, 3).
+            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+        """
+        return affine_rays(self, origins, directions, tolerance)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,8 +132,37 @@ class PointInfluenceArea:
         view.radial = True
         return view
 
+    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
+        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+
+        Args:
+            origins, directions: (N, 3).
+            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+        """
+        return affine_rays(self, origins, directions, tolerance)
+
 
 InfluenceArea = PlaneInfluenceArea | PointInfluenceArea
+
+
+def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which rays start in an area and run along its ray through their origin, or straight against it.
+
+    Raises:
+        ValueError: origins and directions are not (N, 3), or the tolerance is out of its range.
+    """
+    if not 0.0 <= tolerance < 90.0:
+        raise ValueError(f"tolerance is {tolerance}; it must be from 0 up to, not including, 90 degrees")
+    origins, directions = np.asarray(origins, dtype=np.float64), np.asarray(directions, dtype=np.float32)
+    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
+        raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (N, 3)")
+    center, device = np.array(area.position), wp.get_device("cpu")
+    with np.errstate(over="ignore"):
+        near = np.ascontiguousarray((origins - center).astype(np.float32))
+    rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
+    affine = wp.empty(len(near), dtype=wp.bool, device=device)
+    launch(tell_affine, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
+    return affine.numpy()
 
 
 def frame_of(direction: Point, up: Point | None) -> np.ndarray:

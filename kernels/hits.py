@@ -2,54 +2,46 @@
 
 import warp as wp
 
+from wrt.kernels.instances import Geometry, Placement, scene_point
+
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.struct
 class SceneMesh:
-    """All triangles of a scene."""
+    """All triangles of a scene: its own, or those of its instances."""
 
     vertices: wp.array(dtype=wp.vec3)
-    """Relative to `center`."""
+    """Relative to `center`; of a scene of instances (0,)."""
     faces: wp.array(dtype=wp.vec3i)
     center: wp.vec3d
     low: wp.vec3
     """Lowest corner of all triangles, relative to `center`."""
     high: wp.vec3
     geometry_first: wp.array(dtype=int)
-    """(geometries + 1,) number of each geometry's first triangle."""
+    """(geometries + 1,) or (instances + 1,) number of the first triangle of each."""
+    placements: wp.array(dtype=Placement)
+    """(instances,); (0,) in a scene without."""
+    geometries: wp.array(dtype=Geometry)
+    """What the placements name."""
 
 
-@wp.func
-def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
-    """The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
-    nan = wp.float64(wp.nan)
-    point = wp.vec3d(nan, nan, nan)
-    if primitive >= 0:
-        face = mesh.faces[primitive]
-        u = wp.float64(uv[0])
-        v = wp.float64(uv[1])
-        a = wp.vec3d(mesh.vertices[face[0]])
-        b = wp.vec3d(mesh.vertices[face[1]])
-        c = wp.vec3d(mesh.vertices[face[2]])
-        point = mesh.center + (a + u * (b - a) + v * (c - a))
-    return point
+@wp.struct
+class Triangle:
+    """A triangle of a scene, relative to its centre, in float64."""
 
-
-@wp.func
-def hit_normal(mesh: SceneMesh, primitive: int):
-    """Unit normal of a triangle by its winding; 0 for a miss and for a triangle without area."""
-    normal = wp.vec3d()
-    if primitive >= 0:
-        face = mesh.faces[primitive]
-        a = wp.vec3d(mesh.vertices[face[0]])
-        normal = wp.normalize(wp.cross(wp.vec3d(mesh.vertices[face[1]]) - a, wp.vec3d(mesh.vertices[face[2]]) - a))
-    return wp.vec3(normal)
+    a: wp.vec3d
+    b: wp.vec3d
+    c: wp.vec3d
+    face: int
+    """Its number if what instances share is counted once."""
+    instance: int
+    """-1 in a scene without instances."""
 
 
 @wp.func
 def geometry_of(mesh: SceneMesh, primitive: int):
-    """Number of the geometry that a triangle, numbered through the scene, belongs to."""
+    """Number of the geometry, or of the instance, that a triangle belongs to, numbered through the scene."""
     low = int(0)
     high = mesh.geometry_first.shape[0] - 1
     while high - low > 1:
@@ -59,6 +51,60 @@ def geometry_of(mesh: SceneMesh, primitive: int):
         else:
             high = middle
     return low
+
+
+@wp.func
+def triangle_of(mesh: SceneMesh, primitive: int):
+    """Triangle number `primitive` of the scene, as its geometry winds it, mirrored or not."""
+    triangle = Triangle()
+    if mesh.placements.shape[0] == 0:
+        face = mesh.faces[primitive]
+        triangle.a = wp.vec3d(mesh.vertices[face[0]])
+        triangle.b = wp.vec3d(mesh.vertices[face[1]])
+        triangle.c = wp.vec3d(mesh.vertices[face[2]])
+        triangle.face = primitive
+        triangle.instance = -1
+    else:
+        triangle.instance = geometry_of(mesh, primitive)
+        placement = mesh.placements[triangle.instance]
+        geometry = mesh.geometries[placement.geometry]
+        local = primitive - placement.first
+        face = geometry.faces[local]
+        triangle.a = scene_point(placement, geometry.vertices[face[0]])
+        triangle.b = scene_point(placement, geometry.vertices[face[1]])
+        triangle.c = scene_point(placement, geometry.vertices[face[2]])
+        triangle.face = geometry.first_face + local
+    return triangle
+
+
+@wp.func
+def winding(mesh: SceneMesh, triangle: Triangle):
+    """1, or -1 for a triangle that its instance mirrors: then the cross product of its edges points to its back."""
+    sign = wp.float64(1.0)
+    if triangle.instance >= 0 and wp.determinant(mesh.placements[triangle.instance].to_scene) < wp.float64(0.0):
+        sign = wp.float64(-1.0)
+    return sign
+
+
+@wp.func
+def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
+    """The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
+    nan = wp.float64(wp.nan)
+    point = wp.vec3d(nan, nan, nan)
+    if primitive >= 0:
+        at = triangle_of(mesh, primitive)
+        point = mesh.center + (at.a + wp.float64(uv[0]) * (at.b - at.a) + wp.float64(uv[1]) * (at.c - at.a))
+    return point
+
+
+@wp.func
+def hit_normal(mesh: SceneMesh, primitive: int):
+    """Unit normal of a triangle by its winding; 0 for a miss and for a triangle without area."""
+    normal = wp.vec3d()
+    if primitive >= 0:
+        at = triangle_of(mesh, primitive)
+        normal = winding(mesh, at) * wp.normalize(wp.cross(at.b - at.a, at.c - at.a))
+    return wp.vec3(normal)
 
 
 @wp.kernel
@@ -122,17 +168,25 @@ def locate_geometry(
     first: int,
     mesh: SceneMesh,
     primitive: wp.array(dtype=int),
+    instance: wp.array(dtype=int),
     geometry: wp.array(dtype=int),
     local: wp.array(dtype=int),
 ):
-    """Item: a ray. Turns the scene's triangle number into a geometry and a triangle of it; -1, -1 for a miss."""
+    """Item: a ray. Turns the scene's triangle number into instance, geometry and a triangle of it; all -1 for a miss.
+
+    Without instances, a geometry is its own instance."""
     i = first + wp.tid()
     found = int(-1)
+    shared = int(-1)
     inside = int(-1)
     if primitive[i] >= 0:
         found = geometry_of(mesh, primitive[i])
+        shared = found
+        if mesh.placements.shape[0] > 0:
+            shared = mesh.placements[found].geometry
         inside = primitive[i] - mesh.geometry_first[found]
-    geometry[i] = found
+    instance[i] = found
+    geometry[i] = shared
     local[i] = inside
 
 

@@ -30,6 +30,9 @@ class RayBatch:
     t_max_stride: int
     columns: int
     """Of the picture whose pixels the rays are, row by row; 0 if they are to be taken as they come. For packets only."""
+    mask: wp.array(dtype=wp.uint32)
+    """(N,), (1,) or, for rays that see everything, (0,): see `wrt.kernels.instances`."""
+    mask_stride: int
     run: int
     """Rays that an item traces, a multiple of the stream's length. For streams only."""
     center: wp.vec3d

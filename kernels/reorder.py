@@ -121,6 +121,8 @@ def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_r
         sorted_rays.t_min[place] = rays.t_min[i]
     if rays.t_max_stride != 0:
         sorted_rays.t_max[place] = rays.t_max[i]
+    if rays.mask_stride != 0:
+        sorted_rays.mask[place] = rays.mask[i]
 
 
 @wp.kernel
@@ -200,7 +202,8 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
     device, count = order.device, len(order)
     result = RayBatch()
     result.count, result.center = count, rays.center
-    for name, dtype in (("origin", wp.vec3), ("direction", wp.vec3), ("t_min", wp.float32), ("t_max", wp.float32)):
+    fields = {"origin": wp.vec3, "direction": wp.vec3, "t_min": wp.float32, "t_max": wp.float32, "mask": wp.uint32}
+    for name, dtype in fields.items():
         field = name + "s" if dtype is wp.vec3 else name
         stride = getattr(rays, f"{name}_stride")
         setattr(result, f"{name}_stride", stride)

@@ -26,7 +26,7 @@ References:
 import warp as wp
 
 from wrt.kernels.boxes import reach
-from wrt.kernels.hits import SceneMesh
+from wrt.kernels.hits import SceneMesh, triangle_of
 from wrt.kernels.rays import TINY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -69,10 +69,10 @@ def spawn_origin(mesh: SceneMesh, primitive: int, uv: wp.vec2, direction: wp.vec
     nan = wp.float64(wp.nan)
     origin = wp.vec3d(nan, nan, nan)
     if primitive >= 0:
-        face = mesh.faces[primitive]
-        a = wp.vec3d(mesh.vertices[face[0]])
-        b = wp.vec3d(mesh.vertices[face[1]])
-        c = wp.vec3d(mesh.vertices[face[2]])
+        corners = triangle_of(mesh, primitive)
+        a = corners.a
+        b = corners.b
+        c = corners.c
         weights = wp.vec3(1.0 - uv[0] - uv[1], uv[0], uv[1])
         near = wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c
         offset = origin_offset(OFFSET, wp.vec3(near), mesh.low, mesh.high, a, b, c)

@@ -14,7 +14,7 @@ one on a triangle through neither end. The others are decided by the list of all
 
 import warp as wp
 
-from wrt.kernels.hits import SceneMesh
+from wrt.kernels.hits import SceneMesh, triangle_of
 from wrt.kernels.rays import RayBatch, is_finite
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -66,13 +66,13 @@ def connect_points(
 @wp.func
 def passes_through(mesh: SceneMesh, primitive: int, point: wp.vec3, rounding: float):
     """Whether the triangle's plane passes through the point, within rounding; true for a triangle without area."""
-    face = mesh.faces[primitive]
-    a = mesh.vertices[face[0]]
-    b = mesh.vertices[face[1]]
-    c = mesh.vertices[face[2]]
+    corners = triangle_of(mesh, primitive)
+    a = wp.vec3(corners.a)
+    b = wp.vec3(corners.b)
+    c = wp.vec3(corners.c)
     size = wp.max(wp.max(size_of(a), size_of(b)), wp.max(size_of(c), size_of(point)))
-    normal = wp.normalize(wp.cross(wp.vec3d(b) - wp.vec3d(a), wp.vec3d(c) - wp.vec3d(a)))
-    return float(wp.abs(wp.dot(normal, wp.vec3d(point) - wp.vec3d(a)))) <= TOUCH * size + rounding
+    normal = wp.normalize(wp.cross(corners.b - corners.a, corners.c - corners.a))
+    return float(wp.abs(wp.dot(normal, wp.vec3d(point) - corners.a))) <= TOUCH * size + rounding
 
 
 @wp.func

@@ -126,3 +126,17 @@ def test_refused(scene):
                 query(*rays)
     with pytest.raises(TypeError, match="real numbers"):
         scene.intersect(["a", "b", "c"], [1, 0, 0])
+
+
+def test_rays_after_an_update():
+    """Desks are made for a tree and its records: those of before are not asked again."""
+    mesh = wrt.scenes.build("teapot", level=2, ground=False)
+    scene = wrt.Scene(mesh, device="cpu")
+    down = ((0.2, 0.1, 9.0), (0.0, 0.0, -1.0))
+    before = scene.intersect(*down).t
+    assert scene.occluded(*down)
+    scene.update(0, vertices=np.add(mesh.vertices, (0.0, 0.0, 1.0)))
+    assert scene.intersect(*down).t == pytest.approx(before - 1.0, abs=1e-4)
+    scene.update(0, vertices=np.add(mesh.vertices, (50.0, 0.0, 0.0)))
+    assert not scene.occluded(*down)
+    assert scene.count(*down) == 0

@@ -13,7 +13,7 @@ from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInflu
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_window, polygon_area
 from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas, window_areas
 from wrt.kernels.influence.silhouette import projected_area, projected_hull
-from wrt.kernels.influence.view import AreaView, is_affine
+from wrt.kernels.influence.view import AreaView
 
 AREAS = {
     "plane along an axis": PlaneInfluenceArea(position=(0, 0, -2), direction=(0, 0, 1), width=3, height=2, depth=4),
@@ -52,19 +52,6 @@ def measure_lanes(
     """One item: all boxes at once."""
     whole_areas(view, boxes, 0, count, whole)
     window_areas(view, boxes, 0, count, cut)
-
-
-@wp.kernel(module="unique")
-def tell_affine(
-    view: AreaView,
-    origins: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    sine: float,
-    affine: wp.array(dtype=wp.bool),
-):
-    """Item: a ray."""
-    i = wp.tid()
-    affine[i] = is_affine(view, origins[i], directions[i], sine)
 
 
 def some_boxes(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -189,8 +176,7 @@ def test_affine_rays_start_inside_and_are_aligned(name):
     inside = (near <= depth) & (depth <= far) & (np.abs(across) <= window(area)).all(axis=1)
     expected = inside & (angle <= np.radians(degrees))
     clear = np.abs(angle - np.radians(degrees)) > 1e-4
-    center = np.array([0.3, -0.1, 0.2])  # of the scene: devices see positions relative to it
-    found = affine(area, origins - center, directions, np.sin(np.radians(degrees)), center)
+    found = area.affine(origins, directions, degrees)
     assert 100 < expected.sum() < count - 100
     np.testing.assert_array_equal(found[clear], expected[clear])
 
@@ -200,21 +186,17 @@ def test_affine_rays_start_inside_and_are_aligned(name):
 def test_bad_rays_are_never_affine(name, bad):
     area = AREAS[name]
     good = np.array(area.position) + 2 * area.frame[2]
-    assert affine(area, [good], [area.frame[2]], 1.0, np.zeros(3)).all()
+    assert area.affine([good], [area.frame[2]]).all()
     for axis in range(3):
         broken = np.zeros(3)
         broken[axis] = bad
-        assert not affine(area, [good + broken], [area.frame[2]], 1.0, np.zeros(3)).any()
-        assert not affine(area, [good], [broken], 1.0, np.zeros(3)).any()
-    assert not affine(area, [good], [np.zeros(3)], 1.0, np.zeros(3)).any()
-
-
-def affine(area: InfluenceArea, origins, directions, sine: float, center: np.ndarray) -> np.ndarray:
-    """Which rays belong to an area."""
-    rays = [wp.array(np.asarray(a, dtype=np.float32), dtype=wp.vec3, device="cpu") for a in (origins, directions)]
-    out = wp.zeros(len(rays[0]), dtype=wp.bool, device="cpu")
-    wp.launch(tell_affine, len(out), [area.view(center), *rays, sine, out], device="cpu")
-    return out.numpy()
+        assert not area.affine([good + broken], [area.frame[2]]).any()
+        assert not area.affine([good], [broken]).any()
+    assert not area.affine([good], [np.zeros(3)]).any()
+    with pytest.raises(ValueError, match="tolerance is 90"):
+        area.affine([good], [good], 90.0)
+    with pytest.raises(ValueError, match="must both be"):
+        area.affine(good, good)
 
 
 PLANE = {"position": (0, 0, 0), "direction": (0, 0, 1), "width": 1, "height": 1, "depth": 1}

@@ -39,6 +39,8 @@ def test_python_examples(tmp_path, monkeypatch):
     assert 0.01 < names["inside"].mean() < 0.9
     assert names["matrix"].shape == (len(names["points"]),) * 2
     assert names["matrix"].diagonal().all()
+    assert set(names["met"].instance_id) >= {-1, 0, 1, 100}
+    assert names["shade"].mean() < names["forest"].occluded(names["origins"], names["directions"]).mean() < 1
     assert set(names["index_ray"]) == set(np.flatnonzero(names["number"][:1000]))
     np.testing.assert_array_equal(names["answer"]["t_hit"], names["hits"].t)
     seen = names["scene"].intersect(names["camera"].rays()).is_hit

@@ -12,7 +12,8 @@ from test_packets import beams
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.plan import MAX_STREAM, Plan
+from wrt.plan import Plan
+from wrt.plan_checks import MAX_STREAM
 
 TREES = TRAVERSALS["stream"].trees
 SMALL_SCENES = ("teapot", "random_triangles", "stadium", "grid", "degenerate")

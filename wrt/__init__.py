@@ -6,6 +6,7 @@
     exact = scene.intersect(origins, directions, precise=True)  # as brute force in float64
     dark = scene.occluded(origins, directions)      # bool
     lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
+    forest = wrt.Scene([wrt.Instance(mesh, matrix) for matrix in matrices])  # one tree; hits.instance_id, forest.update
     seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for rays that go on
     print(scene.verify())                           # against brute force in float64
     found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)  # for wp.Tape
@@ -29,6 +30,8 @@ _HOME = {
     "CircularCapCaster": "wrt.ray_casters",
     "Hits": "wrt.hits",
     "InfluenceAreas": "wrt.influence_areas",
+    "Instance": "wrt.instances",
+    "InstancedScene": "wrt.instanced_scene",
     "KdTree": "wrt.accelerator",
     "OrthographicCamera": "wrt.camera",
     "PinholeCamera": "wrt.camera",

@@ -30,7 +30,7 @@ from wrt.hits import Hits, shaped
 from wrt.kernels.launch import launch, use_threads
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty
-from wrt.plan import ALL, Plan
+from wrt.plan import ALL, COUNT, Plan
 from wrt.tracing import new_lists, no_work, run
 
 if TYPE_CHECKING:
@@ -61,6 +61,7 @@ class AllHits:
         t: (M,) float32, in units of the direction's length.
         primitive_id: (M,) int32, index of the triangle within its geometry.
         geometry_id: (M,) int32, index of the mesh within the scene.
+        instance_id: (M,) int32, index of the instance; of the mesh, in a scene without instances.
         uv: (M, 2) float32, weights of the triangle's second and third vertex.
         ray_id: (M,) int32, index of the ray in the flattened batch.
         position: (M, 3), in the scene's coordinates, float64 if the rays were, else float32.
@@ -126,6 +127,10 @@ class AllHits:
         return self._flat.geometry_id
 
     @property
+    def instance_id(self) -> Any:
+        return self._flat.instance_id
+
+    @property
     def uv(self) -> Any:
         return self._flat.uv
 
@@ -179,8 +184,9 @@ def find_block(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple
 
     device = scene.device
     order = wp.empty(0, dtype=int, device=device)
-    found = new_lists(rays.count, rays.count * ROOM, device)
-    found.room = ROOM
+    room = 0 if scene.instances else ROOM  # of instances, hits are counted before they are listed
+    found = new_lists(rays.count, rays.count * room, device)
+    found.room = room
     counts = found.counts
     if plan.reorder == "cells":
         order = find_order(rays, scene.tree.low, scene.tree.high, device)
@@ -194,8 +200,9 @@ def find_block(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple
     offsets = sum_up(np.minimum(numbers, max_hits))
     hits = new_lists(0, int(offsets[-1]), device)
     device_offsets = wp.array(offsets, dtype=wp.int64, device=device, copy=False)
-    launch(gather_hits, rays.count, [found, order, device_offsets, hits], device=device, chunk=1024)
-    crowded = np.flatnonzero(numbers > ROOM).astype(np.int32)
+    if room:
+        launch(gather_hits, rays.count, [found, order, device_offsets, hits], device=device, chunk=1024)
+    crowded = np.flatnonzero(numbers > room).astype(np.int32)
     if len(crowded):
         begins = sum_up(numbers[crowded])
         order = wp.array(crowded, dtype=int, device=device)
@@ -207,10 +214,11 @@ def find_block(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple
 
 
 def trace_lists(scene: Scene, plan: Plan, rays: RayBatch, found: HitBatch) -> None:
-    """Traces the rays in the order given."""
+    """Traces the rays in the order given; where there is neither room nor a place for lists, hits are counted."""
     from wrt.plan import way_of
 
-    run(scene, plan, rays, found, ALL, no_work(way_of(plan).counters, scene.device.alias), False)
+    query = ALL if found.room or found.begins is not None else COUNT
+    run(scene, plan, rays, found, query, no_work(way_of(plan).counters, scene.device.alias), False)
 
 
 def sum_up(counts: np.ndarray) -> np.ndarray:
@@ -247,7 +255,13 @@ def part_of(rays: RayBatch, begin: int, end: int) -> RayBatch:
         return rays
     part = RayBatch()
     part.count, part.center = end - begin, rays.center
-    for name, field in (("origin", "origins"), ("direction", "directions"), ("t_min", "t_min"), ("t_max", "t_max")):
+    for name, field in (
+        ("origin", "origins"),
+        ("direction", "directions"),
+        ("t_min", "t_min"),
+        ("t_max", "t_max"),
+        ("mask", "mask"),
+    ):
         stride, values = getattr(rays, f"{name}_stride"), getattr(rays, field)
         setattr(part, f"{name}_stride", stride)
         setattr(part, field, values[begin:end] if stride else values)

@@ -37,6 +37,7 @@ class Hits:
         t: (...) float32, in units of the direction's length; inf for a miss.
         primitive_id: (...) int32, index of the triangle within its geometry; -1 for a miss.
         geometry_id: (...) int32, index of the mesh within the scene; -1 for a miss.
+        instance_id: (...) int32, index of the instance; of the mesh, in a scene without instances; -1 for a miss.
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
         is_hit: (...) bool.
         position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
@@ -85,10 +86,14 @@ class Hits:
     @cached_property
     def primitive_id(self) -> Any:
         alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
-        return self._out(self.batch.primitive if alone else self._located[1])
+        return self._out(self.batch.primitive if alone else self._located[2])
 
     @cached_property
     def geometry_id(self) -> Any:
+        return self._out(self._located[1])
+
+    @cached_property
+    def instance_id(self) -> Any:
         return self._out(self._located[0])
 
     @cached_property
@@ -164,13 +169,13 @@ class Hits:
         return {name: np.ascontiguousarray(work[name]).reshape(self.shape) for name in work.dtype.names}
 
     @cached_property
-    def _located(self) -> tuple[wp.array, wp.array]:
-        """Geometry and triangle within it."""
+    def _located(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Instance, geometry and triangle within it."""
         from wrt.kernels.hits import locate_geometry
 
-        geometry, local = self._empty(wp.int32), self._empty(wp.int32)
-        self._launch(locate_geometry, self._mesh, self.batch.primitive, geometry, local)
-        return geometry, local
+        found = tuple(self._empty(wp.int32) for _ in range(3))
+        self._launch(locate_geometry, self._mesh, self.batch.primitive, *found)
+        return found
 
     @property
     def _device(self) -> wp.Device:

@@ -10,7 +10,7 @@ from wrt.hits import Hits, shaped
 from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
 from wrt.precision import find_precisely
-from wrt.rays import Rays, to_device
+from wrt.rays import RayBuffers, Rays, set_mask, to_device
 from wrt.tables import lookup
 from wrt.tracing import trace
 
@@ -29,6 +29,8 @@ class Queries(BlockQueries):
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         counters: bool = False,
@@ -43,6 +45,10 @@ class Queries(BlockQueries):
             origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
             directions: (..., 3), of any length; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances that have a bit in
+                common with it (`wrt.Instance`); None for all bits.
+            cull_backfaces: whether triangles are hit only from their front, from which they are wound counter-clockwise. Not
+                all traversals can: of those that can, "auto" takes the fastest.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
                 the plan's triangle test then counts.
             triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
@@ -54,18 +60,23 @@ class Queries(BlockQueries):
         Raises:
             TypeError: an argument is of a wrong type.
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
-                `precise` together with a traversal, a triangle test or counters.
+                `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        if not (counters or precise) and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
+        ours = mask is None and not (cull_backfaces or counters or precise)
+        if ours and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
             return few
+        if counters and self.instances and traversal == AUTO and not precise:
+            traversal = "single"  # what is counted there
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
+            buffers = self._on_device(rays, mask)
             if precise:
-                if (traversal, triangle_test, counters) != (AUTO, AUTO, False):
-                    raise ValueError("precise=True takes no traversal, triangle_test or counters; leave them out")
+                if (traversal, triangle_test, counters, cull_backfaces) != (AUTO, AUTO, False, False):
+                    raise ValueError(
+                        "precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out"
+                    )
                 return find_precisely(self, rays, buffers)
-            plan = make_plan(self, buffers, traversal, triangle_test)
+            plan = make_plan(self, buffers, traversal, triangle_test, CLOSEST, cull_backfaces)
             batch, work = trace(self, plan, buffers, CLOSEST, counters)
         return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
 
@@ -76,6 +87,8 @@ class Queries(BlockQueries):
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
@@ -84,11 +97,12 @@ class Queries(BlockQueries):
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        if (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
+        ours = mask is None and not cull_backfaces
+        if ours and (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
             return few
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, ANY, cull_backfaces)
             batch, _ = trace(self, plan, buffers, ANY)
         return shaped(batch.occluded, buffers)
 
@@ -100,6 +114,8 @@ class Queries(BlockQueries):
         t_max: Any = float("inf"),
         *,
         max_hits: int | None = None,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> AllHits:
@@ -110,8 +126,8 @@ class Queries(BlockQueries):
         each; a triangle that is seen edge-on is not. (`intersect` may name another of the triangles at an edge.)
 
         Args:
-            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`; not every traversal and triangle
-                test answers this.
+            origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`; not every
+                traversal and triangle test answers this.
             max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
                 time: all are found.
 
@@ -123,8 +139,8 @@ class Queries(BlockQueries):
 
         bound, rays = check_max_hits(max_hits), as_rays(origins, directions, t_min, t_max)
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test, ALL)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, ALL, cull_backfaces)
             batch, offsets = find_all(self, plan, buffers.batch, bound)
         return AllHits(batch, offsets, buffers, self.device_mesh, plan, self.num_threads)
 
@@ -135,6 +151,8 @@ class Queries(BlockQueries):
         t_min: Any = 0.0,
         t_max: Any = float("inf"),
         *,
+        mask: Any = None,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
@@ -143,11 +161,12 @@ class Queries(BlockQueries):
         What `intersect_all` would list, counted; arguments and errors as there.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        if (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
+        ours = mask is None and not cull_backfaces
+        if ours and (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
             return few
         with use_threads(self.num_threads):
-            buffers = to_device(rays, self.device, self.center)
-            plan = make_plan(self, buffers, traversal, triangle_test, COUNT)
+            buffers = self._on_device(rays, mask)
+            plan = make_plan(self, buffers, traversal, triangle_test, COUNT, cull_backfaces)
             batch, _ = trace(self, plan, buffers, COUNT)
         return shaped(batch.counts, buffers)
 
@@ -223,6 +242,7 @@ class Queries(BlockQueries):
         t_max: Any = float("inf"),
         *,
         query: str = CLOSEST,
+        cull_backfaces: bool = False,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Plan:
@@ -230,16 +250,29 @@ class Queries(BlockQueries):
 
         Args:
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
-            origins, directions, t_min, t_max, traversal, triangle_test: as in `intersect`.
+            origins, directions, t_min, t_max, cull_backfaces, traversal, triangle_test: as in `intersect`.
         """
         rays = as_rays(origins, directions, t_min, t_max)
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
         with use_threads(self.num_threads):
-            return make_plan(self, to_device(rays, self.device, self.center), traversal, triangle_test, query)
+            return make_plan(self, self._on_device(rays, None), traversal, triangle_test, query, cull_backfaces)
+
+    def _on_device(self, rays: Rays, mask: Any) -> RayBuffers:
+        """The rays on the scene's device, with their masks.
+
+        Raises:
+            ValueError: masks in a scene whose geometries have none.
+        """
+        if mask is not None and not self.instances:
+            raise ValueError("mask goes with instances, and this scene has none; give masks by wrt.Instance(mesh, mask=...)")
+        buffers = to_device(rays, self.device, self.center)
+        if mask is not None:
+            set_mask(buffers, mask, self.device)
+        return buffers
 
     def _trace_few(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
-        """The answer, if there are few rays, the choice is ours, and the tree is all there; else None."""
-        if self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
+        """The answer, if there are few rays, the choice is ours, and there is one tree, all of it; else None."""
+        if self.instances or self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
             return None
         return trace_few(self, rays, query)
 

@@ -110,6 +110,37 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     return RayBuffers(batch, shape, is_warp, dtype, coherent, scattered, [origins, directions, t_min, t_max])
 
 
+def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
+    """Gives rays their masks: an int for all, or an array of integers that broadcasts to their shape.
+
+    Raises:
+        TypeError: no integers.
+        ValueError: out of 0 .. 2^32 - 1, a shape that does not broadcast, an array on another device.
+    """
+    if isinstance(mask, wp.array):
+        if mask.dtype is not wp.uint32 or mask.device != device:
+            raise ValueError(f"mask must be a Warp array of uint32 on {device}, not of {mask.dtype.__name__} on {mask.device}")
+        values, stride = mask, 0 if mask.size == 1 else 1
+        if stride and mask.shape != buffers.shape:
+            raise ValueError(
+                f"mask has the shape {mask.shape}, the rays {buffers.shape}; Warp arrays broadcast only from one element"
+            )
+        buffers.batch.mask, buffers.batch.mask_stride = values.flatten(), stride
+        return
+    values = np.asarray(mask)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"mask must hold integers, not {values.dtype}; combine bits as 1 << 0 | 1 << 3")
+    if values.size and (values.min() < 0 or values.max() >= 1 << 32):
+        raise ValueError(f"mask must be from 0 to 2**32 - 1, but ranges from {values.min()} to {values.max()}")
+    try:
+        each, stride = spread(np.broadcast_to(values.astype(np.uint32), buffers.shape), buffers.shape, ())
+    except ValueError:
+        raise ValueError(
+            f"mask has the shape {values.shape}, which does not broadcast to that of the rays, {buffers.shape}"
+        ) from None
+    buffers.batch.mask, buffers.batch.mask_stride = wp.array(each, dtype=wp.uint32, device=device), stride
+
+
 def shares_origin(batch: RayBatch) -> bool:
     """Whether all rays are known to start at one point; one ray does."""
     return batch.origin_stride == 0 or batch.count <= 1

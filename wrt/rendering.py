@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.camera import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
+from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import launch, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.rays import Rays
@@ -35,7 +36,7 @@ BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
 AMBIENT_COLOR = (0.36, 0.39, 0.43)
 
-_corner_normals: WeakKeyDictionary[Scene, dict[float, wp.array]] = WeakKeyDictionary()
+_corner_normals: WeakKeyDictionary[Scene, tuple[SceneMesh, dict[float, wp.array]]] = WeakKeyDictionary()
 
 
 def render(
@@ -71,7 +72,8 @@ def render(
         shadows: whether the light casts shadows.
         ambient_samples: rays into the hemisphere for each camera ray; 0 for no ambient occlusion.
         ambient_distance: length of these rays in scene units: farther geometry does not darken; None for no limit.
-        albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the scene.
+        albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the scene,
+            mesh after mesh of `scene.meshes`; instances of a mesh look alike.
         background: colour where nothing is hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of those for the lower
             and the upper edge of the picture.
         smooth: whether to interpolate normals between triangles; False shows every facet.
@@ -131,19 +133,39 @@ def default_light(camera: Camera) -> np.ndarray:
 
 
 def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
-    """(3 F,) vec3 on the scene's device: smooth unit normals of all corners; made once for each angle, in degrees."""
-    made = _corner_normals.setdefault(scene, {})
+    """(3 F,) vec3 on the scene's device: smooth unit normals of all corners, of what instances share once, in its own space.
+
+    Made once for each angle, in degrees, and again when the scene has been changed.
+    """
+    mesh, made = _corner_normals.get(scene, (None, {}))
+    if mesh is not scene.device_mesh:
+        made = {}
+        _corner_normals[scene] = scene.device_mesh, made
     if crease_angle not in made:
-        mesh, device = scene.device_mesh, scene.device
-        count = mesh.faces.shape[0]
-        flat = wp.empty(count, dtype=wp.vec3, device=device)
-        angles = wp.empty(3 * count, dtype=float, device=device)
-        result = wp.empty(3 * count, dtype=wp.vec3, device=device)
-        launch(normals.face_normals_and_angles, count, [mesh.vertices, mesh.faces, flat, angles], device=device)
-        inputs = [_vertex_corners(scene), flat, angles, float(np.cos(np.radians(crease_angle))), result]
-        launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
-        made[crease_angle] = result
+        parts = [_smooth_normals(part, crease_angle) for part in scene.parts]
+        made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
     return made[crease_angle]
+
+
+def _smooth_normals(scene: Scene, crease_angle: float) -> wp.array:
+    mesh, device = scene.device_mesh, scene.device
+    count = mesh.faces.shape[0]
+    flat = wp.empty(count, dtype=wp.vec3, device=device)
+    angles = wp.empty(3 * count, dtype=float, device=device)
+    result = wp.empty(3 * count, dtype=wp.vec3, device=device)
+    launch(normals.face_normals_and_angles, count, [mesh.vertices, mesh.faces, flat, angles], device=device)
+    inputs = [_vertex_corners(scene), flat, angles, float(np.cos(np.radians(crease_angle))), result]
+    launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
+    return result
+
+
+def _joined(parts: list[wp.array]) -> wp.array:
+    joined = wp.empty(sum(map(len, parts)), dtype=wp.vec3, device=parts[0].device)
+    begin = 0
+    for part in parts:
+        wp.copy(joined, part, dest_offset=begin)
+        begin += len(part)
+    return joined
 
 
 @dataclass(frozen=True)
@@ -214,7 +236,7 @@ def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surfac
     look.smooth = crease_angle is not None
     if crease_angle is not None:
         look.corner_normals = corner_normals(scene, crease_angle)
-    colors = _colors("albedo", albedo, (1, scene.triangle_count), 1.0)
+    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.parts)), 1.0)
     look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
     look.albedo_stride = 0 if len(colors) == 1 else 1
     return look

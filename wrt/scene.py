@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,8 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Accelerator, KdTree, resolve_accelerator
+from wrt.geometry import as_meshes, check_index, join_meshes, moved_mesh
+from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
@@ -25,10 +26,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders import common
+    from wrt.builders.kdtree.lazy import LazyKdTree
     from wrt.builders.triangles import TriangleBoxes
     from wrt.few_rays import Desk
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
+    from wrt.local_trees import LocalTrees
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
 
@@ -39,12 +42,15 @@ Origin = tuple[float, float, float]
 class Scene(Queries):
     """Triangle meshes that rays can be shot at.
 
-    The tree is built at once, or as far as rays ask for it (`wrt.KdTree(builder="lazy")`); else a scene does not change
-    afterwards, and it may be used from several threads.
+    The tree is built at once, or as far as rays ask for it (`wrt.KdTree(builder="lazy")`). A scene may be used from several
+    threads, as long as none of them calls `update`: that changes the scene in one step, at its end or not at all, but a query
+    under way may see a part of it before and a part after. Results that were made before keep the geometry that they were made
+    with.
 
     Args:
-        geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, or a sequence of such; each mesh of a sequence is a
-            geometry of its own (`Hits.geometry_id`), a trimesh.Scene is one.
+        geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, a `wrt.Instance`, or a sequence of such. Each mesh of a
+            sequence is a geometry of its own (`Hits.geometry_id`), in one tree with the others. With an instance or a
+            trimesh.Scene in it, a `wrt.InstancedScene` is made, of two levels: each node of the graph is an instance.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of all queries that ask for none of
             their own. Only the default one counts (`count`, `intersect_all`, `contains`) exactly, and stays in charge of that.
@@ -58,6 +64,16 @@ class Scene(Queries):
         ValueError: unknown names, no such device, an empty sequence.
     """
 
+    instances: tuple[Instance, ...] = ()
+    """What a `wrt.InstancedScene` is made of; none in a scene of meshes."""
+
+    def __new__(cls, geometry: Any = None, *args: Any, **options: Any) -> Scene:
+        if cls is Scene and has_instances(geometry):
+            from wrt.instanced_scene import InstancedScene
+
+            cls = InstancedScene
+        return super().__new__(cls)
+
     def __init__(
         self,
         geometry: Any,
@@ -68,60 +84,111 @@ class Scene(Queries):
         num_threads: int | None = None,
         cache: str | Path | TreeSource | None = None,
     ) -> None:
-        self.meshes = _as_meshes(geometry)
         self.accelerator = resolve_accelerator(accelerator)
         self.triangle_test = _as_test(triangle_test)
         self.device = as_device(device)
         self.num_threads = None if num_threads is None else check_num_threads(num_threads, "num_threads")
-        vertices, faces, first = _join(self.meshes)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        self.center = (low.astype(np.float64) + high) / 2
-        """(3,) float64; geometry is held in float32 relative to this point."""
-        centered = (vertices - self.center).astype(np.float32)
         with use_threads(self.num_threads):
-            self._build(centered, faces, first, cache)
+            self._make(geometry, cache)
 
-    def _build(self, vertices: np.ndarray, faces: np.ndarray, geometry_first: np.ndarray, cache: Any) -> None:
+    def _make(self, geometry: Any, cache: Any) -> None:
+        self._set(as_meshes(geometry), None, cache)
+
+    def _set(self, meshes: tuple[TriangleMesh, ...], old: common.KdTree | common.Bvh | None, cache: Any) -> None:
+        """Takes over the meshes; the tree is refitted if there is an old one that can be, else built."""
         # What queries need is imported here: `wrt.kernels.traversal` and its parts import one another, and threads that enter
         # such a package from two ends at a time fail.
         import wrt.kernels.traversal  # noqa: F401
+        from wrt.builders.bvh.refit import refit
         from wrt.builders.triangles import triangle_boxes
         from wrt.local_trees import build_local_trees
 
+        vertices, faces, first = join_meshes(meshes)
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        center = (low.astype(np.float64) + high) / 2
+        vertices = (vertices - center).astype(np.float32)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
         host = wp.get_device("cpu")
         host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
         host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        boxes = triangle_boxes(host_vertices, host_faces, self.center)
-        self._find_tree(boxes, vertices, faces, cache)
-        self.device_mesh = SceneMesh()
-        """All triangles on the device, for kernels."""
-        self.device_mesh.vertices = host_vertices.to(self.device)
-        self.device_mesh.faces = host_faces.to(self.device)
-        self.device_mesh.center = wp.vec3d(*map(float, self.center))
-        self.device_mesh.low, self.device_mesh.high = wp.vec3(*self.tree.low), wp.vec3(*self.tree.high)
-        self.device_mesh.geometry_first = wp.array(geometry_first, dtype=int, device=self.device)
-        self.desks: dict[str, deque[Desk]] = {}
-        """Those that are free, for each query; see `wrt.few_rays`."""
-        self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
-        self.local_trees = build_local_trees(self, boxes) if isinstance(self.accelerator, RayAwareBvh) else None
-        """The trees of influence areas, where there are any."""
+        mesh = SceneMesh()
+        mesh.vertices, mesh.faces = host_vertices.to(self.device), host_faces.to(self.device)
+        has_areas = isinstance(self.accelerator, RayAwareBvh)
+        if old is not None and self.accelerator.kind == "bvh" and not has_areas:
+            tree, growing = refit(old, mesh.vertices, mesh.faces), None
+        else:
+            boxes = triangle_boxes(host_vertices, host_faces, center)
+            tree, growing = self._find_tree(boxes, vertices, faces, cache)
+        mesh.center = wp.vec3d(*map(float, center))
+        mesh.low, mesh.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
+        mesh.geometry_first = wp.array(first, dtype=int, device=self.device)
+        self._take_over(meshes, center, tree, mesh)
+        self.growing = growing
+        if has_areas:
+            self.local_trees = build_local_trees(self, boxes)
 
-    def _find_tree(self, boxes: TriangleBoxes, vertices: np.ndarray, faces: np.ndarray, cache: Any) -> None:
-        """Takes the tree from where trees are kept, or builds it, or begins to."""
+    def _find_tree(
+        self, boxes: TriangleBoxes, vertices: np.ndarray, faces: np.ndarray, cache: Any
+    ) -> tuple[common.KdTree | common.Bvh, LazyKdTree | None]:
+        """The tree, from where trees are kept, or built; or what there is of one that grows, and that."""
         from wrt.kernels.lanes import native_width
         from wrt.storage import as_source, is_kept, tree_key
 
         width, source = native_width(self.device), as_source(cache)
-        lazy = isinstance(self.accelerator, KdTree) and self.accelerator.is_lazy
-        self.growing = self.accelerator.start(boxes, width, self.device) if lazy else None
+        if isinstance(self.accelerator, KdTree) and self.accelerator.is_lazy:
+            growing = self.accelerator.start(boxes, width, self.device)
+            return growing.current.tree, growing
+
+        def build() -> common.KdTree | common.Bvh:
+            return self.accelerator.build(boxes, width)
+
+        if source is None or not is_kept(self.accelerator):
+            return build().to(self.device), None
+        key = tree_key(vertices, faces, self.accelerator, width)
+        return source.tree(key, len(faces), build).to(self.device), None
+
+    def _take_over(
+        self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh
+    ) -> None:
+        """The only place where a scene gets its parts; nothing here can fail."""
+        self.meshes = meshes
+        self.growing: LazyKdTree | None = None
         """The tree that is built lazily; None if it is all there."""
-        self._tree = None
-        if source is not None and is_kept(self.accelerator):
-            key = tree_key(vertices, faces, self.accelerator, width)
-            self._tree = source.tree(key, len(faces), lambda: self.accelerator.build(boxes, width)).to(self.device)
-        elif not lazy:
-            self._tree = self.accelerator.build(boxes, width).to(self.device)
+        self._tree = tree
+        self.local_trees: LocalTrees | None = None
+        """The trees of influence areas, where there are any."""
+        self.center = center
+        """(3,) float64; geometry is held in float32 relative to this point."""
+        self.device_mesh = mesh
+        """All triangles on the device, for kernels."""
+        self.desks: dict[str, deque[Desk]] = {}
+        """Those that are free, for each query; see `wrt.few_rays`."""
+        self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+        self.__dict__.pop("is_closed", None)
+
+    def update(self, index: int, *, vertices: Any = None, transform: Any = None, mask: int | None = None) -> None:
+        """Moves the vertices of a mesh; its triangles stay the same.
+
+        A BVH is refitted, which is faster than a build; it answers more slowly the further triangles move apart that were
+        close. A kd-tree is built again, and so are trees of influence areas.
+
+        Args:
+            index: of the mesh (`Hits.geometry_id`).
+            vertices: (V, 3), as many as the mesh has.
+            transform, mask: for scenes of instances (`wrt.InstancedScene.update`).
+
+        Raises:
+            TypeError: a value is of a wrong type.
+            ValueError: no such mesh, a wrong number of vertices, NaN or infinite ones, a transform or a mask. The scene is then
+                as before.
+        """
+        if transform is not None or mask is not None:
+            raise ValueError("transform and mask go with instances, and this scene has none; make it of wrt.Instance(mesh)")
+        index = check_index(index, len(self.meshes), "mesh")
+        moved, changed = moved_mesh(self.meshes[index], vertices), copy(self)
+        with use_threads(self.num_threads):
+            changed._set((*self.meshes[:index], moved, *self.meshes[index + 1 :]), self._tree, None)
+        self.__dict__ = changed.__dict__
 
     def over(self, tree: common.Bvh) -> Scene:
         """The same scene with another tree on its device, over some of its triangles; it has no areas."""
@@ -198,6 +265,21 @@ class Scene(Queries):
         return self.device_mesh.faces.shape[0]
 
     @property
+    def parts(self) -> tuple[Scene, ...]:
+        """The scenes of one level that this one is made of: itself, or those of the meshes that instances share."""
+        return (self,)
+
+    @property
+    def width(self) -> int:
+        """Triangles tested at once."""
+        return self.tree.width
+
+    @property
+    def depth(self) -> int:
+        """Most inner nodes on a path of a BVH."""
+        return self.tree.depth
+
+    @property
     def bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper corner of the box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
@@ -221,6 +303,10 @@ class Scene(Queries):
     def record_bytes(self) -> int:
         """Memory of the triangle records made so far: queries make those that their triangle test needs."""
         return sum(blocks.records.capacity for _, blocks in self._blocks.values())
+
+    def flattened(self) -> TriangleMesh:
+        """All meshes as one, triangles in the order in which the scene numbers them."""
+        return TriangleMesh.concatenate(self.meshes)
 
     def statistics(self) -> SceneStatistics:
         """Counts, histograms, costs and times of the mesh, the tree and its build."""
@@ -264,21 +350,6 @@ class Scene(Queries):
         return blocks
 
 
-def _as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
-    if isinstance(geometry, TriangleMesh):
-        return (geometry,)
-    if isinstance(geometry, Sequence) and not isinstance(geometry, (str, bytes)):
-        if not geometry:
-            raise ValueError("geometry is an empty sequence; pass at least one mesh")
-        return tuple(mesh for item in geometry for mesh in _as_meshes(item))
-    if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
-        return (TriangleMesh.from_trimesh(geometry),)
-    raise TypeError(
-        f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
-        "make a mesh of a file with wrt.TriangleMesh.load(path)"
-    )
-
-
 def _as_test(name: str) -> str:
     if name == AUTO:
         return name
@@ -299,14 +370,3 @@ def as_device(device: str | wp.Device | None) -> wp.Device:
     except (ValueError, RuntimeError) as error:
         names = ", ".join(str(d) for d in wp.get_devices())
         raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None
-
-
-def _join(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces and each mesh's first triangle, of all meshes in one."""
-    counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
-    if len(meshes) == 1:
-        return meshes[0].vertices, meshes[0].faces, counts
-    offsets = np.cumsum([0] + [mesh.vertex_count for mesh in meshes])
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    faces = np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)])
-    return vertices, faces.astype(np.int32), counts

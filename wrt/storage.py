@@ -33,6 +33,7 @@ from wrt.builders.common import BuildStats, Bvh, KdTree
 from wrt.mesh import TriangleMesh
 
 if TYPE_CHECKING:
+    from wrt.instances import Instance
     from wrt.scene import Scene
 
 FORMAT = 1
@@ -155,6 +156,8 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
 
 def save_scene(scene: Scene, path: str | Path) -> None:
     """Writes a scene to a file; see `wrt.Scene.save`."""
+    if scene.instances:
+        raise ValueError("a scene of instances cannot be saved; save one for each of its meshes, or pickle it")
     if not is_kept(scene.accelerator):
         kept = "a wrt.Bvh or a wrt.KdTree that is not lazy"
         raise ValueError(
@@ -211,14 +214,15 @@ def key_of(scene: Scene) -> str:
 
 
 def reduce_scene(scene: Scene) -> tuple[Callable[..., Scene], tuple[Any, ...]]:
-    """What a pickle of a scene holds: its tree too, if it is one that is kept."""
+    """What a pickle of a scene holds: its tree too, if that is one and is kept."""
     options = {"triangle_test": scene.triangle_test, "device": str(scene.device), "num_threads": scene.num_threads}
-    kept = (key_of(scene), pack_tree(scene.tree)) if is_kept(scene.accelerator) else None
-    return revive_scene, (scene.meshes, scene.accelerator, options, kept)
+    if scene.instances or not is_kept(scene.accelerator):
+        return revive_scene, (scene.instances or scene.meshes, scene.accelerator, options, None)
+    return revive_scene, (scene.meshes, scene.accelerator, options, (key_of(scene), pack_tree(scene.tree)))
 
 
 def revive_scene(
-    meshes: tuple[TriangleMesh, ...],
+    geometry: tuple[TriangleMesh | Instance, ...],
     accelerator: Accelerator,
     options: dict[str, Any],
     kept: tuple[str, dict[str, np.ndarray]] | None,
@@ -227,10 +231,10 @@ def revive_scene(
     from wrt.scene import Scene
 
     if kept is None:
-        return Scene(meshes, accelerator, **options)
+        return Scene(geometry, accelerator, **options)
     key, arrays = kept
-    tree = unpack_tree(arrays, sum(mesh.triangle_count for mesh in meshes))
-    return Scene(meshes, accelerator, **options, cache=KnownTree(key, tree))
+    tree = unpack_tree(arrays, sum(mesh.triangle_count for mesh in geometry))
+    return Scene(geometry, accelerator, **options, cache=KnownTree(key, tree))
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -10,7 +10,7 @@ import warp as wp
 from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, traversal_config, way_of
+from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, stack_levels, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -92,6 +92,9 @@ def new_lists(count: int, hits: int, device: wp.Device) -> HitBatch:
 
 def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
     """Traces rays; `work` has an entry for each ray if `counters`, else any number. Builds what rays ask for, if any waits."""
+    if scene.instances:
+        run_instances(scene, plan, rays, hits, query, work, counters)
+        return
     if scene.growing is not None and plan.accelerator != "none" and scene.growing.current.waiting:
         from wrt.growing import trace_growing
 
@@ -131,6 +134,26 @@ def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: 
         longest=max(1, longest // grain),
         chunks_per_thread=2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD,
     )
+
+
+def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
+    """Launches the traversal of two levels; arguments as those of `run`. All hits: `hits.begins` must be there.
+
+    Raises:
+        ValueError: work is to be counted for rays that do not go one by one.
+    """
+    from wrt.instance_batches import trace_batch
+    from wrt.kernels.traversal.instances import make_kernel
+
+    if plan.traversal != "single":
+        if counters:
+            raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
+        trace_batch(scene, plan, rays, hits, query)
+        return
+    config = traversal_config(plan, scene, query, counters)
+    kernel = specialise(partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth)), config)
+    inputs = [scene.upper(), scene.lower(plan, rays), rays, hits, work]
+    launch(kernel, rays.count, inputs, device=scene.device, chunk=1024)
 
 
 def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:

@@ -143,7 +143,7 @@ def verify(scene: Scene, samples: int, seed: int) -> Verification:
             raise TypeError(f"{name} must be an int, not {type(value).__name__}")
         if value < least:
             raise ValueError(f"{name} is {value}; it must be at least {least}")
-    joined = TriangleMesh.concatenate(scene.meshes)
+    joined = scene.flattened()
     vertices, faces = joined.vertices.astype(np.float64) - scene.center, joined.faces
     sizes = [samples // len(KINDS) + (number < samples % len(KINDS)) for number in range(len(KINDS))]
     rng = np.random.default_rng(seed)

@@ -85,3 +85,17 @@ def is_aligned(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float)
 def is_affine(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float):
     """Whether a ray belongs to the area: it starts in it and is aligned with its rays (Falcone 2024, section 3.1)."""
     return holds_point(view, origin) and is_aligned(view, origin, direction, sine)
+
+
+@wp.kernel
+def tell_affine(
+    first: int,
+    view: AreaView,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    sine: float,
+    affine: wp.array(dtype=wp.bool),
+):
+    """Item: a ray, relative to the view's centre."""
+    i = first + wp.tid()
+    affine[i] = is_affine(view, origins[i], directions[i], sine)

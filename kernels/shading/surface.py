@@ -13,8 +13,9 @@ References:
 
 import warp as wp
 
-from wrt.kernels.hits import SceneMesh
-from wrt.kernels.shading.normals import face_normal
+from wrt.kernels.hits import SceneMesh, Triangle, triangle_of, winding
+from wrt.kernels.instances import scene_normal
+from wrt.kernels.shading.normals import unit_or_zero
 from wrt.kernels.spawn import INSET, keep_from_edges, origin_offset
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -31,7 +32,7 @@ class Appearance:
     mesh: SceneMesh
     smooth: bool
     corner_normals: wp.array(dtype=wp.vec3)
-    """(3 F,) if `smooth`."""
+    """(3 F,) if `smooth`; F counts what instances share once."""
     albedo: wp.array(dtype=wp.vec3)
     """(F,) or (1,), linear."""
     albedo_stride: int
@@ -53,6 +54,16 @@ class Surface:
     shadow_origin: wp.array(dtype=wp.vec3d)
     shadow_direction: wp.array(dtype=wp.vec3)
     """To the light: t = 1 is there. 0 where no ray is needed."""
+
+
+@wp.func
+def corner_normal(scene: Appearance, triangle: Triangle, corner: int):
+    """Smooth unit normal at a corner of a triangle, in the scene."""
+    normal = scene.corner_normals[3 * triangle.face + corner]
+    result = wp.vec3d(normal)
+    if triangle.instance >= 0:
+        result = unit_or_zero(scene_normal(scene.mesh.placements[triangle.instance], normal))
+    return result
 
 
 @wp.func
@@ -80,17 +91,16 @@ def find_surface(
     shadow_origin = wp.vec3d()
     to_light = wp.vec3d()
     cosine = float(0.0)
-    triangle = primitive[i]
-    if triangle >= 0:
-        face = scene.mesh.faces[triangle]
-        a = wp.vec3d(scene.mesh.vertices[face[0]])
-        b = wp.vec3d(scene.mesh.vertices[face[1]])
-        c = wp.vec3d(scene.mesh.vertices[face[2]])
+    if primitive[i] >= 0:
+        triangle = triangle_of(scene.mesh, primitive[i])
+        a = triangle.a
+        b = triangle.b
+        c = triangle.c
         toward = wp.vec3d(directions[i * direction_stride])
-        winding = face_normal(scene.mesh.vertices, face)
-        side = wp.where(wp.dot(winding, toward) > wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
-        side_normal = side * winding
-        if wp.length_sq(winding) == wp.float64(0.0):
+        front = unit_or_zero(winding(scene.mesh, triangle) * wp.cross(b - a, c - a))
+        side = wp.where(wp.dot(front, toward) > wp.float64(0.0), wp.float64(-1.0), wp.float64(1.0))
+        side_normal = side * front
+        if wp.length_sq(front) == wp.float64(0.0):
             side_normal = -wp.normalize(toward)
         weights = wp.vec3(1.0 - uv[i][0] - uv[i][1], uv[i][0], uv[i][1])
         near = wp.vec3(wp.float64(weights[0]) * a + wp.float64(weights[1]) * b + wp.float64(weights[2]) * c)
@@ -102,9 +112,9 @@ def find_surface(
         shadow_origin = origin
         normal = side_normal
         if scene.smooth:
-            na = side * wp.vec3d(scene.corner_normals[3 * triangle])
-            nb = side * wp.vec3d(scene.corner_normals[3 * triangle + 1])
-            nc = side * wp.vec3d(scene.corner_normals[3 * triangle + 2])
+            na = side * corner_normal(scene, triangle, 0)
+            nb = side * corner_normal(scene, triangle, 1)
+            nc = side * corner_normal(scene, triangle, 2)
             blend = at[0] * na + at[1] * nb + at[2] * nc
             if wp.dot(blend, side_normal) > wp.float64(0.0):
                 normal = wp.normalize(blend)
@@ -114,7 +124,7 @@ def find_surface(
         cosine = wp.max(0.0, float(wp.dot(normal, wp.normalize(to_light))))
         if not cosine > 0.0:
             to_light = wp.vec3d()
-        surface.albedo[i] = scene.albedo[triangle * scene.albedo_stride]
+        surface.albedo[i] = scene.albedo[triangle.face * scene.albedo_stride]
     surface.origin[i] = origin
     surface.face_normal[i] = wp.vec3(side_normal)
     surface.normal[i] = wp.vec3(normal)

@@ -9,6 +9,9 @@ to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t
 
 Kernels that are built around one ray's walk elsewhere (`wrt.kernels.device`, `wrt.kernels.exact`) find it in `walk_table`.
 
+Scenes of instances are walked on two levels by kernels of their own, made of the same parts: `instances` for single rays,
+`instance_packets`, and `instance_batches` for streams.
+
 To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
 """
 
@@ -31,7 +34,7 @@ from wrt.kernels.traversal import (
     stream_bvh,
     stream_kdtree,
 )
-from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.config import ALL, NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters
 
 
@@ -69,6 +72,10 @@ class Traversal:
     def answers(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a kind of tree."""
         return query in self.queries.get(tree, NEAREST_QUERIES)
+
+    def culls_backfaces(self, tree: str) -> bool:
+        """Whether it can cull back faces on a kind of tree: those do that answer every query, as they test hits one by one."""
+        return tree in self.kernels and self.answers(ALL, tree)
 
     @property
     def trees(self) -> tuple[str, ...]:

@@ -38,6 +38,7 @@ class TraversalConfig:
         block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
         pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.kdtree`); the traversal "single" can take them for the
             nearest queries.
+        cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
         one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
@@ -54,6 +55,7 @@ class TraversalConfig:
     mailbox: str = NONE
     block: int = 0
     pairs: bool = False
+    cull_backfaces: bool = False
     one_by_one: bool = False
 
     @property

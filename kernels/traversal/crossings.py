@@ -92,7 +92,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
-    intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width)
+    intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width, config.cull_backfaces)
     take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
     shared, Results = Tree is KdNodes and config.query != NEXT, results_of(config.query)
 

@@ -12,7 +12,7 @@ from wrt.kernels.lanes import FOR_LANES, lanes, lowest_bit
 from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import Record, TriangleBlocks, corners_high, corners_low, load_corners, vertex_box
+from wrt.kernels.triangle.records import Corners, Record, TriangleBlocks, corners_high, corners_low, load_corners, vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -112,20 +112,54 @@ _CLAMP = """
         t.c[i] = at;
         kept |= ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? 1u << i : 0u;
     }
-    return kept & mask;
+    kept &= mask;
+    if (CULLING) for (int i = 0; i < W; ++i) {
+        if (!(kept >> i & 1u)) continue;
+        const float ax = r[i], ay = r[W + i], az = r[2 * W + i], bx = r[3 * W + i], by = r[4 * W + i], bz = r[5 * W + i];
+        const float cx = r[6 * W + i], cy = r[7 * W + i], cz = r[8 * W + i];
+        FRONT
+        kept &= front ? ~0u : ~(1u << i);
+    }
+    return kept;
 """
+
+_FRONT = """
+        const double ux = (double)bx - ax, uy = (double)by - ay, uz = (double)bz - az;
+        const double vx = (double)cx - ax, vy = (double)cy - ay, vz = (double)cz - az;
+        const double along_x = (uy * vz - uz * vy) * (double)(1.0f / slabs.inverse.c[0]);
+        const double along_y = (uz * vx - ux * vz) * (double)(1.0f / slabs.inverse.c[1]);
+        const double along_z = (ux * vy - uy * vx) * (double)(1.0f / slabs.inverse.c[2]);
+        const bool front = (along_x + along_y) + along_z < 0.0;
+"""
+"""C++ that sets `front` from the vertices ax .. cz: the direction comes from where every traversal has it."""
+
+
+@wp.func_native(f"""
+    const float ax = corners.a.c[0], ay = corners.a.c[1], az = corners.a.c[2];
+    const float bx = corners.b.c[0], by = corners.b.c[1], bz = corners.b.c[2];
+    const float cx = corners.c.c[0], cy = corners.c.c[1], cz = corners.c.c[2];
+    {_FRONT}
+    return front;
+""")
+def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
+    """Whether a ray comes from the side from which a triangle is wound counter-clockwise; not if it is seen edge-on."""
+    ...
 
 
 @cache
-def clamp_block(record: Record, width: int) -> wp.Function:
+def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.Function:
     """`wp.func(records, block, slabs, mask, t, t_min, t_max) -> mask`: `clamp_to_box` for the W candidates of a block.
 
-    Which of the lanes in `mask` are hits by the consistency rule, with t_min <= t <= t_max; `t` is clamped in place.
+    Which of the lanes in `mask` are hits by the consistency rule, with t_min <= t <= t_max; `t` is clamped in place. If back
+    faces are culled, only those that the ray meets from their front.
     """
     Lanes = lanes(width)
-    constants = f"    constexpr int W = {width}, COMPONENTS = {record.components};"
+    constants = (
+        f"    constexpr int W = {width}, COMPONENTS = {record.components}; constexpr bool CULLING = {int(cull_backfaces)};"
+    )
+    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("FRONT", _FRONT)
 
-    @wp.func_native(FOR_LANES + constants + _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")))
+    @wp.func_native(FOR_LANES + constants + code)
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,
@@ -145,6 +179,7 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
     test = TRIANGLE_TESTS[config.triangle_test]
     RayState, intersect, width = test.ray_state, test.forms(config.crossing).intersect, config.width
     load, load_vertices = test.record.load, load_corners(test.record.components)
+    culling = config.cull_backfaces
 
     @wp.func
     def step(records: wp.array(dtype=float), slot: int, state: RayState, slabs: RaySlabs):
@@ -152,6 +187,9 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
         if hit[0] != hit[0]:
             return hit
         corners = load_vertices(records, slot, wp.static(width))
+        if wp.static(culling):  # noqa: SIM102  (joined by `and`, both would be computed)
+            if not comes_from_front(slabs, corners):
+                return wp.vec3(wp.nan, 0.0, 0.0)
         return wp.vec3(clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0]), hit[1], hit[2])
 
     return step
@@ -166,7 +204,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
     width = config.width
     Lanes = lanes(width)
     RayState = test.ray_state
-    intersect_block, clamp = test.block_test(width), clamp_block(test.record, width)
+    intersect_block, clamp = test.block_test(width), clamp_block(test.record, width, config.cull_backfaces)
     any_hit = config.query == ANY
 
     @wp.func

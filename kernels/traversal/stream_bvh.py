@@ -116,19 +116,27 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
-    """The kernel for one specialisation."""
-    StreamRay = stream_ray(config.triangle_test)
-    load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
-    counting, size = config.counters, config.stream
-    room = (config.levels + 1) * size + LIST_LANES
+def list_valid(triangle_test: str) -> wp.Function:
+    """`wp.func(stream, count, words) -> int`: the numbers of the first `count` rays that are valid; how many they are."""
+    StreamRay = stream_ray(triangle_test)
 
     @wp.func_native("""
         int size = 0;
         for (int k = 0; k < count; ++k) { words.data[size] = k; size += rays.data[k].best.t >= 0.0f ? 1 : 0; }
         return size;
     """)
-    def list_valid(rays: wp.array(dtype=StreamRay), count: int, words: wp.array(dtype=int)) -> int: ...
+    def list_valid_native(rays: wp.array(dtype=StreamRay), count: int, words: wp.array(dtype=int)) -> int: ...
+
+    return list_valid_native
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    StreamRay = stream_ray(config.triangle_test)
+    load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
+    list_rays, counting, size = list_valid(config.triangle_test), config.counters, config.stream
+    room = (config.levels + 1) * size + LIST_LANES
 
     def stream_bvh(
         first: int,
@@ -146,7 +154,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             count = wp.min(wp.static(size), end - begin)
             work = StreamCounters()
             load(rays, begin, count, tree.low, tree.high, stream)
-            trace(tree, triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
+            trace(tree, triangles, stream, words, list_rays(stream, count, words), hits, begin, work)
             store(stream, begin, count, hits)
             if wp.static(counting):
                 counters[begin] = work

@@ -1,0 +1,212 @@
+"""Two levels: a tree of instances, and in each instance that a ray reaches the tree of its geometry, one ray at a time.
+
+**Here.** The upper tree is a wide BVH over the boxes of the instances in the scene, one instance a leaf, walked as
+`wrt.kernels.traversal.single_bvh` walks triangles: nearest box first, and nothing beyond the best hit. At a leaf the ray is
+brought into the geometry's space (`wrt.kernels.instances`), and the geometry's own tree, of either kind, is walked by the same
+function that walks a scene of one mesh: with t_max where the best hit so far is.
+
+**The consistency rule on two levels.** A hit counts if the transformed ray meets the triangle's widened box
+(`wrt.kernels.boxes`), whose slack is a share of the reach in the geometry's space. In the scene that slack is stretched by the
+map: by at most the product of the norms of the map and of its inverse, the greatest sum of a row's absolute values. Twice
+that share of the reach in the scene (the factor 2 leaves room for rounding the transformed ray and the instance's box) is the
+slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). So no instance is passed over, or
+seems to start beyond, a hit that its own tree finds: the answer is that of every instance asked one after the other.
+
+References:
+    S. M. Rubin, T. Whitted: A 3-dimensional representation for fast rendering of complex scenes. SIGGRAPH 1980 (a hierarchy of
+        spaces, rays transformed on the way down).
+    I. Wald, C. Benthin, P. Slusallek: Distributed interactive ray tracing of dynamic scenes. IEEE Symposium on Parallel and
+        Large-Data Visualization and Graphics 2003 (two levels of trees, of which only the upper is built again).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels import bvh
+from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
+from wrt.kernels.boxes import ray_slabs, reach
+from wrt.kernels.bvh import WideNodes
+from wrt.kernels.instances import Placement, centered_origin, object_ray, ray_mask
+from wrt.kernels.kdtree import KdNodes
+from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.traversal.config import ALL, ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, Counters, improves, start, store_best
+from wrt.kernels.traversal.walk_table import WALKS
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class InstanceTree:
+    """The upper level."""
+
+    tree: WideNodes
+    """Boxes relative to the scene's centre; a leaf has one instance."""
+    order: wp.array(dtype=int)
+    """(leaves * width,) the instance of each leaf, first of its block."""
+    placements: wp.array(dtype=Placement)
+    stretch: float
+    """By what a ray's reach is multiplied for the slack of the boxes."""
+
+
+@wp.struct
+class BvhPart:
+    """What is traversed of a geometry."""
+
+    tree: WideNodes
+    triangles: TriangleBlocks
+
+
+@wp.struct
+class KdTreePart:
+    """What is traversed of a geometry."""
+
+    tree: KdNodes
+    triangles: TriangleBlocks
+
+
+PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
+"""For each kind of tree the struct of a geometry."""
+
+
+@cache
+def take_hits(config: TraversalConfig) -> wp.Function:
+    """`wp.func(placement, found, t_min, hits, i, best) -> best`: what a walk found in an instance, as a hit of the scene."""
+    crossing, storing = config.crossing, config.query == ALL
+
+    @wp.func
+    def take(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[HitBatch], i: int, best: Candidate):
+        if wp.static(crossing):
+            if wp.static(storing):
+                begin = hits.begins[i]
+                for place in range(begin, begin + found.primitive + 1):
+                    hits.primitive[place] = hits.primitive[place] + placement.first
+                hits.begins[i] = begin + found.primitive + 1
+            best.primitive += found.primitive + 1
+        elif found.primitive >= 0 and improves(found.t, placement.first + found.primitive, t_min, best):
+            best = found
+            best.primitive = placement.first + found.primitive
+        return best
+
+    return take
+
+
+@cache
+def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
+    """`wp.func(placement, parts, origin, ray, hits, i, best, work) -> best`: the ray through one instance."""
+    Part, walk, take = PARTS[kind], WALKS[kind][1](config), take_hits(config)
+
+    @wp.func
+    def visit(
+        placement: Placement,
+        parts: wp.array(dtype=Part),
+        origin: wp.vec3d,
+        ray: Ray,
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        own = object_ray(placement, origin, ray, best.t)
+        if own.valid:
+            part = parts[placement.geometry]
+            best = take(placement, walk(part.tree, part.triangles, own, hits, i, work), ray.t_min, hits, i, best)
+        return best
+
+    return visit
+
+
+@cache
+def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
+    """`wp.func(top, parts, origin, ray, mask, hits, i, work) -> best` for ray number i, a valid one.
+
+    Args:
+        config: the specialisation of the walks through geometries.
+        kind: of the geometries' trees, key of `PARTS`.
+        levels: inner nodes on a path of the upper tree.
+    """
+    Part, visit = PARTS[kind], make_visit(config, kind)
+    width, counting, any_hit, row = max(config.width, 2), config.counters, config.query == ANY, levels * max(config.width, 2)
+    test_boxes, nearest = ray_boxes(width), nearest_child(width)
+
+    @wp.func
+    def walk(
+        top: InstanceTree,
+        parts: wp.array(dtype=Part),
+        origin: wp.vec3d,
+        ray: Ray,
+        mask: wp.uint32,
+        hits: wp.ref[HitBatch],
+        i: int,
+        work: wp.ref[Counters],
+    ):
+        best = start(ray.t_max)
+        slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+        keys = wp.zeros(shape=(row,), dtype=int)
+        path = wp.zeros(shape=(levels,), dtype=int)
+        level = int(0)
+        key = test_boxes(top.tree.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
+        if wp.static(counting):
+            work.nodes += 1
+            work.boxes += wp.static(width)
+        while level >= 0:
+            if entry_of(key, wp.static(width)) <= best.t:
+                lane = key & wp.static(width - 1)
+                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
+                child = load_int(top.tree.child, load_int(path, level) * wp.static(width) + lane)
+                if child >= 0:
+                    level += 1
+                    store_int(path, level, child)
+                    key = test_boxes(top.tree.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
+                    if wp.static(counting):
+                        work.nodes += 1
+                        work.boxes += wp.static(width)
+                else:
+                    placement = top.placements[load_int(top.order, bvh.first_block(child) * wp.static(width))]
+                    if (placement.mask & mask) != wp.uint32(0):
+                        best = visit(placement, parts, origin, ray, hits, i, best, work)
+                    key = nearest(keys, level * wp.static(width))
+                    if wp.static(any_hit):
+                        level = wp.where(best.primitive < 0, level, -1)
+            else:
+                level -= 1
+                if level >= 0:
+                    key = nearest(keys, level * wp.static(width))
+        return best
+
+    return walk
+
+
+@cache
+def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
+    """The kernel for one specialisation; arguments as those of `make_walk_instances`.
+
+    Lists of all hits go to the places from `HitBatch.begins` on: a ray's hits have to be counted first.
+    """
+    Part, walk, store = PARTS[kind], make_walk_instances(config, kind, levels), store_best(config)
+    counting, storing = config.counters, config.query == ALL
+
+    def single_ray_instances(
+        first: int,
+        top: InstanceTree,
+        parts: wp.array(dtype=Part),
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: wp.array(dtype=Counters),
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        work = Counters()
+        if ray.valid:
+            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), hits, i, work)
+            if wp.static(storing):
+                hits.begins[i] = hits.begins[i] - (best.primitive + 1)
+        store(hits, i, best)
+        if wp.static(counting):
+            counters[i] = work
+
+    return wp.kernel(single_ray_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
