@@ -85,9 +85,10 @@ def measure(cases: Iterable[Case], trees: Sequence[str] = tuple(TREES), *, rays:
             scene = scene_of(case, tree)
             found = analyse(scene, case.area, case.rays(rays))
             passing, boxes = found.passing, found.boxes
-            estimates = [analyse(scene).expected_cost] * 2
             if tree.startswith("PAH"):
                 estimates = [found.expected_cost, analyse(scene, unclipped(case.area)).expected_cost]
+            else:
+                estimates = [analyse(scene).expected_cost] * 2
             errors = [abs(passing.cost - estimate) / estimate for estimate in estimates]
             row = {"scene": case.scene, "kind": case.kind, "way": case.way, "tree": tree, "cost": passing.cost}
             row |= {"boxes": passing.boxes, "triangles": passing.triangles, "stopping": found.stopping.cost}
