@@ -26,7 +26,7 @@ def test_rays_of_a_case_are_of_its_area(kind):
         rays = case.rays(256)
         assert wrt.Scene(case.mesh).intersect(rays).is_hit.all()
         scene = wrt.Scene(case.mesh, wrt.RayAwareBvh(areas=[case.area]))
-        assert wrt.break_even(scene, rays.origins, rays.directions).alone == 0.0
+        assert wrt.break_even(scene, rays).alone == 0.0
 
 
 def test_scenes():

@@ -133,12 +133,12 @@ class Case:
         return PointInfluenceArea(**place, fov=fov, near=0.01 * radius, far=3 * radius)
 
     def rays(self, count: int, seed: int = 0) -> Rays:
-        """So many of the area's rays, evenly over its window."""
+        """So many of the area's rays, evenly over its window; of a point area, from its near plane on."""
         if self.kind == "plane":
             return PlaneCaster.of(self.area).rays(count, seed)
         even = PlaneCaster(position=(0, 0, 0), direction=(0, 0, 1), up=(0, 1, 0), width=2, height=2).rays(count, seed)
         across = even.origins[:, :2] * self.area.tangents * (-1.0, 1.0)
-        return Rays(np.array([self.area.position]), np.c_[across, np.ones(count)] @ self.area.frame)
+        return Rays(np.array([self.area.position]), np.c_[across, np.ones(count)] @ self.area.frame, self.area.near)
 
 
 def cases(

@@ -153,8 +153,7 @@ def balances(cases: Iterable[Case], *, rays: int = 4096, reaches: Sequence[float
             scene = Scene(case.mesh, RayAwareBvh(areas=[area], whole=whole, local=local), device="cpu")
             if scene.local_trees is None:
                 continue
-            batch = case.rays(rays)
-            found = break_even(scene, batch.origins, batch.directions, samples=rays)
+            found = break_even(scene, case.rays(rays), samples=rays)
             if not found.areas:
                 continue
             (balance,) = found.areas
