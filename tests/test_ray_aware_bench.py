@@ -24,7 +24,7 @@ def test_rays_of_a_case_are_of_its_area(kind):
     for way in DIRECTIONS:
         case = Case("walls", SCENES["walls"](), kind, way)
         rays = case.rays(256)
-        assert wrt.Scene(case.mesh).intersect(rays).is_hit.all()
+        assert wrt.Scene(case.mesh).intersect(rays, traversal="single").is_hit.all()
         scene = wrt.Scene(case.mesh, wrt.RayAwareBvh(areas=[case.area]))
         assert wrt.break_even(scene, rays).alone == 0.0
 

@@ -358,6 +358,6 @@ def picture(case: Case, size: int = 200) -> np.ndarray:
         rays = Rays(origins, np.broadcast_to(area.frame[2], origins.shape))
     else:
         rays = Rays(np.array(area.position), across + area.frame[2])
-    hits = Scene(case.mesh, device="cpu").intersect(rays)
+    hits = Scene(case.mesh, device="cpu").intersect(rays, traversal="single")
     unit = rays.directions / np.linalg.norm(rays.directions, axis=-1, keepdims=True)
     return np.where(hits.is_hit, np.abs((hits.normal * unit).sum(axis=-1)), np.nan)
