@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import log2
 from time import perf_counter
 
@@ -188,7 +189,11 @@ class KdTree:
         return self.nodes.capacity + self.primitive.capacity
 
     def struct(self) -> KdNodes:
-        """The tree for a traversal kernel."""
+        """The tree for a traversal kernel; to be left as it is."""
+        return self._struct
+
+    @cached_property
+    def _struct(self) -> KdNodes:
         tree = KdNodes()
         tree.nodes = self.nodes
         tree.low = self.low
@@ -236,7 +241,11 @@ class Bvh:
         return len(self.level_first) - 1
 
     def struct(self) -> WideNodes:
-        """The tree for a traversal kernel."""
+        """The tree for a traversal kernel; to be left as it is."""
+        return self._struct
+
+    @cached_property
+    def _struct(self) -> WideNodes:
         tree = WideNodes()
         tree.bounds = self.bounds
         tree.child = self.child

@@ -47,6 +47,9 @@ STREAMS_PER_THREAD = 4
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
 
+MOST_PLANS = 64
+"""Plans that a scene on CUDA keeps."""
+
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
 
@@ -123,6 +126,19 @@ def make_plan(
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
         return check_plan(replace(traversal, cull_backfaces=culled), scene, rays, query)
+    if not scene.device.is_cuda:
+        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
+    # A kernel there is done before Python has made its plan: nothing is sampled, and the same rays have the same plan.
+    key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.batch.origin_stride
+    if key not in scene.plans:
+        if len(scene.plans) >= MOST_PLANS:
+            scene.plans.clear()
+        scene.plans[key] = choose_plan(scene, rays, *key[:4])
+    return scene.plans[key]
+
+
+def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool) -> Plan:
+    """A plan for these rays; arguments and errors as of `make_plan`."""
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 

@@ -161,6 +161,8 @@ class Scene(Queries):
         """(3,) float64; geometry is held in float32 relative to this point."""
         self.device_mesh = mesh
         """All triangles on the device, for kernels."""
+        self.plans: dict[tuple[Any, ...], Plan] = {}
+        """Those that were made for rays on CUDA."""
         self.desks: dict[str, deque[Desk]] = {}
         """Those that are free, for each query; see `wrt.few_rays`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
@@ -253,7 +255,7 @@ class Scene(Queries):
     def __copy__(self) -> Scene:
         """A scene of its own with the same meshes and tree, where they are."""
         other = object.__new__(type(self))
-        other.__dict__ |= self.__dict__ | {"desks": {}, "_blocks": dict(self._blocks)}
+        other.__dict__ |= self.__dict__ | {"desks": {}, "plans": {}, "_blocks": dict(self._blocks)}
         return other
 
     def __repr__(self) -> str:
