@@ -47,6 +47,7 @@ _HOME = {
     "SquareCapCaster": "wrt.ray_casters",
     "TreeAnalysis": "wrt.analysis",
     "TriangleMesh": "wrt.mesh",
+    "UpdatePolicy": "wrt.updates",
     "Verification": "wrt.verification",
     "analyse": "wrt.analysis",
     "break_even": "wrt.balance",
