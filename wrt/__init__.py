@@ -28,6 +28,7 @@ _HOME = {
     "Blocks": "wrt.blocks",
     "Bvh": "wrt.accelerator",
     "CircularCapCaster": "wrt.ray_casters",
+    "FuzzyScene": "wrt.fuzzy_scene",
     "Hits": "wrt.hits",
     "InfluenceAreas": "wrt.influence_areas",
     "Instance": "wrt.instances",

@@ -69,6 +69,9 @@ class Scene(Queries):
     instances: tuple[Instance, ...] = ()
     """What a `wrt.InstancedScene` is made of; none in a scene of meshes."""
 
+    only_single = False
+    """Whether rays go one by one, whatever the traversal "auto" would choose."""
+
     def __new__(cls, geometry: Any = None, *args: Any, **options: Any) -> Scene:
         if cls is Scene and has_instances(geometry):
             from wrt.instanced_scene import InstancedScene

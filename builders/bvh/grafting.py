@@ -4,7 +4,7 @@ Nodes are in breadth-first order (`wrt.kernels.bvh`), level by level: the nodes 
 led to the old subtrees lead to the new ones, and what can be reached from the root is numbered again.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -47,15 +47,7 @@ def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
         The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
     """
     width, trees = tree.width, [tree, *subtrees.values()]
-    sizes = [other.level_first[-1] for other in trees]
-    pools, node_base, block_base = [], 0, 0
-    for other, size in zip(trees, sizes, strict=True):
-        words = other.child.numpy().reshape(-1, width)[:size]
-        is_leaf = (words < 0) & (words != EMPTY_LANE)
-        pools.append(np.where(words >= 0, words + node_base, np.where(is_leaf, words - (block_base << 6), words)))
-        node_base, block_base = node_base + size, block_base + len(other.primitive) // width
-    child = np.concatenate(pools)
-    bounds = np.concatenate([t.bounds.numpy().reshape(-1, 6 * width)[:size] for t, size in zip(trees, sizes, strict=True)])
+    sizes, child, bounds, lists = pool(trees)
     leads_to = np.arange(len(child))
     leads_to[list(subtrees)] = np.cumsum(sizes)[:-1]
     child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
@@ -66,7 +58,6 @@ def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
     words = np.where(words >= 0, number[np.maximum(words, 0)], words)
     leaf = (words < 0) & (words != EMPTY_LANE)
     packed = ~words[leaf]
-    lists = np.concatenate([other.primitive.numpy() for other in trees])
     primitive, first = gather_blocks(lists, width, packed >> 6, -(-(packed & 63) // width))
     words[leaf] = ~(first << 6 | packed & 63)
     device = tree.bounds.device
@@ -76,6 +67,35 @@ def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
     stats.reserve(*made)
     source = np.where(order < sizes[0], order, -1)
     return Bvh(*made, tree.low, tree.high, width, level_first, stats), source
+
+
+def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of each tree; and of all: (nodes, W) child words that lead to the same in the pool, boxes, and leaf lists."""
+    sizes, children, node_base, block_base = [tree.level_first[-1] for tree in trees], [], 0, 0
+    for tree, size in zip(trees, sizes, strict=True):
+        words = tree.child.numpy().reshape(-1, tree.width)[:size]
+        leaf = (words < 0) & (words != EMPTY_LANE)
+        children.append(np.where(words >= 0, words + node_base, np.where(leaf, words - (block_base << 6), words)))
+        node_base, block_base = node_base + size, block_base + len(tree.primitive) // tree.width
+    bounds = [tree.bounds.numpy().reshape(-1, 6 * tree.width)[:size] for tree, size in zip(trees, sizes, strict=True)]
+    lists = [tree.primitive.numpy() for tree in trees]
+    return sizes, np.concatenate(children), np.concatenate(bounds), np.concatenate(lists)
+
+
+def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray]:
+    """Trees side by side in the same arrays, and the root of each; the whole has no root, no box and no levels.
+
+    Args:
+        trees: on one device.
+        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+    """
+    sizes, child, bounds, _ = pool(trees)
+    lists = [tree.primitive.numpy() for tree in trees]
+    ids = [np.where(own >= 0, number[own], -1) for own, number in zip(lists, members, strict=True)]
+    device, stats = trees[0].bounds.device, BuildStats()
+    arrays = bounds.ravel(), child.ravel().astype(np.int32), np.concatenate(ids).astype(np.int32)
+    made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]
+    return Bvh(*made, wp.vec3(), wp.vec3(), trees[0].width, (0,), stats), np.cumsum(sizes) - sizes
 
 
 def breadth_first(child: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:

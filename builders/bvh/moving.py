@@ -73,10 +73,7 @@ class MovedBvh:
         """
         boxes = self._boxes().boxes
         low, high = boxes.low.numpy().T, boxes.high.numpy().T
-        subtrees = {
-            node: build_subtree(own, low, high, self._build)
-            for node, own in zip(chosen, ids, strict=True)
-        }
+        subtrees = {node: build_subtree(own, low, high, self._build) for node, own in zip(chosen, ids, strict=True)}
         depth = np.searchsorted(self.tree.level_first, chosen, side="right") - 1
         if max(int(at) + subtree.depth for at, subtree in zip(depth, subtrees.values(), strict=True)) > MAX_WIDE_DEPTH:
             return None
