@@ -9,8 +9,8 @@ nothing gets better. Then a new cluster is *seeded* with the triangle whose vert
 on, until there are as many clusters as asked for, or the straying is below a threshold.
 
 **What we changed.** The residual motion of a triangle is measured by what becomes of it: how large the boxes are that its
-vertices need over all frames. A map is pulled slightly to the nearest rotation, which settles what a flat cluster leaves open; and it is
-that rotation if the map all but flattens space. Time is linear in frames x triangles x clusters.
+vertices need over all frames. A map is pulled slightly to the nearest rotation, which settles what a flat cluster leaves open;
+and it is that rotation if the map all but flattens space. Time is linear in frames x triangles x clusters.
 
 References:
     J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.

@@ -164,3 +164,32 @@ def test_instances_share_what_was_kept():
     assert scene.last_update.action == "built"
     scene.update(1, mask=3)
     assert scene.last_update is None
+
+
+@pytest.mark.parametrize("make", [lambda: BALL, lambda: [wrt.Instance(BALL), BALL]], ids=["mesh", "instances"])
+def test_building_while_tracing(make):
+    """The block sees the old frame, on other threads than the builder's; afterwards it is the new one."""
+    scene, rays = wrt.Scene(make(), device="cpu", num_threads=3), mixed_rays(BALL, 500)
+    before, expected = scene.intersect(*rays, traversal="single"), wrt.Scene(make(), device="cpu")
+    expected.update(0, vertices=2.0 * BALL.vertices)
+    with scene.updating(0, vertices=2.0 * BALL.vertices, threads=2):
+        assert scene.num_threads == 1
+        for _ in range(5):
+            assert_same_hits(scene.intersect(*rays, traversal="single"), before)
+    assert scene.num_threads == 3
+    assert_same_hits(scene.intersect(*rays, traversal="single"), expected.intersect(*rays, traversal="single"))
+    assert scene.last_update.action == "kept"
+
+
+def test_a_failed_update_in_the_background_changes_nothing():
+    scene, rays = wrt.Scene(BALL, device="cpu"), mixed_rays(BALL, 300)
+    before, tree = scene.intersect(*rays, traversal="single"), scene.tree
+    with pytest.raises(ValueError, match="5 points"), scene.updating(0, vertices=np.zeros((5, 3))):
+        assert scene.tree is tree
+    with pytest.raises(KeyError), scene.updating(0, vertices=2.0 * BALL.vertices):
+        raise KeyError
+    with pytest.raises(ValueError, match="threads is 0"), scene.updating(0, vertices=BALL.vertices, threads=0):
+        pass
+    assert scene.tree is tree
+    assert scene.num_threads is None
+    assert_same_hits(scene.intersect(*rays, traversal="single"), before)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from wrt.statistics import SceneStatistics
 
 ENOUGH = 1e-3
-"""Share of the animation's extent: no more clusters once no triangle needs larger fuzzy boxes for what is left of its motion."""
+"""Share of the animation's extent: no more clusters once no triangle needs larger boxes for what is left of its motion."""
 
 
 class FuzzyScene(Scene):
@@ -135,9 +135,7 @@ class FuzzyScene(Scene):
         Raises:
             ValueError: always; the message says what to ask instead.
         """
-        raise ValueError(
-            "a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one of this frame"
-        )
+        raise ValueError("a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one")
 
     @property
     def exact_vertices(self) -> wp.array:

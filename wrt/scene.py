@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import AbstractContextManager
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -210,6 +211,25 @@ class Scene(Queries):
         with use_threads(self.num_threads):
             changed._set((*self.meshes[:index], moved, *self.meshes[index + 1 :]), None, policy)
         self.__dict__ = changed.__dict__
+
+    def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
+        """Updates the scene while the `with` block goes on asking the old one.
+
+            with scene.updating(0, vertices=next_frame):
+                image = wrt.render(scene, camera)  # of this frame
+            # the scene is now the next frame
+
+        Args:
+            args, options: as of `update`.
+            threads: those of the CPU that build; queries of this scene get the others meanwhile, but at least one.
+
+        Raises:
+            TypeError, ValueError: as of `update`, at the end of the block; or `threads` is no number from 1 to 1024. The scene
+                is then as before, as after an exception in the block itself.
+        """
+        from wrt.background import updating
+
+        return updating(self, threads, args, options)
 
     def over(self, tree: common.Bvh) -> Scene:
         """The same scene with another tree on its device, over some of its triangles; it has no areas."""

@@ -44,8 +44,8 @@ class UpdatePolicy:
     """When `Scene.update` builds a tree again; its argument `rebuild` takes one, or just a name for `when`.
 
     Attributes:
-        when: "auto": if the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; "never" (kd-trees are built again even so where the old
-            planes would cut triangles into more than 64 pieces on average).
+        when: "auto": if the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; "never" (kd-trees are built
+            again even so where the old planes would cut triangles into more than 64 pieces on average).
         tolerance: for "auto", how many times its cost when it was built a tree or subtree may come to, by the surface area
             heuristic; at least 1.
         subtrees: for "auto", whether a part of the tree may be built again alone.

@@ -1,7 +1,7 @@
 """A tree of fuzzy boxes: clusters of triangles that move nearly as one, each with a tree in a space that moves along.
 
-**Idea (Guenther et al. 2006).** What a cluster's triangles do is an affine motion that they share, and a rest. In the space
-that the affine maps carry along, the rest is small: boxes around all that a triangle does there in all frames, fuzzy boxes, hold a
+**Idea (Guenther et al. 2006).** What a cluster does is an affine motion that its triangles share, and a rest. In the space that
+the affine maps carry along, the rest is small: boxes around all that a triangle does there in all frames, fuzzy boxes, hold a
 tree that is built once. A frame is a map for each cluster, and where the triangles are. A ray is brought into the cluster's
 space to walk its tree.
 
