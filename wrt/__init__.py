@@ -29,6 +29,7 @@ _HOME = {
     "Bvh": "wrt.accelerator",
     "CircularCapCaster": "wrt.ray_casters",
     "FuzzyScene": "wrt.fuzzy_scene",
+    "GroupedScene": "wrt.grouped_scene",
     "Hits": "wrt.hits",
     "InfluenceAreas": "wrt.influence_areas",
     "Instance": "wrt.instances",

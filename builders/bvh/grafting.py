@@ -1,4 +1,4 @@
-"""Subtrees of a wide BVH built again, in place of the old ones.
+"""Trees put together: subtrees of a wide BVH in place of old ones, and several trees below an upper one, or side by side.
 
 Nodes are in breadth-first order (`wrt.kernels.bvh`), level by level: the nodes of all trees go into one pool, the lanes that
 led to the old subtrees lead to the new ones, and what can be reached from the root is numbered again.
@@ -34,10 +34,7 @@ def subtree_triangles(tree: Bvh, node: int) -> np.ndarray:
 
 def build_subtree(ids: np.ndarray, low: np.ndarray, high: np.ndarray, build: Build) -> Bvh:
     """A tree of its own for the triangles `ids`; low, high: (T, 3) float32 boxes of all triangles."""
-    tree = build(boxes_of(low[ids], high[ids]))
-    lists = tree.primitive.numpy()
-    numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
-    return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
+    return renamed(build(boxes_of(low[ids], high[ids])), ids)
 
 
 def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
@@ -46,11 +43,46 @@ def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
     Returns:
         The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
     """
-    width, trees = tree.width, [tree, *subtrees.values()]
-    sizes, child, bounds, lists = pool(trees)
+    sizes, child, bounds, lists = pool([tree, *subtrees.values()])
     leads_to = np.arange(len(child))
     leads_to[list(subtrees)] = np.cumsum(sizes)[:-1]
     child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
+    grafted, order = assembled(child, bounds, lists, tree)
+    return grafted, np.where(order < sizes[0], order, -1)
+
+
+def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
+    """One tree of several: each stands in the place of a leaf of the upper one.
+
+    Args:
+        top: over the boxes of the trees, one a leaf.
+        trees: in the order in which `top` numbers them.
+        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+    """
+    named = [renamed(tree, own) for tree, own in zip(trees, members, strict=True)]
+    sizes, child, bounds, lists = pool([top, *named])
+    roots = np.cumsum(sizes)[:-1]
+    upper = child[: sizes[0]]
+    leaf = (upper < 0) & (upper != EMPTY_LANE)
+    upper[leaf] = roots[top.primitive.numpy()[(~upper[leaf] >> 6) * top.width]]
+    return assembled(child, bounds, lists, top)[0]
+
+
+def renamed(tree: Bvh, ids: np.ndarray) -> Bvh:
+    """The same tree with ids[i] for its triangle i."""
+    lists = tree.primitive.numpy()
+    numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
+    return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
+
+
+def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bvh) -> tuple[Bvh, np.ndarray]:
+    """A tree of what can be reached in a pool from node 0, and for each of its nodes which one it was; arguments as of `pool`.
+
+    Args:
+        child, bounds, lists: as `pool` gives them.
+        like: a tree with the same root's box, width, device and times.
+    """
+    width, device = like.width, like.bounds.device
     order, level_first = breadth_first(child)
     number = np.empty(len(child), dtype=np.int64)
     number[order] = np.arange(len(order))
@@ -60,13 +92,11 @@ def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
     packed = ~words[leaf]
     primitive, first = gather_blocks(lists, width, packed >> 6, -(-(packed & 63) // width))
     words[leaf] = ~(first << 6 | packed & 63)
-    device = tree.bounds.device
     arrays = bounds[order].ravel(), words.ravel().astype(np.int32), primitive
     made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]
-    stats = BuildStats(dict(tree.stats.seconds))
+    stats = BuildStats(dict(like.stats.seconds))
     stats.reserve(*made)
-    source = np.where(order < sizes[0], order, -1)
-    return Bvh(*made, tree.low, tree.high, width, level_first, stats), source
+    return Bvh(*made, like.low, like.high, width, level_first, stats), order
 
 
 def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
@@ -89,11 +119,9 @@ def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.n
         trees: on one device.
         members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
     """
-    sizes, child, bounds, _ = pool(trees)
-    lists = [tree.primitive.numpy() for tree in trees]
-    ids = [np.where(own >= 0, number[own], -1) for own, number in zip(lists, members, strict=True)]
+    sizes, child, bounds, lists = pool([renamed(tree, own) for tree, own in zip(trees, members, strict=True)])
     device, stats = trees[0].bounds.device, BuildStats()
-    arrays = bounds.ravel(), child.ravel().astype(np.int32), np.concatenate(ids).astype(np.int32)
+    arrays = bounds.ravel(), child.ravel().astype(np.int32), lists
     made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]
     return Bvh(*made, wp.vec3(), wp.vec3(), trees[0].width, (0,), stats), np.cumsum(sizes) - sizes
 
