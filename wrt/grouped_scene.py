@@ -1,6 +1,6 @@
 """Group trees: what moves together has a tree of its own, and only the groups that have moved are touched.
 
-**Idea (Kang et al. 2011).** A scene of groups, some of which never move, gets a tree for each group and an upper tree whose
+**Idea (Kang et al. 2013).** A scene of groups, some of which never move, gets a tree for each group and an upper tree whose
 candidates for splits are the boxes of groups: few, whatever the number of triangles. A frame needs the trees of the groups
 that have moved, which do not depend on each other and are dealt out to the threads, and the upper one.
 
@@ -11,7 +11,7 @@ moves, which positions are relative to, the boxes of groups at rest are fitted a
 
 References:
     Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray tracing.
-        Journal of Systems Architecture 57, 2011.
+        Journal of Systems Architecture 59, 2013.
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
