@@ -9,8 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Bvh
-from wrt.geometry import check_index
-from wrt.kernels.hits import SceneMesh
+from wrt.geometry import check_index, place_meshes
 from wrt.kernels.lanes import native_width
 from wrt.kernels.launch import use_threads
 from wrt.mesh import TriangleMesh
@@ -106,16 +105,10 @@ class FuzzyScene(Scene):
             ValueError: no such frame.
         """
         frame = check_index(frame, len(self._meshes), "frame")
-        mesh, center = self._meshes[frame], self._centers[frame]
         with use_threads(self.num_threads):
-            shown, device_mesh = self._fuzzy.at(frame), SceneMesh()
-            device_mesh.vertices = wp.array(relative(mesh, center), dtype=wp.vec3, device=self.device)
-            device_mesh.faces = wp.array(mesh.faces, dtype=wp.vec3i, device=self.device)
-            device_mesh.center = wp.vec3d(*map(float, center))
-            device_mesh.low, device_mesh.high = shown.low, shown.high
-            device_mesh.geometry_first = wp.array([0, mesh.triangle_count], dtype=int, device=self.device)
+            placed, shown = place_meshes((self._meshes[frame],), self.device), self._fuzzy.at(frame)
         self.frame = frame
-        self._take_over((mesh,), center, shown, device_mesh)
+        self._take_over((self._meshes[frame],), placed.center, shown, placed.fill_in(shown.low, shown.high))
 
     def __repr__(self) -> str:
         counts = f"{len(self._meshes)} frames of {self.triangle_count} triangles in {self.labels.max() + 1} clusters"

@@ -26,8 +26,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Bvh
-from wrt.geometry import check_index, join_meshes, moved_mesh
-from wrt.kernels.hits import SceneMesh
+from wrt.geometry import check_index, moved_mesh, place_meshes
 from wrt.kernels.lanes import native_width
 from wrt.kernels.launch import run_tasks, use_threads
 from wrt.scene import Scene
@@ -58,22 +57,11 @@ class GroupedScene(Scene):
     def _set(self, meshes: tuple[TriangleMesh, ...], cache: Any, policy: UpdatePolicy | None = None) -> None:
         if not isinstance(self.accelerator, Bvh):
             raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: the boxes of groups may overlap")
-        vertices, faces, first = join_meshes(meshes)
-        center = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
-        host_vertices = wp.array((vertices - center).astype(np.float32), dtype=wp.vec3, device="cpu", copy=False)
-        host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
-        mesh = SceneMesh()
-        mesh.vertices, mesh.faces = host_vertices.to(self.device), host_faces.to(self.device)
-        groups = [
-            MovedTriangles(mesh.vertices, mesh.faces[a:b], host_vertices, host_faces[a:b], center, np.zeros(3))
-            for a, b in pairwise(first)
-        ]
-        trees, reports = self._trees_of(meshes, groups, center, policy)
-        tree = join_groups(trees, first, self.device)
-        mesh.center = wp.vec3d(*map(float, center))
-        mesh.low, mesh.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
-        mesh.geometry_first = wp.array(first, dtype=int, device=self.device)
-        self._take_over(meshes, center, tree, mesh)
+        placed = place_meshes(meshes, self.device)
+        groups = [MovedTriangles.of(placed, np.zeros(3), first, end) for first, end in pairwise(placed.first)]
+        trees, reports = self._trees_of(meshes, groups, placed.center, policy)
+        tree = join_groups(trees, placed.first, self.device)
+        self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self._trees, self.group_updates = trees, reports
 
     def _trees_of(

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Accelerator, KdTree, resolve_accelerator
-from wrt.geometry import as_meshes, check_index, join_meshes, moved_mesh
+from wrt.geometry import PlacedMeshes, as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, use_threads
@@ -109,35 +109,23 @@ class Scene(Queries):
         from wrt.kernels.lanes import native_width
         from wrt.local_trees import build_local_trees
 
-        vertices, faces, first = join_meshes(meshes)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        center = (low.astype(np.float64) + high) / 2
-        vertices = (vertices - center).astype(np.float32)
-        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-        host = wp.get_device("cpu")
-        host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
-        host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        mesh = SceneMesh()
-        mesh.vertices, mesh.faces = host_vertices.to(self.device), host_faces.to(self.device)
+        placed = place_meshes(meshes, self.device)
         has_areas, growing, report = isinstance(self.accelerator, RayAwareBvh), None, None
         if policy is not None and can_move(self.accelerator):
-            shift = self.center - center + typical_motion(self.meshes, meshes)
-            triangles = MovedTriangles(mesh.vertices, mesh.faces, host_vertices, host_faces, center, shift)
+            shift = self.center - placed.center + typical_motion(self.meshes, meshes)
             recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
-            tree, report = move_tree(recipe, self._tree, triangles, policy)
+            tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
         else:
-            boxes = triangle_boxes(host_vertices, host_faces, center)
-            tree, growing = self._find_tree(boxes, vertices, faces, cache)
-        mesh.center = wp.vec3d(*map(float, center))
-        mesh.low, mesh.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
-        mesh.geometry_first = wp.array(first, dtype=int, device=self.device)
-        self._take_over(meshes, center, tree, mesh)
+            # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+            boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+            tree, growing = self._find_tree(boxes, placed, cache)
+        self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self.growing, self.last_update = growing, report
         if has_areas:
             self.local_trees = build_local_trees(self, boxes)
 
     def _find_tree(
-        self, boxes: TriangleBoxes, vertices: np.ndarray, faces: np.ndarray, cache: Any
+        self, boxes: TriangleBoxes, placed: PlacedMeshes, cache: Any
     ) -> tuple[common.KdTree | common.Bvh, LazyKdTree | None]:
         """The tree, from where trees are kept, or built; or what there is of one that grows, and that."""
         from wrt.kernels.lanes import native_width
@@ -153,8 +141,8 @@ class Scene(Queries):
 
         if source is None or not is_kept(self.accelerator):
             return build().to(self.device), None
-        key = tree_key(vertices, faces, self.accelerator, width)
-        return source.tree(key, len(faces), build).to(self.device), None
+        key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), self.accelerator, width)
+        return source.tree(key, boxes.count, build).to(self.device), None
 
     def _take_over(
         self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh

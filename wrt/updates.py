@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from wrt.builders.common import Bvh, KdTree
     from wrt.builders.kdtree.moving import MovedKdTree
     from wrt.builders.triangles import TriangleBoxes
+    from wrt.geometry import PlacedMeshes
     from wrt.mesh import TriangleMesh
 
 NAN = float("nan")
@@ -116,6 +117,13 @@ class MovedTriangles:
     host_faces: wp.array
     center: np.ndarray
     shift: np.ndarray
+
+    @classmethod
+    def of(cls, placed: PlacedMeshes, shift: np.ndarray, first: int = 0, end: int | None = None) -> MovedTriangles:
+        """The triangles first to end - 1 of a scene; shift: as of the class."""
+        own = slice(first, end)
+        mesh = placed.mesh
+        return cls(mesh.vertices, mesh.faces[own], placed.vertices, placed.faces[own], placed.center, shift)
 
     def boxes(self) -> TriangleBoxes:
         """Their boxes, on the CPU."""
