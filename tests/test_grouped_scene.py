@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -68,3 +70,15 @@ def test_bad_input():
     with pytest.raises(TypeError, match=r"must be a wrt\.Bvh"):
         wrt.GroupedScene(groups(3), "kdtree")
     assert scene.tree is before
+
+
+def test_pickled_and_saved(tmp_path):
+    scene = wrt.GroupedScene(groups(3), device="cpu")
+    scene.update(0, vertices=1.5 * scene.meshes[0].vertices)
+    again = pickle.loads(pickle.dumps(scene))
+    again.move({1: 2.0 * FEW.vertices})
+    assert list(again.group_updates) == [1]
+    rays = mixed_rays(scene.flattened(), 300)
+    scene.save(tmp_path / "groups.npz")
+    loaded = wrt.Scene.load(tmp_path / "groups.npz", device="cpu")
+    assert_same_hits(loaded.intersect(*rays, traversal="single"), scene.intersect(*rays, traversal="single"))

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import copy
+from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -101,6 +102,11 @@ class GroupedScene(Scene):
         with use_threads(self.num_threads):
             changed._set(tuple(meshes), None, policy)
         self.__dict__ = changed.__dict__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the groups; their trees are built again."""
+        options = {"triangle_test": self.triangle_test, "device": str(self.device), "num_threads": self.num_threads}
+        return partial(GroupedScene, list(self.meshes), self.accelerator, **options), ()
 
     def __repr__(self) -> str:
         return f"GroupedScene({self.triangle_count} triangles in {len(self.meshes)} groups, device={str(self.device)!r})"
