@@ -11,7 +11,7 @@ from wrt.bench import animation
 from wrt.bench.animation import ANIMATIONS, WAYS, Stage, compare_ways
 from wrt.cli import main
 
-CAMERA = wrt.PinholeCamera(48, 48, fov=60, position=(-6.0, -3.5, 2.0), look_at=(0.0, 0.0, 1.6), up=(0.0, 0.0, 1.0))
+CAMERA = wrt.PinholeCamera(32, 32, fov=55, position=(-6.0, -3.5, 2.0), look_at=(0.0, -0.6, 1.6), up=(0.0, 0.0, 1.0))
 COURT = wrt.scenes.atrium(bays=(3, 2), storeys=1, detail=1)
 
 
