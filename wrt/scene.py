@@ -212,7 +212,7 @@ class Scene(Queries):
             threads: those of the CPU that build; queries of this scene get the others meanwhile, but at least one.
 
         Raises:
-            TypeError, ValueError: as of `update`, at the end of the block. The scene is then as before, as after an exception in it.
+            TypeError, ValueError: as of `update`, at the end of the block. The scene is then as before.
         """
         from wrt.background import updating
 
