@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import log2
 from time import perf_counter
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, leaf_cost
@@ -174,6 +175,7 @@ class KdTree:
         low, high: the root's box.
         width: triangles a block.
         stats: what the build cost.
+        built_costs: (nodes,) what each subtree cost when it was built, if somebody had to know (`wrt.builders.worn_subtrees`).
     """
 
     nodes: wp.array
@@ -182,6 +184,7 @@ class KdTree:
     high: wp.vec3
     width: int
     stats: BuildStats
+    built_costs: np.ndarray | None = None
 
     @property
     def bytes(self) -> int:
@@ -204,7 +207,7 @@ class KdTree:
         """The tree on another device; itself if it is there already."""
         if device == self.nodes.device:
             return self
-        return KdTree(self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats)
+        return replace(self, nodes=self.nodes.to(device), primitive=self.primitive.to(device))
 
 
 @dataclass
@@ -219,6 +222,7 @@ class Bvh:
         width: children a node and triangles a block.
         level_first: first node of each level, and the number of nodes at the end: nodes are in breadth-first order.
         stats: what the build cost.
+        built_costs: as of a `KdTree`.
     """
 
     bounds: wp.array
@@ -229,6 +233,7 @@ class Bvh:
     width: int
     level_first: tuple[int, ...]
     stats: BuildStats
+    built_costs: np.ndarray | None = None
 
     @property
     def bytes(self) -> int:
@@ -257,5 +262,5 @@ class Bvh:
         """The tree on another device; itself if it is there already."""
         if device == self.bounds.device:
             return self
-        arrays = (array.to(device) for array in (self.bounds, self.child, self.primitive))
-        return Bvh(*arrays, self.low, self.high, self.width, self.level_first, self.stats)
+        arrays = {name: getattr(self, name).to(device) for name in ("bounds", "child", "primitive")}
+        return replace(self, **arrays)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
-from wrt.plan_checks import ALL, COUNT, check_culling, check_origins, check_plan, check_query
+from wrt.plan_checks import ALL, COUNT, check_culling, check_origins, check_plan, check_query, check_spaces
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    import warp as wp
+
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
     from wrt.kernels.triangle import TriangleTest
@@ -153,6 +156,7 @@ def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: s
         from wrt.instance_plan import check_instances
 
         check_instances(scene, query, way, test)
+    check_spaces(scene, way)
     options: dict[str, object] = {}
     if way.packets:
         options["packet"] = PACKET_VECTORS * scene.width
@@ -187,6 +191,8 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     """Name of the traversal, and the reason."""
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
+    if scene.only_single:
+        return "single", "trees in spaces of their own"
     if rays.count <= FEW_RAYS:
         return "single", "few rays"
     if scene.instances:
@@ -273,6 +279,15 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
 def stack_levels(depth: int) -> int:
     """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees."""
     return -(-depth // 8) * 8
+
+
+def kernel_factory(plan: Plan, scene: Scene) -> Callable[[TraversalConfig], wp.Kernel]:
+    """What makes the kernel that carries out a plan on the scene's tree."""
+    if scene.only_single and plan.accelerator != "none":
+        from wrt.kernels.traversal.fuzzy import make_kernel
+
+        return make_kernel
+    return way_of(plan).kernels[plan.accelerator]
 
 
 def way_of(plan: Plan) -> Traversal:

@@ -24,6 +24,7 @@ COMPARISONS = {
     "triangle-tests": ("wrt.bench.triangle_command", "triangle_tests"),
     "builders": ("wrt.bench.kdtree_builders", "builders_command"),
     "layouts": ("wrt.bench.layouts", "layouts_command"),
+    "animation": ("wrt.bench.animation", "animation_command"),
 }
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 
