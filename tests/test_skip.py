@@ -44,10 +44,8 @@ def test_meshes_without_the_triangle(name, tree, device):
         if (without.bounds != scene.bounds).any():
             continue
         origins, directions = rays_about(mesh, triangle, seed=triangle)
-        hits, expected = (
-            scene.intersect(origins, directions, skip=triangle),
-            without.intersect(origins, directions, traversal="brute"),
-        )
+        hits = scene.intersect(origins, directions, skip=triangle)
+        expected = without.intersect(origins, directions, traversal="brute")
         np.testing.assert_array_equal(hits.primitive_id, np.append(others, -1)[expected.primitive_id])
         np.testing.assert_array_equal(hits.t.view(np.int32), expected.t.view(np.int32))
         np.testing.assert_array_equal(hits.uv.view(np.int32), expected.uv.view(np.int32))
@@ -57,15 +55,15 @@ def test_meshes_without_the_triangle(name, tree, device):
         met += (scene.intersect(origins, directions).primitive_id == triangle).sum()
         removed += 1
     assert removed >= 24
-    assert met > 10 * removed
+    assert met > 5 * removed
 
 
 @pytest.mark.parametrize("tree", TREES)
 def test_rays_that_leave_hits(tree, device):
-    """Of a million digits none is needed: the own triangle is never met, and what else is met stays the same."""
+    """From where rounding puts the hit: the own triangle is never met, and what else is met stays the same."""
     scene, rng = wrt.Scene(TEAPOT, tree, device=device), np.random.default_rng(5)
-    hits = scene.intersect(*mixed_rays(TEAPOT, 3000, seed=2))
-    directions = rng.normal(size=(3000, 3)).astype(np.float32)
+    hits = scene.intersect(*mixed_rays(TEAPOT, 1000, seed=2))
+    directions = rng.normal(size=(1000, 3)).astype(np.float32)
     origins = np.where(hits.is_hit[:, None], hits.position, 9.0)
     plain, past = scene.intersect(origins, directions), scene.intersect(origins, directions, skip=hits)
     own = hits.is_hit & (plain.primitive_id == hits.primitive_id)
@@ -90,28 +88,28 @@ def test_coincident_triangles(device):
 
 
 def test_shapes_and_kinds(device):
-    """Hits of few rays, of many and in float64, integers of any width, NumPy and Warp; shapes that broadcast."""
+    """Hits, integers of any width, NumPy and Warp; shapes that broadcast."""
     scene, rng = wrt.Scene(TEAPOT, device=device), np.random.default_rng(6)
-    origins, directions = (values.reshape(30, 50, 3) for values in mixed_rays(TEAPOT, 1500, seed=3))
+    origins, directions = (values.reshape(20, 25, 3) for values in mixed_rays(TEAPOT, 500, seed=3))
     hits = scene.intersect(origins, directions)
-    away = rng.normal(size=(2, 30, 50, 3)).astype(np.float32)
+    away = rng.normal(size=(2, 20, 25, 3)).astype(np.float32)
     position = np.nan_to_num(hits.position)
     expected = np.stack([scene.intersect(position, one, skip=hits.primitive_id.astype(np.int64)).t for one in away])
     on_device = wp.array(hits.primitive_id, dtype=int, device=device)
     for skip in (hits, hits.primitive_id, on_device, hits.primitive_id[None], np.stack([hits.primitive_id] * 2)):
         np.testing.assert_array_equal(scene.intersect(position, away, skip=skip).t, expected)
-    row = scene.intersect(origins[:, :1], directions[:, :1], precise=True)
-    few = scene.intersect(origins[:, 0], directions[:, 0])
-    each = np.repeat(few.primitive_id, 50).reshape(30, 50)
-    expected = scene.intersect(position, away, skip=each).t
-    for skip in (row, few.primitive_id[:, None]):
+    column = scene.intersect(origins[:, :1], directions[:, :1])
+    expected = scene.intersect(position, away, skip=np.repeat(column.primitive_id, 25, axis=1)).t
+    for skip in (column, column.primitive_id):
         np.testing.assert_array_equal(scene.intersect(position, away, skip=skip).t, expected)
-    np.testing.assert_array_equal(scene.intersect(position[:, 0], away[0, :, 0], skip=few).t, expected[0, :, 0])
+    first = scene.intersect(origins[0, 0], directions[0, 0])
+    expected = scene.intersect(position, away, skip=first.primitive_id.item()).t
+    np.testing.assert_array_equal(scene.intersect(position, away, skip=first).t, expected)
+    assert scene.intersect(position[0, 0], away[0, 0, 0], skip=first).shape == ()
     rays = [wp.array(values.reshape(-1, 3), dtype=wp.vec3, device=device) for values in (position, away[0])]
     there = scene.intersect(*rays, skip=scene.intersect(*rays))
     assert isinstance(there.t, wp.array)
-    assert there.shape == (1500,)
-    assert scene.intersect(position[0, 0], away[0, 0, 0], skip=scene.intersect(position[0, 0], away[0, 0, 0])).shape == ()
+    assert there.shape == (500,)
     nothing = np.zeros((0, 3), dtype=np.float32)
     assert scene.occluded(nothing, nothing, skip=scene.intersect(nothing, nothing)).shape == (0,)
 
@@ -143,7 +141,7 @@ def test_bad_arguments(device):
         (ValueError, "ranges from -2 to -2", {"skip": -2}),
         (TypeError, "hold integers, primitive ids or -1 for none, not float64", {"skip": np.zeros(20)}),
         (TypeError, "not bool", {"skip": True}),
-        (TypeError, "not object", {"skip": scene.intersect_all(origins, directions)}),
+        (TypeError, "not object", {"skip": scene}),
         (TypeError, "int32, not of uint32", {"skip": wp.zeros(20, dtype=wp.uint32, device=device)}),
         (ValueError, r"shape \(7,\), which does not broadcast to that of the rays, \(20,\)", {"skip": [0] * 7}),
         (ValueError, r"shape \(2, 20\), which does not", {"skip": np.zeros((2, 20), dtype=int)}),
