@@ -1,7 +1,7 @@
 """Queries whose rays each pass through one triangle as if it was not there: the one that they start on.
 
-Rays go one by one (`wrt.kernels.skipping`), whatever their number. A tree that is built lazily is built to its end, and trees of
-influence areas are not asked.
+Rays go one by one (`wrt.kernels.skipping`), whatever their number. A tree that is built lazily is built to its end, and those
+of influence areas are not asked.
 """
 
 from __future__ import annotations
@@ -69,12 +69,12 @@ def skipped_triangles(skip: Any, scene: Scene, buffers: RayBuffers) -> wp.array:
 
     Raises:
         TypeError: neither hits nor integers.
-        ValueError: hits of another scene, integers in a scene of several meshes or out of range, a shape that does not broadcast,
-            an array on another device.
+        ValueError: hits of another scene, integers in a scene of several meshes or out of range, a shape that does not
+            broadcast, an array on another device.
     """
     if isinstance(skip, Hits):
         if skip._mesh.faces.shape[0] != scene.triangle_count:
-            raise ValueError("skip holds hits of another scene, of as many triangles as this one has not; pass hits of this scene")
+            raise ValueError("skip holds hits of another scene, by its number of triangles; pass hits of this scene")
         values, shape = skip.batch.primitive, skip.shape
     else:
         if len(scene.meshes) > 1:
@@ -104,9 +104,7 @@ def as_triangles(skip: Any, count: int) -> tuple[np.ndarray, tuple[int, ...]]:
     return values.astype(np.int32), values.shape
 
 
-def spread_rows(
-    values: np.ndarray | wp.array, shape: tuple[int, ...], wanted: tuple[int, ...], device: wp.Device
-) -> wp.array:
+def spread_rows(values: np.ndarray | wp.array, shape: tuple[int, ...], wanted: tuple[int, ...], device: wp.Device) -> wp.array:
     """Values of a shape that broadcasts to the wanted one: flat, up to where they repeat row by row.
 
     Raises:

@@ -111,9 +111,7 @@ def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "au
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--accelerator") from None
     with busy("building the tree"):
-        return Scene(
-            geometry, accelerator, triangle_test=triangle_test, device=given["device"], num_threads=given["threads"]
-        )
+        return Scene(geometry, accelerator, triangle_test=triangle_test, device=given["device"], num_threads=given["threads"])
 
 
 def check_name(argument: str, name: str) -> str:

@@ -43,4 +43,5 @@ def check_test(name: str) -> None:
 
     if check_name("triangle_test", name) != "auto" and TRIANGLE_TESTS[name].needs_shared_origin:
         able = ", ".join(test.name for test in TRIANGLE_TESTS.values() if not test.needs_shared_origin)
-        raise click.BadParameter(f"{name!r} needs rays that share their origin; choose from {able}", param_hint="--triangle-test")
+        message = f"{name!r} needs rays that share their origin; choose from auto, {able}"
+        raise click.BadParameter(message, param_hint="--triangle-test")
