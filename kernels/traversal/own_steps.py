@@ -8,7 +8,7 @@ from wrt.kernels.traversal.exact import exact_step
 from wrt.kernels.traversal.skipping import skipping_step
 
 
-def own_step(config: TraversalConfig, Tree: type) -> wp.Function:
+def make_own_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`."""
     if config.query == EXACT:
         return exact_step(config, Tree)

@@ -39,7 +39,7 @@ from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
-from wrt.kernels.traversal.own_steps import own_step
+from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -117,8 +117,8 @@ def step_selecting(
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    has_own_step, Results = config.own_step, results_of(config)
-    test_block = own_step(config, KdNodes) if has_own_step else block_step(config)
+    own_step, Results = config.own_step, results_of(config)
+    test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
     children_of = kdtree.children_in_pairs if config.pairs else kdtree.children_depth_first
     width, counting, any_hit = config.width, config.counters, config.query == ANY
@@ -158,7 +158,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    if wp.static(has_own_step):
+                    if wp.static(own_step):
                         within = wp.vec2(cell.entry, cell.leave)
                         best = test_block(tree, cell.node, within, triangles, block, state, slabs, hits, i, best)
                     elif wp.static(remembering):

@@ -32,7 +32,7 @@ from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
-from wrt.kernels.traversal.own_steps import own_step
+from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -54,8 +54,8 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, child, state, slabs, t_min, hits, i, best, work) -> best`: tests the triangles of a leaf."""
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    has_own_step, Results = config.own_step, results_of(config)
-    test_block = own_step(config, WideNodes) if has_own_step else block_step(config)
+    own_step, Results = config.own_step, results_of(config)
+    test_block = make_own_step(config, WideNodes) if own_step else block_step(config)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -77,7 +77,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
             work.leaves += 1
             work.triangles += count
         while count > 0:
-            if wp.static(has_own_step):
+            if wp.static(own_step):
                 within = wp.vec2(t_min, best.t)
                 best = test_block(tree, child, within, triangles, block, state, slabs, hits, i, best)
             else:
