@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from math import log2
 from time import perf_counter
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.cost import Split, SplitCost, leaf_cost
@@ -173,6 +175,7 @@ class KdTree:
         low, high: the root's box.
         width: triangles a block.
         stats: what the build cost.
+        built_costs: (nodes,) what each subtree cost when it was built, if somebody had to know (`wrt.builders.worn_subtrees`).
     """
 
     nodes: wp.array
@@ -181,6 +184,7 @@ class KdTree:
     high: wp.vec3
     width: int
     stats: BuildStats
+    built_costs: np.ndarray | None = None
 
     @property
     def bytes(self) -> int:
@@ -188,7 +192,11 @@ class KdTree:
         return self.nodes.capacity + self.primitive.capacity
 
     def struct(self) -> KdNodes:
-        """The tree for a traversal kernel."""
+        """The tree for a traversal kernel; to be left as it is."""
+        return self._struct
+
+    @cached_property
+    def _struct(self) -> KdNodes:
         tree = KdNodes()
         tree.nodes = self.nodes
         tree.low = self.low
@@ -199,7 +207,7 @@ class KdTree:
         """The tree on another device; itself if it is there already."""
         if device == self.nodes.device:
             return self
-        return KdTree(self.nodes.to(device), self.primitive.to(device), self.low, self.high, self.width, self.stats)
+        return replace(self, nodes=self.nodes.to(device), primitive=self.primitive.to(device))
 
 
 @dataclass
@@ -214,6 +222,7 @@ class Bvh:
         width: children a node and triangles a block.
         level_first: first node of each level, and the number of nodes at the end: nodes are in breadth-first order.
         stats: what the build cost.
+        built_costs: as of a `KdTree`.
     """
 
     bounds: wp.array
@@ -224,6 +233,7 @@ class Bvh:
     width: int
     level_first: tuple[int, ...]
     stats: BuildStats
+    built_costs: np.ndarray | None = None
 
     @property
     def bytes(self) -> int:
@@ -236,7 +246,11 @@ class Bvh:
         return len(self.level_first) - 1
 
     def struct(self) -> WideNodes:
-        """The tree for a traversal kernel."""
+        """The tree for a traversal kernel; to be left as it is."""
+        return self._struct
+
+    @cached_property
+    def _struct(self) -> WideNodes:
         tree = WideNodes()
         tree.bounds = self.bounds
         tree.child = self.child
@@ -248,5 +262,5 @@ class Bvh:
         """The tree on another device; itself if it is there already."""
         if device == self.bounds.device:
             return self
-        arrays = (array.to(device) for array in (self.bounds, self.child, self.primitive))
-        return Bvh(*arrays, self.low, self.high, self.width, self.level_first, self.stats)
+        arrays = {name: getattr(self, name).to(device) for name in ("bounds", "child", "primitive")}
+        return replace(self, **arrays)

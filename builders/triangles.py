@@ -73,3 +73,16 @@ def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | Non
     launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
     low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
     return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)
+
+
+def boxes_of(low: np.ndarray, high: np.ndarray) -> TriangleBoxes:
+    """Boxes that are known already, on the CPU.
+
+    Args:
+        low, high: (N, 3) corners, rounded to float32.
+    """
+    boxes = Boxes()
+    boxes.low, boxes.high = (
+        wp.array(np.ascontiguousarray(corner.T, dtype=np.float32), dtype=float, device="cpu") for corner in (low, high)
+    )
+    return TriangleBoxes(boxes, len(low), boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))

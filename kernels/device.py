@@ -107,7 +107,7 @@ def handle_type(kind: str, width: int, levels: int) -> type:
     handle = wp.struct(Handle)
     for query, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, levels=levels)
-        search.add_overload(make_search(handle, make_walk(config), results_of(query)))
+        search.add_overload(make_search(handle, make_walk(config), results_of(config)))
     return handle
 
 

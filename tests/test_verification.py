@@ -215,6 +215,19 @@ def test_command(tmp_path, monkeypatch):
     assert "WRONG" in bad.stdout
 
 
+def test_command_with_another_triangle_test(tmp_path):
+    path = tmp_path / "body.ply"
+    BODIES["ellipsoid"].export(path)
+    arguments = ["verify", str(path), "--samples", "1000", "--json", "--device", "cpu", "--triangle-test"]
+    leaks = CliRunner().invoke(main, [*arguments, "moeller_trumbore"])
+    assert leaks.exit_code == 1
+    assert sum(json.loads(leaks.stdout)["misses"].values()) > 0
+    for name, message in (("komatsu", "needs rays that share their origin; choose from auto, woop"), ("nothing", "is unknown")):
+        refused = CliRunner().invoke(main, [*arguments, name])
+        assert refused.exit_code == 2
+        assert message in refused.stderr
+
+
 def test_warp_is_not_needed_to_read_a_report():
     """Reports are plain data."""
     import pickle

@@ -28,7 +28,7 @@ from wrt.hits import Hits
 from wrt.kernels.launch import load, specialise
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import new_rays
-from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, make_plan, plan_for, traversal_config, way_of
+from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, kernel_factory, make_plan, plan_for, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, as_range, as_vectors, common_shape
 from wrt.tracing import new_hits, no_work
 
@@ -56,7 +56,7 @@ class Desk:
         way, config = way_of(self.carried_out), traversal_config(self.carried_out, scene, query, False)
         self.blocks = scene.triangles(self.carried_out, self.rays)
         hits = new_hits(FEW_RAYS, query, device)
-        kernel = specialise(way.kernels[self.carried_out.accelerator], config)
+        kernel = specialise(kernel_factory(self.carried_out, scene), config)
         load([kernel], device)
         inputs = [0, scene.tree.struct(), self.blocks, self.rays, hits, no_work(way.counters, device.alias)]
         self.launch = wp.launch(kernel, FEW_RAYS, inputs, device=device, record_cmd=True)

@@ -3,11 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import warp as wp
 
+from wrt.kernels.hits import SceneMesh
 from wrt.mesh import TriangleMesh
+
+
+@dataclass(frozen=True)
+class PlacedMeshes:
+    """All meshes of a scene in one, relative to their centre.
+
+    Attributes:
+        first: (meshes + 1,) each mesh's first triangle, and their number.
+        center: (3,) float64.
+        vertices: (V,) vec3 on the CPU.
+        faces: (F,) vec3i on the CPU.
+        mesh: the same on the scene's device; its box is still to be filled in.
+    """
+
+    first: np.ndarray
+    center: np.ndarray
+    vertices: wp.array
+    faces: wp.array
+    mesh: SceneMesh
+
+    def fill_in(self, low: wp.vec3, high: wp.vec3) -> SceneMesh:
+        """The mesh with its box."""
+        self.mesh.low, self.mesh.high = wp.vec3(*low), wp.vec3(*high)
+        return self.mesh
+
+
+def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedMeshes:
+    """Joins meshes, moves them to their centre in float64, and takes them to a device in float32."""
+    vertices, faces, first = join_meshes(meshes)
+    center = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
+    host_vertices = wp.array((vertices - center).astype(np.float32), dtype=wp.vec3, device="cpu", copy=False)
+    host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
+    mesh = SceneMesh()
+    mesh.vertices, mesh.faces = host_vertices.to(device), host_faces.to(device)
+    mesh.center = wp.vec3d(*map(float, center))
+    mesh.geometry_first = wp.array(first, dtype=int, device=device)
+    return PlacedMeshes(first, center, host_vertices, host_faces, mesh)
 
 
 def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:

@@ -27,6 +27,7 @@ from wrt.kernels.launch import use_threads
 from wrt.mesh import TriangleMesh
 from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.scene import Scene
+from wrt.updates import UpdatePolicy, as_policy
 
 if TYPE_CHECKING:
     from wrt.builders.common import Bvh
@@ -120,7 +121,13 @@ class InstancedScene(Scene):
         return f"InstancedScene({kinds}, {self.accelerator}, device={str(self.device)!r})"
 
     def update(
-        self, index: int | Sequence[int], *, vertices: Any = None, transform: Any = None, mask: int | None = None
+        self,
+        index: int | Sequence[int],
+        *,
+        vertices: Any = None,
+        transform: Any = None,
+        mask: int | None = None,
+        rebuild: str | UpdatePolicy = "auto",
     ) -> None:
         """Moves instances, or the vertices of a mesh.
 
@@ -130,9 +137,10 @@ class InstancedScene(Scene):
 
         Args:
             index: of the instance, or of several for `transform` and `mask`.
-            vertices: (V, 3) in the mesh's own space, as many as it has; its tree is refitted (`wrt.Scene.update`).
+            vertices: (V, 3) in the mesh's own space, as many as it has; its tree is kept or built again (`wrt.Scene.update`).
             transform: (4, 4), or (N, 4, 4) for N instances, as `wrt.Instance` takes it.
             mask: of the instance, or of all those of the index.
+            rebuild: for `vertices`, as in `wrt.Scene.update`; `last_update` is of the mesh's tree.
 
         Raises:
             TypeError: a value is of a wrong type, or none was given.
@@ -140,6 +148,7 @@ class InstancedScene(Scene):
         """
         if vertices is None and transform is None and mask is None:
             raise TypeError("there is nothing to update; pass vertices, transform or mask")
+        rebuild = as_policy(rebuild)
         chosen = [check_index(one, len(self.instances), "instance") for one in np.atleast_1d(np.asarray(index)).tolist()]
         if not chosen:
             raise ValueError("index is empty; pass the index of an instance, or several")
@@ -151,7 +160,7 @@ class InstancedScene(Scene):
                 if any(self.geometry_ids[one] != number for one in chosen):
                     raise ValueError("index names instances of several meshes; pass vertices for one of them at a time")
                 part = copy(self._parts[number])
-                part.update(0, vertices=vertices)
+                part.update(0, vertices=vertices, rebuild=rebuild)
                 part.complete()
                 parts = (*parts[:number], part, *parts[number + 1 :])
                 covers = (*covers[:number], cover(part), *covers[number + 1 :])
@@ -160,6 +169,7 @@ class InstancedScene(Scene):
                     for one, own in zip(instances, self.geometry_ids, strict=True)
                 )
             self._place(instances, parts, covers)
+            self.last_update = None if vertices is None else part.last_update
 
     def _replaced(self, chosen: list[int], transform: Any, mask: int | None) -> tuple[Instance, ...]:
         """The instances, those that were chosen with another transform or mask."""

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
-from wrt.plan_checks import ALL, COUNT, check_culling, check_origins, check_plan, check_query
+from wrt.plan_checks import ALL, COUNT, check_culling, check_origins, check_plan, check_query, check_spaces
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    import warp as wp
+
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.config import TraversalConfig
     from wrt.kernels.triangle import TriangleTest
@@ -46,6 +49,9 @@ STREAMS_PER_THREAD = 4
 
 LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
+
+MOST_PLANS = 64
+"""Plans that a scene on CUDA keeps."""
 
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
@@ -123,6 +129,19 @@ def make_plan(
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
         return check_plan(replace(traversal, cull_backfaces=culled), scene, rays, query)
+    if not scene.device.is_cuda:
+        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
+    # A kernel there is done before Python has made its plan: nothing is sampled, and the same rays have the same plan.
+    key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.batch.origin_stride
+    if key not in scene.plans:
+        if len(scene.plans) >= MOST_PLANS:
+            scene.plans.clear()
+        scene.plans[key] = choose_plan(scene, rays, *key[:4])
+    return scene.plans[key]
+
+
+def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool) -> Plan:
+    """A plan for these rays; arguments and errors as of `make_plan`."""
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -137,6 +156,7 @@ def make_plan(
         from wrt.instance_plan import check_instances
 
         check_instances(scene, query, way, test)
+    check_spaces(scene, way)
     options: dict[str, object] = {}
     if way.packets:
         options["packet"] = PACKET_VECTORS * scene.width
@@ -171,6 +191,8 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     """Name of the traversal, and the reason."""
     if scene.device.is_cuda:
         return "single", "a CUDA thread is a ray"
+    if scene.only_single:
+        return "single", "trees in spaces of their own"
     if rays.count <= FEW_RAYS:
         return "single", "few rays"
     if scene.instances:
@@ -257,6 +279,15 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
 def stack_levels(depth: int) -> int:
     """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees."""
     return -(-depth // 8) * 8
+
+
+def kernel_factory(plan: Plan, scene: Scene) -> Callable[[TraversalConfig], wp.Kernel]:
+    """What makes the kernel that carries out a plan on the scene's tree."""
+    if scene.only_single and plan.accelerator != "none":
+        from wrt.kernels.traversal.fuzzy import make_kernel
+
+        return make_kernel
+    return way_of(plan).kernels[plan.accelerator]
 
 
 def way_of(plan: Plan) -> Traversal:

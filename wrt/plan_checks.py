@@ -50,6 +50,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         from wrt.instance_plan import check_instances
 
         check_instances(scene, query, way, test)
+    check_spaces(scene, way)
     if plan.width != scene.width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.width}")
     if plan.shared_origin and (rays.batch.origin_stride != 0 or scene.instances):
@@ -91,6 +92,16 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
 def fits(culling: Culling, tree: str) -> bool:
     """Whether a culling has what it needs in a kind of tree."""
     return tree == "bvh" or not culling.needs_boxes
+
+
+def check_spaces(scene: Scene, way: Traversal) -> None:
+    """Refuses a traversal that does not walk trees in spaces of their own.
+
+    Raises:
+        ValueError: the scene has such trees (`wrt.FuzzyScene`).
+    """
+    if scene.only_single and way.name not in ("single", "brute"):
+        raise ValueError(f"traversal {way.name!r} does not walk trees in spaces of their own; choose from auto, single, brute")
 
 
 def check_query(query: str, way: Traversal, tree: str, test: TriangleTest) -> None:

@@ -11,11 +11,13 @@ from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
 from wrt.precision import find_precisely
 from wrt.rays import RayBuffers, Rays, set_mask, to_device
+from wrt.skipping import trace_skipping
 from wrt.tables import lookup
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
     from wrt.all_hits import AllHits
+    from wrt.kernels.rays import HitBatch
     from wrt.verification import Verification
 
 
@@ -31,6 +33,7 @@ class Queries(BlockQueries):
         *,
         mask: Any = None,
         cull_backfaces: bool = False,
+        skip: Any = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
         counters: bool = False,
@@ -49,6 +52,10 @@ class Queries(BlockQueries):
                 common with it (`wrt.Instance`); None for all bits.
             cull_backfaces: whether triangles are hit only from their front, from which they are wound counter-clockwise. Not
                 all traversals can: of those that can, "auto" takes the fastest.
+            skip: each ray passes through one triangle as if it was not there: the one that it starts on. The `wrt.Hits` of this
+                scene at which the rays start (misses skip nothing), or, in a scene of one mesh, (...) primitive ids, -1 for
+                none; their leading shape broadcasts to that of the rays. Neighbours and coincident triangles stay. The rays go
+                one by one, and `Hits.spawn` is the way for those that others than their own triangle stop at once.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
                 the plan's triangle test then counts.
             triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
@@ -60,16 +67,22 @@ class Queries(BlockQueries):
         Raises:
             TypeError: an argument is of a wrong type.
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
-                `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances.
+                `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip`
+                together with a traversal, a triangle test, counters or `precise`, in a scene of instances, of numbers of no
+                triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        ours = mask is None and not (cull_backfaces or counters or precise)
+        ours = mask is None and skip is None and not (cull_backfaces or counters or precise)
         if ours and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
             return few
         if counters and self.instances and traversal == AUTO and not precise:
             traversal = "single"  # what is counted there
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
+            if skip is not None:
+                others = {"traversal": traversal, "triangle_test": triangle_test, "counters": counters, "precise": precise}
+                batch, plan = trace_skipping(self, buffers, skip, CLOSEST, cull_backfaces, **others)
+                return Hits(batch, buffers, self.device_mesh, plan, None, self.num_threads)
             if precise:
                 if (traversal, triangle_test, counters, cull_backfaces) != (AUTO, AUTO, False, False):
                     raise ValueError(
@@ -89,6 +102,7 @@ class Queries(BlockQueries):
         *,
         mask: Any = None,
         cull_backfaces: bool = False,
+        skip: Any = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
@@ -97,13 +111,12 @@ class Queries(BlockQueries):
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        ours = mask is None and not cull_backfaces
+        ours = mask is None and skip is None and not cull_backfaces
         if ours and (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
             return few
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
-            plan = make_plan(self, buffers, traversal, triangle_test, ANY, cull_backfaces)
-            batch, _ = trace(self, plan, buffers, ANY)
+            batch = self._trace(buffers, ANY, cull_backfaces, skip, traversal, triangle_test)
         return shaped(batch.occluded, buffers)
 
     def intersect_all(
@@ -153,21 +166,21 @@ class Queries(BlockQueries):
         *,
         mask: Any = None,
         cull_backfaces: bool = False,
+        skip: Any = None,
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
         """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
 
-        What `intersect_all` would list, counted; arguments and errors as there.
+        What `intersect_all` would list, counted; arguments and errors as there, and `skip` as in `intersect`.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        ours = mask is None and not cull_backfaces
+        ours = mask is None and skip is None and not cull_backfaces
         if ours and (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
             return few
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
-            plan = make_plan(self, buffers, traversal, triangle_test, COUNT, cull_backfaces)
-            batch, _ = trace(self, plan, buffers, COUNT)
+            batch = self._trace(buffers, COUNT, cull_backfaces, skip, traversal, triangle_test)
         return shaped(batch.counts, buffers)
 
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
@@ -215,6 +228,8 @@ class Queries(BlockQueries):
     def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
         """Checks `intersect` and `occluded` against brute force in float64, on this mesh and this machine.
 
+        By the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
+
             report = scene.verify()
             print(report)
             assert report.ok
@@ -228,7 +243,7 @@ class Queries(BlockQueries):
 
         Raises:
             TypeError: samples or seed is no int.
-            ValueError: it is too small.
+            ValueError: it is too small, or the scene's triangle test needs rays that share their origin.
         """
         from wrt.verification import verify
 
@@ -269,6 +284,16 @@ class Queries(BlockQueries):
         if mask is not None:
             set_mask(buffers, mask, self.device)
         return buffers
+
+    def _trace(
+        self, buffers: RayBuffers, query: str, cull_backfaces: bool, skip: Any, traversal: str | Plan, triangle_test: str
+    ) -> HitBatch:
+        """The answer to a query that gives a number for each ray."""
+        if skip is not None:
+            others = {"traversal": traversal, "triangle_test": triangle_test}
+            return trace_skipping(self, buffers, skip, query, cull_backfaces, **others)[0]
+        plan = make_plan(self, buffers, traversal, triangle_test, query, cull_backfaces)
+        return trace(self, plan, buffers, query)[0]
 
     def _trace_few(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
         """The answer, if there are few rays, the choice is ours, and there is one tree, all of it; else None."""

@@ -274,7 +274,7 @@ def _vectors(
         stride = 0 if values.size == 1 else 1
         if stride and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
-        values = values.flatten()
+        values = values if values.ndim == 1 else values.flatten()
     else:
         values, stride = spread(values, shape, (3,))
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from contextlib import AbstractContextManager
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Accelerator, KdTree, resolve_accelerator
-from wrt.geometry import as_meshes, check_index, join_meshes, moved_mesh
+from wrt.geometry import PlacedMeshes, as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import check_num_threads, use_threads
@@ -21,6 +22,7 @@ from wrt.queries import Queries
 from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.rays import shared_origin
 from wrt.tables import lookup
+from wrt.updates import MovedTriangles, TreeRecipe, UpdatePolicy, as_policy, can_move, move_tree, typical_motion
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from wrt.local_trees import LocalTrees
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
+    from wrt.updates import UpdateReport
 
 Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
@@ -67,6 +70,9 @@ class Scene(Queries):
     instances: tuple[Instance, ...] = ()
     """What a `wrt.InstancedScene` is made of; none in a scene of meshes."""
 
+    only_single = False
+    """Whether rays go one by one, whatever the traversal "auto" would choose."""
+
     def __new__(cls, geometry: Any = None, *args: Any, **options: Any) -> Scene:
         if cls is Scene and has_instances(geometry):
             from wrt.instanced_scene import InstancedScene
@@ -92,43 +98,34 @@ class Scene(Queries):
             self._make(geometry, cache)
 
     def _make(self, geometry: Any, cache: Any) -> None:
-        self._set(as_meshes(geometry), None, cache)
+        self._set(as_meshes(geometry), cache)
 
-    def _set(self, meshes: tuple[TriangleMesh, ...], old: common.KdTree | common.Bvh | None, cache: Any) -> None:
-        """Takes over the meshes; the tree is refitted if there is an old one that can be, else built."""
+    def _set(self, meshes: tuple[TriangleMesh, ...], cache: Any, policy: UpdatePolicy | None = None) -> None:
+        """Takes over the meshes; the tree is found or built, or with a policy the scene's own is moved, if that can be."""
         # What queries need is imported here: `wrt.kernels.traversal` and its parts import one another, and threads that enter
         # such a package from two ends at a time fail.
         import wrt.kernels.traversal  # noqa: F401
-        from wrt.builders.bvh.refit import refit
         from wrt.builders.triangles import triangle_boxes
+        from wrt.kernels.lanes import native_width
         from wrt.local_trees import build_local_trees
 
-        vertices, faces, first = join_meshes(meshes)
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        center = (low.astype(np.float64) + high) / 2
-        vertices = (vertices - center).astype(np.float32)
-        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-        host = wp.get_device("cpu")
-        host_vertices = wp.array(vertices, dtype=wp.vec3, device=host, copy=False)
-        host_faces = wp.array(faces, dtype=wp.vec3i, device=host, copy=False)
-        mesh = SceneMesh()
-        mesh.vertices, mesh.faces = host_vertices.to(self.device), host_faces.to(self.device)
-        has_areas = isinstance(self.accelerator, RayAwareBvh)
-        if old is not None and self.accelerator.kind == "bvh" and not has_areas:
-            tree, growing = refit(old, mesh.vertices, mesh.faces), None
+        placed = place_meshes(meshes, self.device)
+        has_areas, growing, report = isinstance(self.accelerator, RayAwareBvh), None, None
+        if policy is not None and can_move(self.accelerator):
+            shift = self.center - placed.center + typical_motion(self.meshes, meshes)
+            recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
+            tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
         else:
-            boxes = triangle_boxes(host_vertices, host_faces, center)
-            tree, growing = self._find_tree(boxes, vertices, faces, cache)
-        mesh.center = wp.vec3d(*map(float, center))
-        mesh.low, mesh.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
-        mesh.geometry_first = wp.array(first, dtype=int, device=self.device)
-        self._take_over(meshes, center, tree, mesh)
-        self.growing = growing
+            # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+            boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+            tree, growing = self._find_tree(boxes, placed, cache)
+        self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
+        self.growing, self.last_update = growing, report
         if has_areas:
             self.local_trees = build_local_trees(self, boxes)
 
     def _find_tree(
-        self, boxes: TriangleBoxes, vertices: np.ndarray, faces: np.ndarray, cache: Any
+        self, boxes: TriangleBoxes, placed: PlacedMeshes, cache: Any
     ) -> tuple[common.KdTree | common.Bvh, LazyKdTree | None]:
         """The tree, from where trees are kept, or built; or what there is of one that grows, and that."""
         from wrt.kernels.lanes import native_width
@@ -144,8 +141,8 @@ class Scene(Queries):
 
         if source is None or not is_kept(self.accelerator):
             return build().to(self.device), None
-        key = tree_key(vertices, faces, self.accelerator, width)
-        return source.tree(key, len(faces), build).to(self.device), None
+        key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), self.accelerator, width)
+        return source.tree(key, boxes.count, build).to(self.device), None
 
     def _take_over(
         self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh
@@ -157,38 +154,71 @@ class Scene(Queries):
         self._tree = tree
         self.local_trees: LocalTrees | None = None
         """The trees of influence areas, where there are any."""
+        self.last_update: UpdateReport | None = None
+        """What the last update did to the tree; None if there was none, or the tree is of a kind that is always built again."""
         self.center = center
         """(3,) float64; geometry is held in float32 relative to this point."""
         self.device_mesh = mesh
         """All triangles on the device, for kernels."""
+        self.plans: dict[tuple[Any, ...], Plan] = {}
+        """Those that were made for rays on CUDA."""
         self.desks: dict[str, deque[Desk]] = {}
         """Those that are free, for each query; see `wrt.few_rays`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
         self.__dict__.pop("is_closed", None)
 
-    def update(self, index: int, *, vertices: Any = None, transform: Any = None, mask: int | None = None) -> None:
+    def update(
+        self,
+        index: int,
+        *,
+        vertices: Any = None,
+        transform: Any = None,
+        mask: int | None = None,
+        rebuild: str | UpdatePolicy = "auto",
+    ) -> None:
         """Moves the vertices of a mesh; its triangles stay the same.
 
-        A BVH is refitted, which is faster than a build; it answers more slowly the further triangles move apart that were
-        close. A kd-tree is built again, and so are trees of influence areas.
+        The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. It
+        answers more slowly the further triangles move. So it is built again, in parts or as a whole, once it has become too
+        costly (`wrt.UpdatePolicy`); `last_update` tells what was done. Trees that are lazy, clip triangles or are made for
+        influence areas are built again every time.
 
         Args:
             index: of the mesh (`Hits.geometry_id`).
             vertices: (V, 3), as many as the mesh has.
             transform, mask: for scenes of instances (`wrt.InstancedScene.update`).
+            rebuild: "auto", "always", "never", or a `wrt.UpdatePolicy`.
 
         Raises:
             TypeError: a value is of a wrong type.
-            ValueError: no such mesh, a wrong number of vertices, NaN or infinite ones, a transform or a mask. The scene is then
-                as before.
+            ValueError: no such mesh, a wrong number of vertices, NaN or infinite ones, a transform or a mask, an unknown name.
+                The scene is then as before.
         """
         if transform is not None or mask is not None:
             raise ValueError("transform and mask go with instances, and this scene has none; make it of wrt.Instance(mesh)")
-        index = check_index(index, len(self.meshes), "mesh")
+        index, policy = check_index(index, len(self.meshes), "mesh"), as_policy(rebuild)
         moved, changed = moved_mesh(self.meshes[index], vertices), copy(self)
         with use_threads(self.num_threads):
-            changed._set((*self.meshes[:index], moved, *self.meshes[index + 1 :]), self._tree, None)
+            changed._set((*self.meshes[:index], moved, *self.meshes[index + 1 :]), None, policy)
         self.__dict__ = changed.__dict__
+
+    def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
+        """Updates the scene while the `with` block goes on asking the old one.
+
+            with scene.updating(0, vertices=next_frame):
+                image = wrt.render(scene, camera)  # of this frame
+            # the scene is now the next frame
+
+        Args:
+            args, options: as of `update`.
+            threads: those of the CPU that build; queries of this scene get the others meanwhile, but at least one.
+
+        Raises:
+            TypeError, ValueError: as of `update`, at the end of the block. The scene is then as before.
+        """
+        from wrt.background import updating
+
+        return updating(self, threads, args, options)
 
     def over(self, tree: common.Bvh) -> Scene:
         """The same scene with another tree on its device, over some of its triangles; it has no areas."""
@@ -253,7 +283,7 @@ class Scene(Queries):
     def __copy__(self) -> Scene:
         """A scene of its own with the same meshes and tree, where they are."""
         other = object.__new__(type(self))
-        other.__dict__ |= self.__dict__ | {"desks": {}, "_blocks": dict(self._blocks)}
+        other.__dict__ |= self.__dict__ | {"desks": {}, "plans": {}, "_blocks": dict(self._blocks)}
         return other
 
     def __repr__(self) -> str:

@@ -121,9 +121,14 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
     return state.hexdigest()
 
 
+def kept_fields(cls: type) -> list[str]:
+    """Names of what is kept of a tree: not what updates note beside it, which they can measure again."""
+    return [field.name for field in fields(cls) if field.name != "built_costs"]
+
+
 def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:
     """The tree's fields as arrays, and its kind."""
-    values = {field.name: getattr(tree, field.name) for field in fields(tree)}
+    values = {name: getattr(tree, name) for name in kept_fields(type(tree))}
     values["kind"] = next(kind for kind, cls in TREES.items() if isinstance(tree, cls))
     values["stats"] = json.dumps(asdict(tree.stats))
     return {name: value.numpy() if isinstance(value, wp.array) else np.array(value) for name, value in values.items()}
@@ -136,7 +141,7 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
         ValueError, KeyError, TypeError, RuntimeError: it is none over so many triangles.
     """
     cls = TREES[str(arrays["kind"])]
-    values: dict[str, Any] = {field.name: np.array(arrays[field.name]) for field in fields(cls)}
+    values: dict[str, Any] = {name: np.array(arrays[name]) for name in kept_fields(cls)}
     values["stats"] = BuildStats(**json.loads(str(values["stats"])))
     values["width"] = int(values["width"])
     for corner in ("low", "high"):

@@ -10,7 +10,7 @@ import warp as wp
 from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
-from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, plan_for, stack_levels, traversal_config, way_of
+from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -126,7 +126,7 @@ def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: 
     if way.streams:
         grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
     launch(
-        specialise(way.kernels[plan.accelerator], config),
+        specialise(kernel_factory(plan, scene), config),
         -(-rays.count // grain),
         [tree, scene.triangles(plan, rays), rays, hits, work],
         device=scene.device,

@@ -63,7 +63,7 @@ class UnpackedKdTree:
         left, right: children; -1 for a leaf.
         first_block, triangles: of a leaf; 0 for an inner node.
         depth: of the node.
-        low, high: (nodes, 3) float64, its box.
+        low, high: (nodes, 3) float64, its box; planes outside it (`wrt.builders.kdtree.refill`) cut off nothing.
     """
 
     axis: np.ndarray
@@ -101,7 +101,7 @@ def unpack(tree: KdTree) -> UnpackedKdTree:
             break
         for child, moved in ((left[inner], high), (right[inner], low)):
             low[child], high[child], depth[child] = low[inner], high[inner], step
-            moved[child, axis[inner]] = position[inner]
+            moved[child, axis[inner]] = np.clip(position[inner], low[inner, axis[inner]], high[inner, axis[inner]])
         level = np.concatenate([left[inner], right[inner]])
     return UnpackedKdTree(
         axis, position, left, right, np.where(leaf, words[:, 0], 0), np.where(leaf, payload, 0), depth, low, high

@@ -7,7 +7,8 @@ asks for it. One skeleton serves every query that it answers through `wp.static`
 by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits
 to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
 
-Kernels that are built around one ray's walk elsewhere (`wrt.kernels.device`, `wrt.kernels.exact`) find it in `walk_table`.
+Kernels that are built around one ray's walk elsewhere (`wrt.kernels.device`, `wrt.kernels.exact`, `wrt.kernels.skipping`) find
+it in `walk_table`.
 
 Scenes of instances are walked on two levels by kernels of their own, made of the same parts: `instances` for single rays,
 `instance_packets`, and `instance_batches` for streams.

@@ -39,6 +39,7 @@ class TraversalConfig:
         pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.kdtree`); the traversal "single" can take them for the
             nearest queries.
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
+        skipping: whether each ray passes through one triangle (`wrt.kernels.skipping`); walks of "closest", "any" and "count".
         one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
     """
 
@@ -56,6 +57,7 @@ class TraversalConfig:
     block: int = 0
     pairs: bool = False
     cull_backfaces: bool = False
+    skipping: bool = False
     one_by_one: bool = False
 
     @property
@@ -65,5 +67,5 @@ class TraversalConfig:
 
     @property
     def own_step(self) -> bool:
-        """Whether leaves are tested by a step that takes more than the closest of its triangles."""
-        return self.crossing or self.query == EXACT
+        """Whether leaves are tested by a step that takes more, or other, than the closest of its triangles."""
+        return self.crossing or self.query == EXACT or self.skipping

@@ -33,7 +33,7 @@ from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
-from wrt.kernels.traversal.results import Passed, results_of
+from wrt.kernels.traversal.results import Passed, Skipping, results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
@@ -63,11 +63,20 @@ def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primiti
     return best
 
 
+@wp.func
+def take_unskipped(search: wp.ref[Skipping], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+    """Counts a crossing, if it is not with the triangle that the ray passes through."""
+    best.primitive += wp.where(primitive == search.skipped, 0, 1)
+    return best
+
+
 @cache
 def take_crossing(config: TraversalConfig) -> wp.Function:
     """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more crossing of ray i."""
     if config.query == NEXT:
         return take_next
+    if config.skipping:
+        return take_unskipped
     storing = config.query == ALL
 
     @wp.func
@@ -88,13 +97,13 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
 def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the crossings in one block.
 
-    node: the leaf. hits: `results_of(query)`. interval: of t in which the ray, number i, is in it; bounds included.
+    node: the leaf. hits: `results_of(config)`. interval: of t in which the ray, number i, is in it; bounds included.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
     intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width, config.cull_backfaces)
     take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
-    shared, Results = Tree is KdNodes and config.query != NEXT, results_of(config.query)
+    shared, Results = Tree is KdNodes and config.query != NEXT, results_of(config)
 
     @wp.func
     def step(

@@ -3,7 +3,7 @@
 import warp as wp
 
 from wrt.kernels.rays import HitBatch
-from wrt.kernels.traversal.config import EXACT, NEXT
+from wrt.kernels.traversal.config import EXACT, NEXT, TraversalConfig
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -34,6 +34,18 @@ class ExactSearch:
     v: wp.float64
 
 
-def results_of(query: str) -> type:
-    """The struct that the walks of a query take as `hits`; those of queries of whole batches store their hits there."""
-    return {NEXT: Passed, EXACT: ExactSearch}.get(query, HitBatch)
+@wp.struct
+class Skipping:
+    """For configs that are `skipping`: what the ray passes through."""
+
+    t_min: float
+    """The ray's."""
+    skipped: int
+    """The triangle; -1 if there is none."""
+
+
+def results_of(config: TraversalConfig) -> type:
+    """The struct that a specialisation's walk takes as `hits`; queries of whole batches store their hits there."""
+    if config.skipping:
+        return Skipping
+    return {NEXT: Passed, EXACT: ExactSearch}.get(config.query, HitBatch)

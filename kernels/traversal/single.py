@@ -37,10 +37,9 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ANY, EXACT, TraversalConfig
-from wrt.kernels.traversal.crossings import crossing_step
-from wrt.kernels.traversal.exact import exact_step
+from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -118,8 +117,7 @@ def step_selecting(
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    own_step, Results = config.own_step, results_of(config.query)
-    make_own_step = exact_step if config.query == EXACT else crossing_step
+    own_step, Results = config.own_step, results_of(config)
     test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
     children_of = kdtree.children_in_pairs if config.pairs else kdtree.children_depth_first

@@ -30,10 +30,9 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ANY, EXACT, TraversalConfig
-from wrt.kernels.traversal.crossings import crossing_step
-from wrt.kernels.traversal.exact import exact_step
+from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
+from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -55,8 +54,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, child, state, slabs, t_min, hits, i, best, work) -> best`: tests the triangles of a leaf."""
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    own_step, Results = config.own_step, results_of(config.query)
-    make_own_step = exact_step if config.query == EXACT else crossing_step
+    own_step, Results = config.own_step, results_of(config)
     test_block = make_own_step(config, WideNodes) if own_step else block_step(config)
     width, counting = config.width, config.counters
 
@@ -143,7 +141,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     test_leaf, step, stacked = make_leaf(config), inner_step(config), stack_of(config)
     open_stack, pop, local = stacked.open, stacked.pop, stacked.local
-    counting, any_hit, Results = config.counters, config.query == ANY, results_of(config.query)
+    counting, any_hit, Results = config.counters, config.query == ANY, results_of(config)
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
@@ -180,7 +178,7 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     test_leaf, test_boxes, nearest = make_leaf(config), ray_boxes(config.width), nearest_child(config.width)
     width, counting, any_hit = config.width, config.counters, config.query == ANY
-    levels, row, Results = config.levels, config.levels * config.width, results_of(config.query)
+    levels, row, Results = config.levels, config.levels * config.width, results_of(config)
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):

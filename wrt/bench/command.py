@@ -25,6 +25,7 @@ COMPARISONS = {
     "builders": ("wrt.bench.kdtree_builders", "builders_command"),
     "ray-aware": ("wrt.bench.ray_aware_command", "ray_aware_command"),
     "layouts": ("wrt.bench.layouts", "layouts_command"),
+    "animation": ("wrt.bench.animation", "animation_command"),
 }
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 

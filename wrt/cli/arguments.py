@@ -101,7 +101,7 @@ def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
     return options
 
 
-def make_scene(geometry: Any, given: Mapping[str, Any]) -> Scene:
+def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "auto") -> Scene:
     """The scene, with the accelerator, the device and the threads that were asked for."""
     from wrt.accelerator import resolve_accelerator
     from wrt.scene import Scene
@@ -111,7 +111,7 @@ def make_scene(geometry: Any, given: Mapping[str, Any]) -> Scene:
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--accelerator") from None
     with busy("building the tree"):
-        return Scene(geometry, accelerator, device=given["device"], num_threads=given["threads"])
+        return Scene(geometry, accelerator, triangle_test=triangle_test, device=given["device"], num_threads=given["threads"])
 
 
 def check_name(argument: str, name: str) -> str:

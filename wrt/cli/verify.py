@@ -8,22 +8,24 @@ from typing import Any
 
 import click
 
-from wrt.cli.arguments import busy, load_mesh, make_scene, model_options, start_warp
+from wrt.cli.arguments import busy, check_name, load_mesh, make_scene, model_options, start_warp
 
 
 @click.command()
 @model_options
+@click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--samples", default=1000, show_default=True, type=click.IntRange(4), help="Rays, a quarter of each kind.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Of the rays.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
-def verify(samples: int, seed: int, as_json: bool, **given: Any) -> int:
+def verify(triangle_test: str, samples: int, seed: int, as_json: bool, **given: Any) -> int:
     """Checks hits on MODEL (or on a built-in scene) against brute force in float64.
 
     Rays are random, aimed at vertices and edges, and grazing. The exit status is 1 if an answer is wrong.
     """
     start_warp(given["device"])
+    check_test(triangle_test)
     mesh, _ = load_mesh(given)
-    scene = make_scene(mesh, given)
+    scene = make_scene(mesh, given, triangle_test)
     with busy("comparing with brute force"):
         report = scene.verify(samples, seed)
     if as_json:
@@ -33,3 +35,13 @@ def verify(samples: int, seed: int, as_json: bool, **given: Any) -> int:
 
         report.print(Console())
     return 0 if report.ok else 1
+
+
+def check_test(name: str) -> None:
+    """Refuses a name that is in no table, and a test whose rays must share their origin: these have origins of their own."""
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+
+    if check_name("triangle_test", name) != "auto" and TRIANGLE_TESTS[name].needs_shared_origin:
+        able = ", ".join(test.name for test in TRIANGLE_TESTS.values() if not test.needs_shared_origin)
+        message = f"{name!r} needs rays that share their origin; choose from auto, {able}"
+        raise click.BadParameter(message, param_hint="--triangle-test")

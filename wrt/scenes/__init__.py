@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any
 
 from wrt.mesh import TriangleMesh
+from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 from wrt.scenes.colonnade import atrium
 from wrt.scenes.newell_teapot import teapot
 from wrt.scenes.stadium import teapot_in_stadium
@@ -25,12 +26,15 @@ from wrt.scenes.triangle_soup import random_triangles
 
 __all__ = [
     "BUILTIN_SCENES",
+    "Animation",
     "BuiltinScene",
     "atrium",
     "build",
     "random_triangles",
     "teapot",
     "teapot_in_stadium",
+    "walking_figure",
+    "waving_cloth",
     "wood",
 ]
 

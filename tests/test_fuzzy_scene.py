@@ -1,0 +1,165 @@
+"""Trees of fuzzy boxes: in every frame the hits of a tree of its own; and the motion that is found in an animation."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import assert_same_hits, mixed_rays
+from test_cuda_compiles import compile_to_ptx
+
+import wrt
+from wrt.builders.motion import assigned, decompose, fit_maps, fuzzy_boxes
+from wrt.kernels.launch import CUDA_BLOCK
+from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.fuzzy import make_kernel
+
+BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
+TWO = wrt.TriangleMesh.concatenate([BALL, BALL.transformed(trimesh.transformations.translation_matrix([4, 0, 0]))])
+
+
+def turns(count: int, seed: int) -> np.ndarray:
+    """(count, 4, 4): the identity, then rigid motions."""
+    rng = np.random.default_rng(seed)
+    maps = [np.eye(4)]
+    for _ in range(count - 1):
+        maps.append(trimesh.transformations.random_rotation_matrix(rng.random(3)))
+        maps[-1][:3, 3] = rng.uniform(-3, 3, 3)
+    return np.array(maps)
+
+
+def moved(points: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """(F, N, 3)"""
+    return points @ maps[:, :3, :3].swapaxes(1, 2) + maps[:, None, :3, 3]
+
+
+def two_bodies(noise: float = 0.0) -> np.ndarray:
+    """(6, V, 3): two balls that move by themselves, and tremble."""
+    count, rng = BALL.vertex_count, np.random.default_rng(5)
+    halves = [moved(TWO.vertices[:count], turns(6, 1)), moved(TWO.vertices[count:], turns(6, 2))]
+    frames = np.concatenate(halves, axis=1)
+    frames[1:] += rng.normal(0, noise, frames[1:].shape) if noise else 0.0
+    return frames
+
+
+def stretched() -> np.ndarray:
+    """(6, V, 3): one ball, sheared and flattened from frame to frame, and far from the origin."""
+    rng = np.random.default_rng(8)
+    maps = np.eye(4) + np.pad(rng.uniform(-0.6, 0.6, (6, 3, 4)), ((0, 0), (0, 1), (0, 0)))
+    maps[4, 2, :3] = 0.0  # flat
+    frames = moved(TWO.vertices, maps) + np.array([100.0, -50.0, 1e3])
+    frames[5] = rng.permutation(frames[5])  # what no map explains
+    return frames
+
+
+ANIMATIONS = {"rigid": two_bodies, "trembling": lambda: two_bodies(0.05), "stretched": stretched}
+
+
+@pytest.mark.parametrize("name", ANIMATIONS)
+@pytest.mark.parametrize("clusters", [1, 7])
+def test_every_frame_as_a_fresh_tree(name, clusters):
+    """To the bit, whatever the maps, in every query."""
+    scene = wrt.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=clusters, device="cpu")
+    tree = scene.tree.parts.bounds
+    for frame in (3, 4, 5, 0):
+        scene.show(frame)
+        fresh = wrt.Scene(scene.meshes, device="cpu")
+        rays = mixed_rays(scene.flattened(), 1500)
+        hits = scene.intersect(*rays)
+        assert hits.is_hit.sum() >= 20
+        assert_same_hits(hits, fresh.intersect(*rays, traversal="single"))
+        np.testing.assert_array_equal(scene.count(*rays), fresh.count(*rays, traversal="single"))
+        np.testing.assert_array_equal(scene.bounds, fresh.bounds)
+    np.testing.assert_array_equal(scene.occluded(*rays), hits.is_hit)
+    lists = scene.intersect_all(*rays, max_hits=1)
+    np.testing.assert_array_equal(lists.count > 0, scene.count(*rays) > 0)
+    np.testing.assert_array_equal(scene.intersect(*rays, traversal="brute").t, hits.t)
+    assert scene.tree.parts.bounds is tree  # built once
+
+
+def test_skinned_mesh():
+    """Bones make the clusters: each ball goes with its own."""
+    maps = np.stack([turns(6, 1), turns(6, 2), turns(6, 3)], axis=1)
+    scene = wrt.FuzzyScene(two_bodies(), TWO.faces, transforms=maps, device="cpu")
+    np.testing.assert_array_equal(scene.labels, np.repeat([0, 1], BALL.triangle_count))
+    scene.show(2)
+    rays = mixed_rays(scene.flattened(), 500)
+    assert_same_hits(scene.intersect(*rays), wrt.Scene(scene.meshes, device="cpu").intersect(*rays, traversal="single"))
+
+
+def test_rigid_parts_are_found():
+    """Two clusters, one a body, are all that two bodies need."""
+    frames = two_bodies()
+    found = decompose(frames, TWO.faces, 8, 1e-3, 0)
+    assert found.matrices.shape[1] == 2
+    assert len(np.unique(found.labels[: BALL.triangle_count])) == 1
+    assert found.labels[0] != found.labels[-1]
+    assert found.residual.max() < 1e-3
+    one = decompose(frames, TWO.faces, 1, 1e-3, 0)
+    assert one.residual.max() > 1.0
+    trembling = [decompose(two_bodies(0.05), TWO.faces, count, 0.0, 0).residual.sum() for count in (1, 2, 6)]
+    assert trembling[0] > 2 * trembling[1] > 2 * trembling[2] * 0.9
+
+
+def test_fitted_maps_are_those_that_moved_the_points():
+    """Of flat point sets too, as a rotation; never singular."""
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    maps = np.eye(4) + np.pad(np.random.default_rng(1).uniform(-0.3, 0.3, (4, 3, 4)), ((0, 0), (0, 1), (0, 0)))
+    matrices, origins = fit_maps(points, moved(points, maps))
+    np.testing.assert_allclose(matrices, maps[:, :3, :3], atol=5e-3)
+    np.testing.assert_allclose(origins, moved(points, maps).mean(axis=1))
+    flat = points * [1.0, 1.0, 0.0]
+    matrices, _ = fit_maps(flat, moved(flat, turns(4, 0)))
+    np.testing.assert_allclose(matrices, turns(4, 0)[:, :3, :3], atol=1e-9)
+    matrices, _ = fit_maps(points, np.zeros((2, 50, 3)))
+    np.testing.assert_allclose(matrices @ matrices.swapaxes(1, 2), np.tile(np.eye(3), (2, 1, 1)), atol=1e-9)
+
+
+def test_fuzzy_boxes_hold_their_triangles():
+    frames, rng = two_bodies(0.05), np.random.default_rng(0)
+    found = decompose(frames, TWO.faces, 2, 0.0, 0)
+    own = found.labels == 1
+    points = frames[:, TWO.faces[own]]
+    corners = np.stack([points.min(axis=2), points.max(axis=2)], axis=1)
+    low, high = fuzzy_boxes(corners, found.matrices[:, 1], found.origins[:, 1])
+    inside = corners[:, 0] + rng.random(points[:, :, 0].shape) * (corners[:, 1] - corners[:, 0])
+    mapped = np.linalg.solve(found.matrices[:, 1], (inside - found.origins[:, 1, None]).swapaxes(1, 2)).swapaxes(1, 2)
+    assert (mapped >= low).all()
+    assert (mapped <= high).all()
+    unused = assigned(frames, TWO.faces, found.matrices[:, [0, 1, 1]], found.origins[:, [0, 1, 1]])
+    assert unused.matrices.shape[1] == 2  # the third is never nearer than the second
+
+
+BAD = {
+    "shape": (lambda f: wrt.FuzzyScene(f[0], TWO.faces), ValueError, r"shape \(F, V, 3\)"),
+    "nan": (lambda f: wrt.FuzzyScene(f * np.nan, TWO.faces), ValueError, "finite"),
+    "clusters": (lambda f: wrt.FuzzyScene(f, TWO.faces, clusters=0), ValueError, "clusters is 0"),
+    "rest": (lambda f: wrt.FuzzyScene(f, TWO.faces, rest=6), ValueError, "from 0 to 5"),
+    "bones": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.eye(4)), ValueError, r"\(6, B, 4, 4\)"),
+    "singular": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.zeros((6, 1, 4, 4))), ValueError, "affine"),
+    "kdtree": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree()), TypeError, r"must be a wrt\.Bvh"),
+    "frame": (lambda f: wrt.FuzzyScene(f, TWO.faces).show(6), ValueError, "frame indices go from 0 to 5"),
+    "update": (lambda f: wrt.FuzzyScene(f, TWO.faces).update(0, vertices=f[0]), ValueError, r"show\(frame\)"),
+    "packets": (
+        lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, traversal="stream"),
+        ValueError,
+        "spaces of their own",
+    ),
+    "precise": (lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, precise=True), ValueError, "of one tree"),
+    "handle": (lambda f: wrt.FuzzyScene(f, TWO.faces).handle(), ValueError, "of one tree"),
+    "statistics": (lambda f: wrt.FuzzyScene(f, TWO.faces).statistics(), ValueError, "many trees"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input(case):
+    call, error, message = BAD[case]
+    with pytest.raises(error, match=message):
+        call(two_bodies())
+
+
+def test_compiles_for_cuda(tmp_path):
+    config = TraversalConfig("woop", 2, "closest", levels=24, block=CUDA_BLOCK)
+    text = compile_to_ptx(make_kernel(config).module, tmp_path)
+    assert ".entry" in text
+    assert "fma.rn.f32" not in text

@@ -1,0 +1,302 @@
+"""`wrt bench animation`: what a scene can do about things that move, frame by frame.
+
+A cloth waves, or a skinned figure walks, in the atrium. Every way to follow the motion updates its scene and traces a view of
+each frame, and is compared with a tree that was built for the frame. Each frame's least time counts; with one thread it is that
+thread's own time, which nobody else on the machine disturbs. Building while tracing takes two, so there it is always wall time.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from time import perf_counter, thread_time
+from typing import Any
+
+import click
+import numpy as np
+
+from wrt.camera import PinholeCamera
+from wrt.fuzzy_scene import FuzzyScene
+from wrt.grouped_scene import GroupedScene
+from wrt.instances import Instance
+from wrt.kernels.launch import MAX_THREADS, get_num_threads, use_threads
+from wrt.mesh import TriangleMesh
+from wrt.scene import Scene
+from wrt.scenes.animations import Animation, walking_figure, waving_cloth
+from wrt.scenes.colonnade import atrium
+
+REFERENCE = "build, bvh"
+"""The way that all figures refer to."""
+
+CLUSTERS = 12
+"""Clusters that are looked for in the cloth."""
+
+BESIDE_THE_FOUNTAIN = (-2.0, -3.0, -0.5)
+"""Where the figure walks, on the floor of the court."""
+
+ANIMATIONS: dict[str, Callable[[int, int], Animation]] = {
+    "cloth": lambda frames, detail: waving_cloth(frames, 4 * detail),
+    "figure": lambda frames, detail: walking_figure(frames, detail).moved(BESIDE_THE_FOUNTAIN),
+}
+"""By name: (frames, detail) -> animation."""
+
+Show = Callable[[int], Scene]
+"""frame -> the scene as it is then; frames come in order."""
+
+Answer = tuple[np.ndarray, np.ndarray]
+"""Triangles, numbered through the scene, -1 for none, and t of a view's rays."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What moves, and where.
+
+    Attributes:
+        static: the mesh that stays.
+        animation: the one that moves.
+    """
+
+    static: TriangleMesh
+    animation: Animation
+
+    def meshes(self, frame: int) -> list[TriangleMesh]:
+        """All that is there in a frame."""
+        return [self.static, self.animation.mesh(frame)]
+
+
+def by_updates(accelerator: str, rebuild: str) -> Callable[[Stage], Show]:
+    """One tree, updated for each frame."""
+
+    def start(stage: Stage) -> Show:
+        scene = Scene(stage.meshes(0), accelerator, device="cpu")
+
+        def show(frame: int) -> Scene:
+            scene.update(1, vertices=stage.animation.frames[frame], rebuild=rebuild)
+            return scene
+
+        return show
+
+    return start
+
+
+def by_two_levels(stage: Stage) -> Show:
+    """A tree for what stays and one for what moves."""
+    scene = Scene([Instance(mesh) for mesh in stage.meshes(0)], device="cpu")
+
+    def show(frame: int) -> Scene:
+        scene.update(1, vertices=stage.animation.frames[frame])
+        return scene
+
+    return show
+
+
+def by_groups(stage: Stage) -> Show:
+    """The same, put together to one tree."""
+    scene = GroupedScene(stage.meshes(0), device="cpu")
+
+    def show(frame: int) -> Scene:
+        scene.move({1: stage.animation.frames[frame]})
+        return scene
+
+    return show
+
+
+def by_fuzzy_boxes(stage: Stage) -> Show:
+    """A tree for all frames. What stays is a cluster that does not move; the others are bones, or looked for."""
+    from wrt.builders.motion import decompose
+
+    animation, static = stage.animation, stage.static
+    maps = animation.bones
+    if maps is None:
+        found = decompose(animation.frames, animation.faces, CLUSTERS, 0.0, 0)
+        maps = np.zeros((*found.matrices.shape[:2], 4, 4))
+        maps[..., :3, :3], maps[..., :3, 3], maps[..., 3, 3] = found.matrices, found.origins, 1.0
+    still = np.tile(np.eye(4), (len(animation), 1, 1, 1))
+    frames = [np.concatenate([static.vertices, vertices]) for vertices in animation.frames]
+    faces = np.concatenate([static.faces, animation.faces + static.vertex_count])
+    scene = FuzzyScene(np.array(frames), faces, transforms=np.concatenate([still, maps], axis=1), device="cpu")
+
+    def show(frame: int) -> Scene:
+        scene.show(frame)
+        return scene
+
+    return show
+
+
+WAYS: dict[str, Callable[[Stage], Show]] = {
+    REFERENCE: by_updates("bvh", "always"),
+    "refit, bvh": by_updates("bvh", "never"),
+    "refit or build, bvh": by_updates("bvh", "auto"),
+    "build, kdtree": by_updates("kdtree", "always"),
+    "refill or build, kdtree": by_updates("kdtree", "auto"),
+    "two levels": by_two_levels,
+    "groups": by_groups,
+    "fuzzy boxes": by_fuzzy_boxes,
+}
+"""Ways to follow a motion: stage -> what shows a frame."""
+
+
+@dataclass
+class WayFigures:
+    """What a way to follow a motion costs.
+
+    Attributes:
+        way: key in `WAYS`, or "building while tracing".
+        start: seconds before the first frame.
+        update: seconds of each frame's update; 0 where it goes on beside tracing.
+        trace: seconds of tracing each frame.
+        same_triangle: least share, over all frames, of rays with the same triangle, or none, as in a tree built for the frame.
+        same_bits: the same of rays with the same triangle at the same t.
+    """
+
+    way: str
+    start: float
+    update: list[float] = field(default_factory=list)
+    trace: list[float] = field(default_factory=list)
+    same_triangle: float = 1.0
+    same_bits: float = 1.0
+
+    @property
+    def frames_per_second(self) -> float:
+        """Of all frames together."""
+        return len(self.trace) / (sum(self.update) + sum(self.trace))
+
+    def compare(self, got: Answer, wanted: Answer) -> None:
+        """Notes how a frame's answer agrees with that of a tree built for it."""
+        same = got[0] == wanted[0]
+        self.same_triangle = min(self.same_triangle, float(same.mean()))
+        self.same_bits = min(self.same_bits, float((same & (got[1] == wanted[1])).mean()))
+
+    def add(self, frame: int, update: float, trace: float) -> None:
+        """Notes a frame's times, if they are its best so far."""
+        if frame == len(self.trace):
+            self.update.append(update)
+            self.trace.append(trace)
+        elif update + trace < self.update[frame] + self.trace[frame]:
+            self.update[frame], self.trace[frame] = update, trace
+
+
+def answer(scene: Scene, camera: PinholeCamera) -> Answer:
+    """What a view's rays meet."""
+    hits = scene.intersect(camera.rays())
+    return hits.batch.primitive.numpy(), hits.batch.t.numpy()
+
+
+def compare_ways(
+    stage: Stage,
+    camera: PinholeCamera,
+    ways: Sequence[str] = tuple(WAYS),
+    *,
+    rounds: int = 1,
+    threads: int = 1,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> list[WayFigures]:
+    """Follows the motion in every way, and once more building while the last frame is traced.
+
+    Raises:
+        ValueError: an unknown way.
+    """
+    from wrt.tables import lookup
+
+    found, clock = [], thread_time if threads == 1 else perf_counter
+    with use_threads(threads):
+        expected = [answer(Scene(stage.meshes(frame), device="cpu"), camera) for frame in range(len(stage.animation))]
+        for name in ways:
+            way = lookup(WAYS, name, "way")
+            on_turn(name)
+            start = clock()
+            show = way(stage)
+            figures = WayFigures(name, clock() - start)
+            for _ in range(rounds):
+                follow(show, camera, expected, figures, clock)
+            found.append(figures)
+        on_turn("building while tracing")
+        found.append(follow_behind(stage, camera, expected, rounds))
+    return found
+
+
+def follow(show: Show, camera: PinholeCamera, expected: list[Answer], figures: WayFigures, clock: Callable[[], float]) -> None:
+    """Shows and traces all frames once."""
+    answer(show(0), camera)
+    for frame, wanted in enumerate(expected):
+        start = clock()
+        scene = show(frame)
+        middle = clock()
+        got = answer(scene, camera)
+        figures.add(frame, middle - start, clock() - middle)
+        figures.compare(got, wanted)
+
+
+def follow_behind(stage: Stage, camera: PinholeCamera, expected: list[Answer], rounds: int) -> WayFigures:
+    """Builds the tree of each frame while the one before is traced."""
+    start = perf_counter()
+    scene = Scene(stage.meshes(0), device="cpu")
+    figures, frames = WayFigures("building while tracing", perf_counter() - start), stage.animation.frames
+    for _ in range(rounds):
+        scene.update(1, vertices=frames[0], rebuild="always")
+        answer(scene, camera)
+        for frame, wanted in enumerate(expected):
+            start = perf_counter()
+            with scene.updating(1, vertices=frames[(frame + 1) % len(frames)], rebuild="always"):
+                got = answer(scene, camera)
+            figures.add(frame, 0.0, perf_counter() - start)
+            figures.compare(got, wanted)
+    return figures
+
+
+@click.command("animation")
+@click.argument("name", default="figure", type=click.Choice([*ANIMATIONS]))
+@click.option("--way", "ways", multiple=True, type=click.Choice([*WAYS]), help="Repeat. [all]")
+@click.option("--frames", default=24, show_default=True, type=click.IntRange(1), help="Of a period.")
+@click.option("--detail", default=24, show_default=True, type=click.IntRange(3), help="Triangles grow with its square.")
+@click.option("--size", default=256, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+def animation_command(
+    name: str,
+    ways: tuple[str, ...],
+    frames: int,
+    detail: int,
+    size: int,
+    rounds: int,
+    threads: int | None,
+    json_file: Path | None,
+) -> None:
+    """Follows a cloth or a figure that moves in the atrium in every way that scenes offer: frames a second, and same hits."""
+    from rich.console import Console
+
+    from wrt.bench.loading import progress, usage_errors
+
+    stage, count = Stage(atrium(), ANIMATIONS[name](frames, detail)), threads or get_num_threads()
+    camera = PinholeCamera(size, size, fov=60, position=(-6.0, -3.5, 2.0), look_at=(0.0, 0.0, 1.6), up=(0.0, 0.0, 1.0))
+    with progress() as on_turn, usage_errors():
+        figures = compare_ways(stage, camera, ways or tuple(WAYS), rounds=rounds, threads=count, on_turn=on_turn)
+    console = Console()
+    print_ways(figures, stage, count, console if console.is_terminal else Console(width=140))
+    if json_file is not None:
+        with usage_errors():
+            found = {"animation": name, "threads": count, "ways": [asdict(row) for row in figures]}
+            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def print_ways(figures: Sequence[WayFigures], stage: Stage, threads: int, console: Any) -> None:
+    """The table of ways."""
+    from wrt.bench.report import new_table, times
+
+    table = new_table(("way",), ("frames/s", "as fast", "update ms", "trace ms", "start ms", "same triangle", "same t"))
+    speeds = {row.way: row.frames_per_second for row in figures}
+    for row in figures:
+        ratio = row.frames_per_second / speeds[REFERENCE] if REFERENCE in speeds else None
+        means = (1e3 * float(np.mean(seconds)) for seconds in (row.update, row.trace))
+        cells = [f"{mean:.2f}" for mean in (*means, 1e3 * row.start)]
+        table.add_row(
+            row.way, f"{row.frames_per_second:.1f}", times(ratio), *cells, f"{row.same_triangle:.3%}", f"{row.same_bits:.3%}"
+        )
+    moving, still = len(stage.animation.faces), stage.static.triangle_count
+    sizes = f"{moving:,} triangles in {still:,} that stay"
+    label = f"{stage.animation.name}: {len(stage.animation)} frames, {sizes}, {threads} threads"
+    console.print(f"[bold]{label}[/bold]", highlight=False)
+    console.print(table)

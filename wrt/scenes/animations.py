@@ -1,0 +1,156 @@
+"""Two things that move, to try what a scene does about it: a cloth that waves, and a skinned figure that walks.
+
+An animation is arrays: the vertices of all frames, with the same faces. Both are as fine as asked for, and the same every time.
+
+    animation = wrt.scenes.walking_figure(frames=24)
+    scene = wrt.Scene([wrt.scenes.atrium(), animation.mesh(0)])
+    scene.update(1, vertices=animation.frames[1])
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from wrt.mesh import TriangleMesh
+from wrt.scenes.shapes import check_count, copies, lathe, sheets
+
+__all__ = ["Animation", "walking_figure", "waving_cloth"]
+
+_JOINTS = {
+    "root": (None, (0.0, 0.0, 1.0)),
+    "head": ("root", (0.0, 0.0, 1.52)),
+    **{f"{side} thigh": ("root", (0.0, y, 0.92)) for side, y in (("left", 0.1), ("right", -0.1))},
+    **{f"{side} shin": (f"{side} thigh", (0.0, y, 0.5)) for side, y in (("left", 0.1), ("right", -0.1))},
+    **{f"{side} arm": ("root", (0.0, y, 1.44)) for side, y in (("left", 0.25), ("right", -0.25))},
+    **{f"{side} forearm": (f"{side} arm", (0.0, y, 1.14)) for side, y in (("left", 0.25), ("right", -0.25))},
+}
+"""Each bone's parent, and the joint that it turns about in the rest pose; parents come first."""
+
+_BLEND = 0.09  # the skin bends from so far above a joint to so far below
+_STRIDE = 1.3  # metres of two steps
+
+
+@dataclass(frozen=True)
+class Animation:
+    """A mesh that moves.
+
+    Attributes:
+        name: for tables.
+        frames: (F, V, 3) float64 vertices.
+        faces: (T, 3) int32, of all frames.
+        bones: (F, B, 4, 4) float64 maps from the rest pose to each frame that the skin follows; None if there are none.
+    """
+
+    name: str
+    frames: np.ndarray
+    faces: np.ndarray
+    bones: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self.frames)
+
+    def moved(self, offset: tuple[float, float, float]) -> Animation:
+        """The same somewhere else."""
+        bones = self.bones
+        if bones is not None:
+            bones = bones.copy()
+            bones[..., :3, 3] += offset
+        return replace(self, frames=self.frames + np.asarray(offset), bones=bones)
+
+    def mesh(self, frame: int) -> TriangleMesh:
+        """The mesh as it is in a frame."""
+        return TriangleMesh(self.frames[frame], self.faces, name=self.name)
+
+
+def waving_cloth(frames: int = 24, cells: int = 48) -> Animation:
+    """A banner, 6 m wide and 4 m high, that hangs across the x axis of the atrium and waves, the more the lower; it repeats.
+
+    Args:
+        frames: of a period, >= 1.
+        cells: quads along each side, >= 1; 2 cells^2 triangles.
+
+    Raises:
+        TypeError, ValueError: no whole number, or too small.
+    """
+    frames, cells = check_count("frames", frames), check_count("cells", cells)
+    across, down = np.meshgrid(np.linspace(-3.0, 3.0, cells + 1), np.linspace(0.0, 4.0, cells + 1), indexing="ij")
+    phase = 2.0 * np.pi * np.arange(frames)[:, None, None] / frames
+    swell = 0.12 * down * (np.sin(1.9 * across + phase) + 0.4 * np.sin(2.0 * phase - 3.1 * down))
+    points = np.stack(np.broadcast_arrays(swell, across + 0.05 * down * np.cos(phase), 5.4 - down - 0.2 * swell**2), axis=-1)
+    return Animation("waving cloth", points.reshape(frames, -1, 3), sheets(points[0]).faces)
+
+
+def walking_figure(frames: int = 24, detail: int = 16) -> Animation:
+    """A figure 1.8 m high that takes two steps along the x axis. Its skin follows ten bones, two of them near a joint.
+
+    Args:
+        frames: of two steps, >= 1.
+        detail: corners of the limbs' circles and half the rings along them, >= 3; some 35 detail^2 triangles.
+
+    Raises:
+        TypeError, ValueError: no whole number, or too small.
+    """
+    frames, detail = check_count("frames", frames), check_count("detail", detail, 3)
+    skin, weights = _skin(detail)
+    bones = np.array([_pose(2.0 * np.pi * number / frames) for number in range(frames)])
+    points = np.concatenate([skin.vertices, np.ones((skin.vertex_count, 1))], axis=1)
+    moved = np.einsum("fbij,vj->fbvi", bones[:, :, :3], points)
+    return Animation("walking figure", np.einsum("vb,fbvi->fvi", weights, moved), skin.faces, bones)
+
+
+def _pose(phase: float) -> np.ndarray:
+    """(B, 4, 4) maps of the bones from rest; phase: of two steps, in radians."""
+    angles = {"root": 0.04 * np.sin(2.0 * phase), "head": -0.04 * np.sin(2.0 * phase)}
+    for side, own in (("left", phase), ("right", phase + np.pi)):
+        angles[f"{side} thigh"], angles[f"{side} shin"] = -0.5 * np.sin(own), 0.35 - 0.35 * np.sin(own - 1.1)
+        angles[f"{side} arm"], angles[f"{side} forearm"] = 0.45 * np.sin(own), -0.3 + 0.2 * np.sin(own)
+    maps: dict[str, np.ndarray] = {}
+    for name, (parent, joint) in _JOINTS.items():
+        turn, c, s = np.eye(4), np.cos(angles[name]), np.sin(angles[name])
+        turn[0, [0, 2]], turn[2, [0, 2]] = (c, s), (-s, c)
+        turn[:3, 3] = joint - turn[:3, :3] @ joint
+        maps[name] = turn if parent is None else maps[parent] @ turn
+    start = np.eye(4)
+    start[0, 3], start[2, 3] = _STRIDE * (phase / (2.0 * np.pi) - 0.5), 0.02 * np.cos(2.0 * phase)
+    return np.array([start @ one for one in maps.values()])
+
+
+def _skin(detail: int) -> tuple[TriangleMesh, np.ndarray]:
+    """The mesh at rest, and (V, B) weights of the bones."""
+    numbers = {name: number for number, name in enumerate(_JOINTS)}
+    parts = [_limb("root", None, 0.0, (0.88, 1.5), (0.15, 0.2), detail)]
+    parts.append(_limb("head", None, 0.0, (1.53, 1.8), (0.1, 0.11), detail))
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        parts.append(_limb(f"{side} thigh", f"{side} shin", 0.1 * sign, (0.04, 0.95), (0.05, 0.085), detail))
+        parts.append(_limb(f"{side} arm", f"{side} forearm", 0.25 * sign, (0.84, 1.47), (0.035, 0.055), detail))
+    weights = []
+    for mesh, upper, lower in parts:
+        own = np.zeros((mesh.vertex_count, len(numbers)))
+        share = np.zeros(mesh.vertex_count)
+        if lower is not None:
+            share = np.clip((_JOINTS[lower][1][2] + _BLEND - mesh.vertices[:, 2]) / (2.0 * _BLEND), 0.0, 1.0)
+            own[:, numbers[lower]] = share
+        own[:, numbers[upper]] += 1.0 - share
+        weights.append(own)
+    return TriangleMesh.concatenate([mesh for mesh, _, _ in parts], name="walking figure"), np.concatenate(weights)
+
+
+def _limb(
+    upper: str, lower: str | None, y: float, heights: tuple[float, float], radii: tuple[float, float], detail: int
+) -> tuple[TriangleMesh, str, str | None]:
+    """An upright rounded tube, and the bones that move it.
+
+    Args:
+        upper, lower: the bones; None for the lower one if there is one only.
+        y: where it stands.
+        heights: of its ends.
+        radii: at the lower and the upper end.
+        detail: as of `walking_figure`.
+    """
+    along = np.linspace(0.0, 1.0, 2 * detail + 1)
+    radius = (radii[0] + (radii[1] - radii[0]) * along) * np.sqrt(1.0 - (2.0 * along - 1.0) ** 8)
+    mesh = lathe(np.stack([radius, heights[0] + (heights[1] - heights[0]) * along], axis=1), detail)
+    return copies(mesh, (0.0, y, 0.0)), upper, lower
