@@ -170,6 +170,8 @@ def test_bad_arguments(device):
         twins.occluded(origins, directions, skip=3)
     with pytest.raises(ValueError, match=r"hits\.spawn\(directions\) instead, or ask wrt\.Scene\(scene\.flattened"):
         wrt.Scene(wrt.Instance(TEAPOT), device=device).count(origins, directions, skip=hits)
+    with pytest.raises(ValueError, match=r"scenes of one tree; .* ask wrt\.Scene\(scene\.meshes\)"):
+        wrt.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)
 
 
 @pytest.mark.parametrize(("tree", "query"), [("bvh", ANY), ("kdtree", CLOSEST)])
