@@ -68,8 +68,8 @@ class Queries(BlockQueries):
             TypeError: an argument is of a wrong type.
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
                 `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip`
-                together with a traversal, a triangle test, counters or `precise`, in a scene of instances, of numbers of no
-                triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays.
+                together with a traversal, a triangle test, counters or `precise`, in a scene of instances or of fuzzy boxes,
+                of numbers of no triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays.
         """
         rays = as_rays(origins, directions, t_min, t_max)
         ours = mask is None and skip is None and not (cull_backfaces or counters or precise)

@@ -56,12 +56,16 @@ def check_skip(scene: Scene, others: dict[str, Any]) -> None:
     """Refuses what `skip` does not go with.
 
     Raises:
-        ValueError: a scene of instances, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a scene of instances or of fuzzy boxes, or an argument in `others` that is neither "auto" nor False.
     """
     if scene.instances:
         raise ValueError(
             "skip goes with scenes without instances; start rays at hits.spawn(directions) instead, "
             "or ask wrt.Scene(scene.flattened()), which numbers triangles through all instances"
+        )
+    if scene.only_single:
+        raise ValueError(
+            "skip goes with scenes of one tree; start rays at hits.spawn(directions) instead, or ask wrt.Scene(scene.meshes)"
         )
     if given := [name for name, value in others.items() if value not in (AUTO, False)]:
         raise ValueError(f"skip does not go with {', '.join(given)}; leave one or the other out")
