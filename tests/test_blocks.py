@@ -168,6 +168,15 @@ class Stop:
         self.values[rows] = values
 
 
+@pytest.fixture
+def default_handler():
+    """Ctrl-C as a fresh process has it: what runs notebooks in the same process may have left another handler."""
+    previous = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, previous)
+
+
+@pytest.mark.usefixtures("default_handler")
 def test_interrupt_between_blocks(scene, rays):
     """The block under way is finished and written; the scene and the blocks go on as if nothing had been."""
     whole, out = scene.count(*rays), Stop(COUNT)

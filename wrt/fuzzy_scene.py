@@ -140,7 +140,7 @@ class FuzzyScene(Scene):
         raise ValueError("precise=True and gradients take a scene of one tree; ask wrt.Scene(scene.meshes)")
 
     def save(self, path: str | Path) -> None:
-        """Not of many trees.
+        """Not of many trees, wherever `path` may be.
 
         Raises:
             ValueError: always; the message says what to do instead.
@@ -148,7 +148,7 @@ class FuzzyScene(Scene):
         raise ValueError("trees of fuzzy boxes are not kept in files; save the frames, and make the scene again")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Not of many trees.
+        """Not of many trees, wherever `path` may be.
 
         Raises:
             ValueError: always; the message says what to do instead.

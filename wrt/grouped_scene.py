@@ -44,7 +44,7 @@ class GroupedScene(Scene):
         scene = wrt.GroupedScene([building, curtain, figure])
         scene.move({1: curtain_vertices, 2: figure_vertices})
 
-    Queries, hits and options are those of a `wrt.Scene` of the same meshes.
+    Arguments as in `wrt.Scene`, and so are queries and hits.
 
     Attributes:
         group_updates: dict of `UpdateReport` by the index of each mesh that the last update moved.
