@@ -21,10 +21,11 @@ import click
 from wrt.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
 from wrt.bench.measure import Contender, Timing, take_turns
-from wrt.bench.workloads import WorkloadMaker
+from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 from wrt.mesh import TriangleMesh
+from wrt.plan import AUTO
 from wrt.scene import Scene
 
 REFERENCE = "sweep"
@@ -109,7 +110,9 @@ def compare_trees(
     *,
     rounds: int = 5,
     threads: int = 1,
+    trace_rounds: int | None = None,
     size: int = 512,
+    traversal: str = AUTO,
     clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[BuilderFigures]:
@@ -119,6 +122,8 @@ def compare_trees(
         mesh: what trees are built of.
         trees: by name; all figures refer to the first.
         rounds, threads, size, on_turn: as in `compare_builders`.
+        trace_rounds: turns of each tree at tracing, which takes less time than building; None for `rounds`.
+        traversal: how rays are traced, key in `TRAVERSALS` or "auto".
         clock: seconds; `time.thread_time` with one thread on a machine that others use.
 
     Raises:
@@ -131,15 +136,15 @@ def compare_trees(
     def build(name: str) -> None:
         scenes[name] = Scene(mesh, trees[name], device="cpu", num_threads=threads)
 
-    take = {"rounds": rounds, "budget": BUDGET, "settle": SETTLE, "clock": clock, "on_turn": on_turn}
-    timings = take_turns([Contender(name, lambda name=name: build(name)) for name in trees], **take)
+    def trace(name: str, rays: Workload) -> None:
+        scenes[name].intersect(rays.origins, rays.directions, traversal=traversal)
+
+    take = {"budget": BUDGET, "settle": SETTLE, "clock": clock, "on_turn": on_turn}
+    timings = take_turns([Contender(name, lambda name=name: build(name)) for name in trees], rounds, **take)
     traced: dict[str, dict[str, Timing]] = {}
     for rays in workloads:
-        tracing = [
-            Contender(name, lambda scene=scenes[name], rays=rays: scene.intersect(rays.origins, rays.directions))
-            for name in trees
-        ]
-        traced[rays.name] = take_turns(tracing, **take)
+        tracing = [Contender(name, lambda name=name, rays=rays: trace(name, rays)) for name in trees]
+        traced[rays.name] = take_turns(tracing, trace_rounds or rounds, **take)
     for scene in scenes.values():
         scene.complete()
     costs = {name: scene.statistics().tree.sah_cost for name, scene in scenes.items()}

@@ -150,11 +150,12 @@ def mailbox_costs(mesh: TriangleMesh, *, size: int = 128, rounds: int = 5) -> li
     found = []
     for mailbox in ("none", MAILBOX):
         plans = {
-            aware: replace(scene.explain(workload.rays, traversal="single"), mailbox=mailbox)
-            for aware, scene in scenes.items()
+            aware: replace(scene.explain(workload.rays, traversal="single"), mailbox=mailbox) for aware, scene in scenes.items()
         }
         contenders = [
-            Contender(str(aware), lambda aware=aware, plans=plans: scenes[aware].intersect(workload.rays, traversal=plans[aware]))
+            Contender(
+                str(aware), lambda aware=aware, plans=plans: scenes[aware].intersect(workload.rays, traversal=plans[aware])
+            )
             for aware in scenes
         ]
         with use_threads(1):
