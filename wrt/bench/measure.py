@@ -4,7 +4,7 @@ A noisy machine slows down for seconds at a time. Contenders that run in turn (A
 the ratio of two times of one round means more than the ratio of two averages. Each is warmed up first, and a turn of a quick
 contender is an untimed call and then the timed one: otherwise whoever comes after a contender that sweeps the caches pays
 for it (the same engine, twice in one round, differed by a fifth). And every round begins with another contender,
-since whoever is first takes longer (of one kd-tree five times in a round, traced in a millisecond, the first took 5 to 12 % more).
+since whoever is first takes longer: by 5 to 12 %, of one kd-tree five times in a round, traced in a millisecond.
 """
 
 from __future__ import annotations
