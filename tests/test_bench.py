@@ -162,7 +162,7 @@ def test_contenders_take_turns_and_ratios_are_taken_round_by_round():
     slow = clock.contender("a", 99.0, 1.0, 1.0, 10.0), clock.contender("b", 99.0, 2.0, 3.0, 25.0)
     seen = []
     timings = take_turns(slow, 3, clock=clock, on_turn=seen.append)
-    assert clock.log == ["a", "b"] * 4 == seen
+    assert clock.log == seen == [*"ab", *"ab", *"ba", *"ab"], "the warm-ups, then rounds, each of which begins with the next"
     assert timings["a"].seconds == [1.0, 1.0, 10.0]
     assert (timings["b"].median, timings["b"].spread) == (3.0, (2.0, 25.0))
     assert timings["b"].ratio_to(timings["a"]) == 2.5

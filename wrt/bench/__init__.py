@@ -12,6 +12,7 @@ Within wrt:
     bare.py             triangle tests without a tree       triangle_tests.py   every test: speed, cost, exits
     precision.py        errors against float64, leaks       triangle_report.py, triangle_command.py
     komatsu.py          the tables of Komatsu et al. 2008   kdtree_builders.py, layouts.py  how kd-trees are built and laid out
+    kdtree_study.py     what else papers on kd-trees claim  kdtree_pictures.py  kd-trees drawn
 
 Speed lives here and not in the tests: machines are noisy, so every figure is a ratio to wrt taken in the same round.
 """

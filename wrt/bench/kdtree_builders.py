@@ -2,27 +2,30 @@
 
 Builders take turns on the same boxes, then on the same rays; times are ratios of medians over rounds (`measure`). The SAH cost
 is the same for all: the default cost model's, whatever the builder minimised. Builders that would not end are left out. Where
-rays build what they need, the build is its beginning, and the tree is completed before its cost is taken.
+rays build what they need, the build is its beginning, and the tree is completed before its cost is taken. `compare_trees` does
+the same for any descriptions, such as one builder with several options.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from math import log2
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 import click
 
 from wrt.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
-from wrt.bench.measure import Contender, take_turns
-from wrt.bench.workloads import WorkloadMaker
+from wrt.bench.measure import Contender, Timing, take_turns
+from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 from wrt.mesh import TriangleMesh
+from wrt.plan import AUTO
 from wrt.scene import Scene
 
 REFERENCE = "sweep"
@@ -37,10 +40,10 @@ GROWTH = (1_000, 10_000, 100_000, 1_000_000)
 
 @dataclass(frozen=True)
 class BuilderFigures:
-    """One builder's figures; ratios are to `REFERENCE`.
+    """One builder's figures; ratios are to `REFERENCE`, or to the first of the trees that are compared.
 
     Attributes:
-        builder: key in `KDTREE_BUILDERS`.
+        builder: key in `KDTREE_BUILDERS`, or the tree's name.
         seconds: of a build from a mesh in memory, median of the rounds.
         build_ratio: build time; above 1 is slower.
         sah_cost, sah_ratio: expected cost of a ray.
@@ -97,38 +100,66 @@ def compare_builders(
     Raises:
         ValueError: a size that does not divide into tiles.
     """
+    trees = {name: KdTree(builder=name) for name in dict.fromkeys((REFERENCE, *builders))}
+    return compare_trees(mesh, trees, rounds=rounds, threads=threads, size=size, on_turn=on_turn)
+
+
+def compare_trees(
+    mesh: TriangleMesh,
+    trees: Mapping[str, KdTree],
+    *,
+    rounds: int = 5,
+    threads: int = 1,
+    trace_rounds: int | None = None,
+    size: int = 512,
+    traversal: str = AUTO,
+    clock: Callable[[], float] = perf_counter,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> list[BuilderFigures]:
+    """Builds and traces.
+
+    Args:
+        mesh: what trees are built of.
+        trees: by name; all figures refer to the first.
+        rounds, threads, size, on_turn: as in `compare_builders`.
+        trace_rounds: turns of each tree at tracing, which takes less time than building; None for `rounds`.
+        traversal: how rays are traced, key in `TRAVERSALS` or "auto".
+        clock: seconds; `time.thread_time` with one thread on a machine that others use.
+
+    Raises:
+        ValueError: a size that does not divide into tiles.
+    """
     workloads = list(WorkloadMaker(mesh, size=size).make(RAYS))
-    names = dict.fromkeys((REFERENCE, *builders))
+    reference = next(iter(trees))
     scenes: dict[str, Scene] = {}
 
     def build(name: str) -> None:
-        scenes[name] = Scene(mesh, KdTree(builder=name), device="cpu", num_threads=threads)
+        scenes[name] = Scene(mesh, trees[name], device="cpu", num_threads=threads)
 
-    contenders = [Contender(name, lambda name=name: build(name)) for name in names]
-    timings = take_turns(contenders, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
-    traced: dict[str, dict[str, Any]] = {}
+    def trace(name: str, rays: Workload) -> None:
+        scenes[name].intersect(rays.origins, rays.directions, traversal=traversal)
+
+    take = {"budget": BUDGET, "settle": SETTLE, "clock": clock, "on_turn": on_turn}
+    timings = take_turns([Contender(name, lambda name=name: build(name)) for name in trees], rounds, **take)
+    traced: dict[str, dict[str, Timing]] = {}
     for rays in workloads:
-        tracing = [
-            Contender(name, lambda scene=scenes[name], rays=rays: scene.intersect(rays.origins, rays.directions))
-            for name in names
-        ]
-        traced[rays.name] = take_turns(tracing, rounds, budget=BUDGET, settle=SETTLE, on_turn=on_turn)
+        tracing = [Contender(name, lambda name=name, rays=rays: trace(name, rays)) for name in trees]
+        traced[rays.name] = take_turns(tracing, trace_rounds or rounds, **take)
     for scene in scenes.values():
         scene.complete()
-    statistics = {name: scenes[name].statistics() for name in names}
-    costs = {name: statistics[name].tree.sah_cost for name in names}
+    costs = {name: scene.statistics().tree.sah_cost for name, scene in scenes.items()}
     return [
         BuilderFigures(
             name,
             timings[name].median,
-            timings[name].ratio_to(timings[REFERENCE]),
+            timings[name].ratio_to(timings[reference]),
             costs[name],
-            costs[name] / costs[REFERENCE],
+            costs[name] / costs[reference],
             scenes[name].tree.bytes / mesh.triangle_count,
             scenes[name].tree.stats.peak_bytes / mesh.triangle_count,
-            {rays: timing[name].ratio_to(timing[REFERENCE]) for rays, timing in traced.items()},
+            {rays: timing[name].ratio_to(timing[reference]) for rays, timing in traced.items()},
         )
-        for name in names
+        for name in trees
     ]
 
 
@@ -138,6 +169,7 @@ def measure_growth(
     *,
     rounds: int = 3,
     threads: int = 1,
+    clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[Growth]:
     """Builds teapots of about so many triangles; a builder is not asked for more than it can be waited for."""
@@ -153,7 +185,7 @@ def measure_growth(
             for name in builders
             if count <= KDTREE_BUILDERS[name].most_triangles
         ]
-        for name, timing in take_turns(contenders, rounds, budget=BUDGET, on_turn=on_turn).items():
+        for name, timing in take_turns(contenders, rounds, budget=BUDGET, clock=clock, on_turn=on_turn).items():
             least = min(timing.times)
             grown[name].triangles.append(count)
             grown[name].seconds.append(least)

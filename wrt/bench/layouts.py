@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -76,6 +77,7 @@ def compare_layouts(
     rounds: int = 5,
     threads: int = 1,
     size: int = 512,
+    clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[LayoutFigures]:
     """Traces the rays through one tree in every layout.
@@ -87,6 +89,7 @@ def compare_layouts(
         rounds: turns of each layout.
         threads: CPU threads.
         size: each workload has size * size rays.
+        clock: seconds; `time.thread_time` with one thread on a machine that others use.
         on_turn: told the name of each layout before its turn.
 
     Raises:
@@ -106,7 +109,7 @@ def compare_layouts(
             contenders = [
                 Contender(name, lambda tree=tree, rays=rays: trace_pairs(scene, tree, rays)) for name, tree in trees.items()
             ]
-            timings = take_turns(contenders, rounds, on_turn=on_turn)
+            timings = take_turns(contenders, rounds, clock=clock, on_turn=on_turn)
             for name, timing in timings.items():
                 steps[name][made.name] = timing.median * 1e9 * threads / total
                 ratio = timing.ratio_to(timings[REFERENCE])
