@@ -13,7 +13,7 @@ import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import Plan
-from wrt.plan_checks import MAX_STREAM
+from wrt.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
 
 TREES = TRAVERSALS["stream"].trees
 SMALL_SCENES = ("teapot", "random_triangles", "stadium", "grid", "degenerate")
@@ -62,6 +62,10 @@ def test_sizes(tree, size, device):
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = mixed_rays(mesh, 4500, seed=size)
+    if scene.device.is_cuda and size > MAX_CUDA_STREAM:
+        with pytest.raises(ValueError, match=r"plan\.stream"):
+            assert_equals_brute_force(scene, wrt.Rays(origins, directions), size)
+        return
     first = scene.intersect(origins, directions)
     rng = np.random.default_rng(2)
     t_min = np.where(first.is_hit & (rng.random(4500) < 0.5), first.t, rng.random(4500)).astype(np.float32)

@@ -20,6 +20,9 @@ COUNT, ALL = "count", "all"
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
 
+MAX_CUDA_STREAM = 256
+"""Rays of a stream on CUDA at most: they lie in the local memory of a thread, and so many threads are there at a time."""
+
 MAX_STREAM = 4096
 """Rays of a stream at most: 64 x 64."""
 
@@ -74,8 +77,9 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns to speak of")
     if plan.one_by_one and plan.traversal != "single":
         raise ValueError(f"plan.one_by_one goes with the traversal 'single', not {plan.traversal!r}")
-    if way.streams and not 1 <= plan.stream <= MAX_STREAM:
-        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {MAX_STREAM}")
+    most = MAX_CUDA_STREAM if scene.device.is_cuda else MAX_STREAM
+    if way.streams and not 1 <= plan.stream <= most:
+        raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}")
     if not way.packets:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
