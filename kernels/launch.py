@@ -213,3 +213,17 @@ def _forget_pool() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forget_pool)
+
+
+def as_device(device: str | wp.Device | None) -> wp.Device:
+    """The device of that name; Warp's default device for None.
+
+    Raises:
+        ValueError: it is not there.
+    """
+    wp.init()
+    try:
+        return wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        names = ", ".join(str(d) for d in wp.get_devices())
+        raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None

@@ -107,15 +107,13 @@ def launch(
         TypeError: `kernel` is none, or has another first parameter; `num_threads` is no int.
         ValueError: there is no such device, or `num_threads` is out of range.
     """
-    from wrt.scene import as_device
-
     if not isinstance(kernel, wp.Kernel):
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
     if not kernel.adj.args or kernel.adj.args[0].label != "first":
         raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter: its chunk's first item")
     if num_threads is not None:
         launching.check_num_threads(num_threads, "num_threads")
-    target = as_device(device)
+    target = launching.as_device(device)
     if kernel.is_generic:
         kernel = kernel.add_overload(kernel.infer_argument_types([0, *inputs]))
         launching.load_changed(kernel, target)

@@ -15,7 +15,7 @@ from wrt.accelerator import Accelerator, KdTree, resolve_accelerator
 from wrt.geometry import PlacedMeshes, as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
-from wrt.kernels.launch import check_num_threads, use_threads
+from wrt.kernels.launch import as_device, check_num_threads, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
@@ -386,17 +386,3 @@ def _as_test(name: str) -> str:
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     return lookup(TRIANGLE_TESTS, name, "triangle_test").name
-
-
-def as_device(device: str | wp.Device | None) -> wp.Device:
-    """The device of that name; Warp's default device for None.
-
-    Raises:
-        ValueError: it is not there.
-    """
-    wp.init()
-    try:
-        return wp.get_device(device)
-    except (ValueError, RuntimeError) as error:
-        names = ", ".join(str(d) for d in wp.get_devices())
-        raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None
