@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.bench.contract import Answer, Lists, Peer, Query, device_rays, spread_rays
+from wrt.bench.embree_native import Embree
 from wrt.bench.engines import all_engines, default_engine
 from wrt.bench.workloads import Workload
 from wrt.mesh import TriangleMesh
@@ -226,6 +227,7 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "wrt": lambda threads, device: [default_engine(threads, device)],
     "engines": all_engines,
     "open3d": lambda threads, device: [Open3D(threads)],
+    "embree": lambda threads, device: [Embree(threads)],
     "embreex": lambda threads, device: [Embreex()],
     "warp_mesh": lambda threads, device: [WarpMesh(device=device)],
     "trimesh": lambda threads, device: [Trimesh()],
