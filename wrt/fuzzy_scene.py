@@ -172,7 +172,7 @@ class ShownTree:
         top: over the boxes of clusters in the scene.
         parts: all clusters' trees, in their own spaces.
         clusters: (C,) `wrt.kernels.traversal.fuzzy.Cluster`.
-        depth: most inner nodes on a path, in both levels together.
+        depth: most inner nodes on a path of any of the trees.
     """
 
     top: common.Bvh
@@ -268,7 +268,7 @@ class FuzzyTree:
         device, width = self.parts.bounds.device, self.parts.width
         top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(*self.boxes[frame]), width).to(device)
         clusters = wp.array(self.table[frame], dtype=Cluster, device=device)
-        return ShownTree(top, self.parts, clusters, top.depth + self.depth)
+        return ShownTree(top, self.parts, clusters, max(top.depth, self.depth))
 
 
 def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
