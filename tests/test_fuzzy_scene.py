@@ -87,6 +87,20 @@ def test_skinned_mesh():
     assert_same_hits(scene.intersect(*rays), wrt.Scene(scene.meshes, device="cpu").intersect(*rays, traversal="single"))
 
 
+def test_rays_from_afar_in_sheared_space():
+    """Rounding is that of the scene, however small the ray's numbers are in the cluster's space: boxes there allow for it."""
+    ball = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(3))
+    to_own = np.eye(4)
+    to_own[:3, :3] = [[1.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1e-3, 0.0, 1e-3]]  # (1, 0, 1) has a small image
+    scene = wrt.FuzzyScene(ball.vertices[None], ball.faces, transforms=np.linalg.inv(to_own)[None, None], device="cpu")
+    rng = np.random.default_rng(0)
+    origins = (np.array([1e4, 0.0, 1e4]) + rng.uniform(-1, 1, (2000, 3))).astype(np.float32)
+    directions = (ball.vertices[rng.integers(0, ball.vertex_count, 2000)] - origins).astype(np.float32)
+    expected = wrt.Scene(ball, device="cpu").intersect(origins, directions, traversal="single")
+    assert expected.is_hit.mean() > 0.9
+    assert_same_hits(scene.intersect(origins, directions), expected)
+
+
 def test_rigid_parts_are_found():
     """Two clusters, one a body, are all that two bodies need."""
     frames = two_bodies()

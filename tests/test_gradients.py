@@ -102,7 +102,7 @@ def test_float32(mesh, values, weights, device):
 def test_shared_origin_and_shapes(mesh, values, device):
     """Rays in rows and columns, from one origin, whose gradient is the sum of all; vertices left to the scene."""
     scene = wrt.Scene(mesh, device=device)
-    origin, directions = values["origins"][:1], values["directions"].reshape(10, 12, 3)
+    origin = values["origins"][:1]
     directions = values["vertices"][:120].reshape(10, 12, 3) - origin
     hits = scene.intersect(origin[0], directions)
     one = wp.array(origin, dtype=wp.vec3d, device=device, requires_grad=True)
@@ -125,6 +125,8 @@ def test_bad_arguments(mesh, values):
         wrt.differentiable_hits(scene, hits, values["origins"], values["directions"], mesh.vertices[:-1])
     with pytest.raises(ValueError, match="directions have the leading shape"):
         wrt.differentiable_hits(scene, hits, values["origins"], values["directions"][:7])
+    with pytest.raises(ValueError, match="hits are of another scene"):
+        wrt.differentiable_hits(wrt.Scene([mesh, mesh], device="cpu"), hits, values["origins"], values["directions"])
     with pytest.raises(TypeError, match="origins"):
         wrt.differentiable_hits(scene, hits, "here", values["directions"])
 

@@ -22,7 +22,7 @@ def groups(count: int) -> list[wrt.TriangleMesh]:
 
 
 def assert_as_one_tree(scene: wrt.GroupedScene) -> None:
-    """By single rays and by streams, which walk the tree as it is."""
+    """By single rays, which walk the tree as it is."""
     plain = wrt.Scene(scene.meshes, device="cpu")
     rays = mixed_rays(scene.flattened(), 1500)
     expected = plain.intersect(*rays, traversal="single")
@@ -69,6 +69,8 @@ def test_bad_input():
         scene.move({0: BALL.vertices, 1: np.zeros((2, 3))})
     with pytest.raises(TypeError, match=r"must be a wrt\.Bvh"):
         wrt.GroupedScene(groups(3), "kdtree")
+    with pytest.raises(ValueError, match="not kept in a folder"):
+        wrt.GroupedScene(groups(3), cache=".")
     assert scene.tree is before
 
 

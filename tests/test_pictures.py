@@ -31,10 +31,12 @@ def test_pictures_are_recognised(width, height, dtype):
     assert_same_hits(hits, scene.intersect(origins, directions, traversal="single"))
     np.testing.assert_array_equal(scene.occluded(origins, directions), hits.is_hit)
     shuffled = np.random.default_rng(0).permutation(len(directions))
+    rows = np.random.default_rng(0).permutation(height)[:, None] * width + np.arange(width)
     last = origins + np.arange(len(origins))[:, None] * 1e-3
     for other_origins, other_directions in (
         (last, directions),
         (origins, directions[shuffled]),
+        (origins, directions[rows.ravel()]),
         (origins[:-1], directions[:-1]),
         (origins, np.tile(directions[:1], (len(origins), 1))),
         (origins, np.full_like(directions, np.nan)),

@@ -97,6 +97,17 @@ def test_copies_share_the_tree(scene, built):
     assert built == []
 
 
+def test_pickled_instances():
+    """They still share their mesh, and are as read-only as before."""
+    mesh = meshes()[0]
+    pair = [wrt.Instance(mesh, 2.0 * np.eye(4) - np.diag([0, 0, 0, 1.0]), mask=5), wrt.Instance(mesh)]
+    first, second = pickle.loads(pickle.dumps(pair))
+    assert first.mesh is second.mesh
+    assert (first.mask, second.mask) == (5, pair[1].mask)
+    np.testing.assert_array_equal(first.transform, pair[0].transform)
+    assert not first.transform.flags.writeable
+
+
 def test_pickles_go_to_other_processes(tmp_path):
     scene = wrt.Scene(meshes(), device="cpu")
     rays = mixed_rays(wrt.TriangleMesh.concatenate(scene.meshes), 100)

@@ -102,6 +102,17 @@ def test_a_worn_tree_is_built_once(kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_small_changes_add_up(kind):
+    """A tree that is kept is compared with itself as it was built, not as it was last."""
+    scene, reports = wrt.Scene(BALL, kind, device="cpu"), []
+    for squeezed, rebuild in ((0.9, wrt.UpdatePolicy(tolerance=9.0)), (0.8, "never"), (0.7, wrt.UpdatePolicy(tolerance=9.0))):
+        scene.update(0, vertices=BALL.vertices * [1.0, 1.0, squeezed], rebuild=rebuild)
+        reports.append(scene.last_update)
+    assert [report.action for report in reports] == ["kept"] * 3
+    assert reports[0].cost_built == reports[2].cost_built != reports[0].cost_kept
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_moved_and_scaled_trees_cost_the_same(kind):
     """A kd-tree's planes move along with most of the vertices, but do nothing else; here nothing is rounded on the way."""
     vertices = np.round(BALL.vertices * 1024.0) / 1024.0

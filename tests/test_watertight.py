@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import trimesh
+from conftest import assert_same_hits
 
 import wrt
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -120,3 +121,15 @@ def test_two_crossings_of_a_convex_body():
     counts = crossings(scene, origins, (targets - origins).astype(np.float32))
     assert inwards.any()
     assert (counts == 2).all()
+
+
+def test_corners_of_instances():
+    """A ray at a corner of a mesh that fills its box meets the instance's box, too, as rounded as it comes from afar."""
+    box, far = wrt.TriangleMesh.from_trimesh(trimesh.creation.box()), trimesh.transformations.translation_matrix([50, 0, 0])
+    scene, rng = wrt.Scene([wrt.Instance(box), wrt.Instance(box, far)], device="cpu"), np.random.default_rng(0)
+    origins = rng.normal(size=(4000, 3)).astype(np.float32) * np.float32(1e3)
+    origins[:, 0] = -np.abs(origins[:, 0])  # the other instance is on the other side
+    directions = (box.vertices[rng.integers(0, 8, 4000)] - origins).astype(np.float32)
+    expected = wrt.Scene(box, device="cpu").intersect(origins, directions, traversal="brute")
+    assert expected.is_hit.mean() > 0.9
+    assert_same_hits(scene.intersect(origins, directions, traversal="single"), expected)

@@ -25,7 +25,7 @@ import numpy as np
 import warp as wp
 
 from wrt.hits import Hits
-from wrt.kernels.launch import load, specialise
+from wrt.kernels.launch import load, specialise, use_threads
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import new_rays
 from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, kernel_factory, make_plan, plan_for, traversal_config, way_of
@@ -124,9 +124,10 @@ def trace_few(scene: Scene, rays: Rays, query: str) -> Any:
     try:
         desk = desks.pop()
     except IndexError:
-        desk = Desk(scene, query)
-    if not desk.suits(scene):
-        desk = Desk(scene, query)
+        desk = None
+    if desk is None or not desk.suits(scene):
+        with use_threads(scene.num_threads):
+            desk = Desk(scene, query)
     answers = desk.trace(given, shape)
     desks.append(desk)
     if query != CLOSEST:

@@ -84,9 +84,9 @@ class FuzzyScene(Scene):
         frames = np.array([mesh.vertices for mesh in self._meshes], dtype=np.float64)
         faces = self._meshes[0].faces
         if self._transforms is None:
-            if not (isinstance(self._clusters, int) and self._clusters >= 1):
+            if not (isinstance(self._clusters, (int, np.integer)) and self._clusters >= 1):
                 raise ValueError(f"clusters is {self._clusters!r}; it must be a whole number of at least 1")
-            if not (isinstance(self._rest, int) and 0 <= self._rest < len(frames)):
+            if not (isinstance(self._rest, (int, np.integer)) and 0 <= self._rest < len(frames)):
                 raise ValueError(f"rest is {self._rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
             extent = float(np.ptp(frames, axis=(0, 1)).max())
             motion = decompose(frames, faces, self._clusters, ENOUGH * extent, self._rest)
@@ -148,7 +148,7 @@ class FuzzyScene(Scene):
         raise ValueError("trees of fuzzy boxes are not kept in files; save the frames, and make the scene again")
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Not of many trees, wherever `path` may be.
+        """Not of many trees.
 
         Raises:
             ValueError: always; the message says what to do instead.
@@ -172,7 +172,7 @@ class ShownTree:
         top: over the boxes of clusters in the scene.
         parts: all clusters' trees, in their own spaces.
         clusters: (C,) `wrt.kernels.traversal.fuzzy.Cluster`.
-        depth: most inner nodes on a path, in both levels together.
+        depth: most inner nodes on a path of any of the trees.
     """
 
     top: common.Bvh
@@ -268,7 +268,7 @@ class FuzzyTree:
         device, width = self.parts.bounds.device, self.parts.width
         top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(*self.boxes[frame]), width).to(device)
         clusters = wp.array(self.table[frame], dtype=Cluster, device=device)
-        return ShownTree(top, self.parts, clusters, top.depth + self.depth)
+        return ShownTree(top, self.parts, clusters, max(top.depth, self.depth))
 
 
 def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:

@@ -44,13 +44,13 @@ class GroupedScene(Scene):
         scene = wrt.GroupedScene([building, curtain, figure])
         scene.move({1: curtain_vertices, 2: figure_vertices})
 
-    Arguments as in `wrt.Scene`, and so are queries and hits.
+    Arguments as in `wrt.Scene`, but for `cache`: trees of groups are not kept in a folder. So are queries and hits.
 
     Attributes:
         group_updates: dict of `UpdateReport` by the index of each mesh that the last update moved.
 
     Raises:
-        TypeError, ValueError: as `wrt.Scene`; an accelerator that is no `wrt.Bvh`.
+        TypeError, ValueError: as `wrt.Scene`; an accelerator that is no `wrt.Bvh`; a cache.
     """
 
     group_updates: Mapping[int, UpdateReport]
@@ -58,6 +58,8 @@ class GroupedScene(Scene):
     def _set(self, meshes: tuple[TriangleMesh, ...], cache: Any, policy: UpdatePolicy | None = None) -> None:
         if not isinstance(self.accelerator, Bvh):
             raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: the boxes of groups may overlap")
+        if cache is not None:
+            raise ValueError("cache goes with wrt.Scene: the trees of groups are not kept in a folder; leave it out")
         placed = place_meshes(meshes, self.device)
         groups = [MovedTriangles.of(placed, np.zeros(3), first, end) for first, end in pairwise(placed.first)]
         trees, reports = self._trees_of(meshes, groups, placed.center, policy)

@@ -26,10 +26,9 @@ import warp as wp
 
 from wrt.kernels.launch import get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch, RayBatch
-from wrt.memory import empty
+from wrt.memory import empty, new_rays
 from wrt.plan import ANY, COUNT, Plan, stack_levels, traversal_config, way_of
 from wrt.tracing import new_hits, no_work, run
-from wrt.visibility import new_rays
 
 if TYPE_CHECKING:
     from wrt.instanced_scene import InstancedScene

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,10 @@ class Instance:
         self.mesh = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Arrays come out of a pickle writable; made anew, the transform is read-only."""
+        return partial(Instance, mask=self.mask), (self.mesh, self.transform)
 
     def __repr__(self) -> str:
         return f"Instance({self.mesh!r}, mask={self.mask:#x})"

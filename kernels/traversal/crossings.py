@@ -16,7 +16,8 @@ the triangle straddles the plane, t is in the near interval or beyond its end, a
 does not, its box lies on one side, t is in the interval of the box, and rounding is monotone. A leaf whose interval holds t
 is visited. A triangle in the plane itself is in one of the children only; the one who asks has it.
 
-The next crossing needs none of that: found in two leaves it is still the same one.
+The next crossing needs none of that, nor does the nearest hit that is not with a given triangle
+(`wrt.kernels.traversal.skipping`): found in two leaves it is still the same one.
 
 **Cost.** A leaf asks only about a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one in
 many thousands.
@@ -33,7 +34,8 @@ from wrt.kernels.lanes import lanes, lowest_bit
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
-from wrt.kernels.traversal.results import Passed, Skipping, results_of
+from wrt.kernels.traversal.results import Passed, results_of
+from wrt.kernels.traversal.skipping import count_unskipped, take_unskipped
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
@@ -63,20 +65,13 @@ def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primiti
     return best
 
 
-@wp.func
-def take_unskipped(search: wp.ref[Skipping], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
-    """Counts a crossing, if it is not with the triangle that the ray passes through."""
-    best.primitive += wp.where(primitive == search.skipped, 0, 1)
-    return best
-
-
 @cache
 def take_crossing(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more crossing of ray i."""
+    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more hit of ray i."""
     if config.query == NEXT:
         return take_next
     if config.skipping:
-        return take_unskipped
+        return count_unskipped if config.crossing else take_unskipped
     storing = config.query == ALL
 
     @wp.func
@@ -95,15 +90,16 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
 
 @cache
 def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the crossings in one block.
+    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the hits in one block.
 
     node: the leaf. hits: `results_of(config)`. interval: of t in which the ray, number i, is in it; bounds included.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
-    intersect_block, clamp = test.forms(True).block_test(width), clamp_block(test.record, width, config.cull_backfaces)
+    intersect_block = test.forms(config.crossing).block_test(width)
+    clamp = clamp_block(test.record, width, config.cull_backfaces)
     take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
-    shared, Results = Tree is KdNodes and config.query != NEXT, results_of(config)
+    shared, Results = Tree is KdNodes and config.crossing and config.query != NEXT, results_of(config)
 
     @wp.func
     def step(

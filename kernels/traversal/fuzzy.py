@@ -14,8 +14,8 @@ greatest sum of a row's absolute values of the map (`Cluster.stretch`). Boxes in
 as anywhere, by the same share of the reach in there, which covers the rounding of the ray on its way. So the boxes on the way
 to a triangle are entered no later than the triangle's own, and what a walk skips lies beyond its best hit.
 
-The upper tree, over the boxes of the clusters in the scene, and the trees below share one row of keys a level, as in
-`wrt.kernels.traversal.single_bvh`.
+The upper tree is over the boxes of the clusters in the scene. It and the trees below are walked as any other
+(`wrt.kernels.traversal.key_walk`).
 
 References:
     J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
@@ -29,15 +29,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import bvh
-from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
-from wrt.kernels.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
-from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, start, store_best
-from wrt.kernels.traversal.single_bvh import make_leaf
-from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.key_walk import make_key_walk
+from wrt.kernels.traversal.leaf import Candidate, Counters, start, store_best
+from wrt.kernels.traversal.single_bvh import begin_search, leaf_search, make_leaf
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -81,65 +80,58 @@ def own_slabs(cluster: Cluster, ray: Ray, far: float):
 
 
 @cache
+def fuzzy_search(triangle_test: str) -> type:
+    """The struct of what visits to clusters need."""
+
+    class FuzzySearch:
+        tree: FuzzyNodes
+        ray: Ray
+        far: float
+        leaf: leaf_search(triangle_test)
+
+    FuzzySearch.__qualname__ = f"FuzzySearch_{triangle_test}"
+    return wp.struct(FuzzySearch)
+
+
+@cache
+def make_visit(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    FuzzySearch, width = fuzzy_search(config.triangle_test), config.width
+    walk_keys = make_key_walk(config, config.levels, leaf_search(config.triangle_test), make_leaf(config))
+
+    @wp.func
+    def visit(
+        tree: WideNodes,
+        child: int,
+        search: wp.ref[FuzzySearch],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
+        slabs = own_slabs(cluster, search.ray, search.far)
+        return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
+
+    return visit
+
+
+@cache
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
-    prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_leaf, test_boxes, nearest = make_leaf(config), ray_boxes(config.width), nearest_child(config.width)
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
-    levels, row = config.levels, config.levels * config.width
+    FuzzySearch, begin = fuzzy_search(config.triangle_test), begin_search(config.triangle_test)
+    walk_keys = make_key_walk(config, config.levels, FuzzySearch, make_visit(config))
 
     @wp.func
     def walk(tree: FuzzyNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
-        best = start(ray.t_max)
         far = reach(ray.origin, tree.top.low, tree.top.high)
         slabs = ray_slabs(ray.origin, ray.direction, far)
-        own = RaySlabs()
-        state = prepare(ray.origin, ray.direction)
-        keys = wp.zeros(shape=(row,), dtype=int)
-        path = wp.zeros(shape=(levels,), dtype=int)
-        level = int(0)
-        entered = int(-1)  # level of the root of the cluster that the walk is in
-        key = test_boxes(tree.top.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
-        if wp.static(counting):
-            work.nodes += 1
-            work.boxes += wp.static(width)
-        while level >= 0:
-            if entry_of(key, wp.static(width)) <= best.t:
-                lane = key & wp.static(width - 1)
-                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                at = load_int(path, level) * wp.static(width) + lane
-                child = int(0)
-                if entered >= 0:
-                    child = load_int(tree.parts.child, at)
-                else:
-                    child = load_int(tree.top.child, at)
-                    if child < 0:
-                        cluster = tree.clusters[load_int(tree.order, bvh.first_block(child) * wp.static(width))]
-                        own = own_slabs(cluster, ray, far)
-                        child = cluster.root
-                        entered = level + 1
-                if child >= 0:
-                    level += 1
-                    store_int(path, level, child)
-                    if entered >= 0:
-                        key = test_boxes(tree.parts.bounds, child, own, ray.t_min, best.t, keys, level * wp.static(width))
-                    else:
-                        key = test_boxes(tree.top.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
-                    if wp.static(counting):
-                        work.nodes += 1
-                        work.boxes += wp.static(width)
-                else:
-                    best = test_leaf(tree.parts, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
-                    key = nearest(keys, level * wp.static(width))
-                    if wp.static(any_hit):
-                        level = wp.where(best.primitive < 0, level, -1)
-            else:
-                level -= 1
-                if level < entered:
-                    entered = -1
-                if level >= 0:
-                    key = nearest(keys, level * wp.static(width))
-        return best
+        search = FuzzySearch()
+        search.tree = tree
+        search.ray = ray
+        search.far = far
+        search.leaf = begin(triangles, ray, slabs)
+        return walk_keys(tree.top, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
     return walk
 

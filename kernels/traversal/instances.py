@@ -1,7 +1,7 @@
 """Two levels: a tree of instances, and in each instance that a ray reaches the tree of its geometry, one ray at a time.
 
 **Here.** The upper tree is a wide BVH over the boxes of the instances in the scene, one instance a leaf, walked as
-`wrt.kernels.traversal.single_bvh` walks triangles: nearest box first, and nothing beyond the best hit. At a leaf the ray is
+`wrt.kernels.traversal.key_walk` walks any: nearest box first, and nothing beyond the best hit. At a leaf the ray is
 brought into the geometry's space (`wrt.kernels.instances`), and the geometry's own tree, of either kind, is walked by the same
 function that walks a scene of one mesh: with t_max where the best hit so far is.
 
@@ -24,14 +24,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import bvh
-from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.instances import Placement, centered_origin, object_ray, ray_mask
 from wrt.kernels.kdtree import KdNodes
-from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import ALL, ANY, TraversalConfig
+from wrt.kernels.traversal.config import ALL, TraversalConfig
+from wrt.kernels.traversal.key_walk import make_key_walk
 from wrt.kernels.traversal.leaf import Candidate, Counters, improves, start, store_best
 from wrt.kernels.traversal.walk_table import WALKS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -95,25 +95,43 @@ def take_hits(config: TraversalConfig) -> wp.Function:
 
 
 @cache
+def instance_search(kind: str) -> type:
+    """The struct of what visits to instances need; kind: of the geometries' trees, key of `PARTS`."""
+
+    class InstanceSearch:
+        top: InstanceTree
+        parts: wp.array(dtype=PARTS[kind])
+        origin: wp.vec3d
+        ray: Ray
+        mask: wp.uint32
+
+    InstanceSearch.__qualname__ = f"InstanceSearch_{kind}"
+    return wp.struct(InstanceSearch)
+
+
+@cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
-    """`wp.func(placement, parts, origin, ray, hits, i, best, work) -> best`: the ray through one instance."""
-    Part, walk, take = PARTS[kind], WALKS[kind][1](config), take_hits(config)
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    InstanceSearch, walk, take = instance_search(kind), WALKS[kind][1](config), take_hits(config)
+    width = max(config.width, 2)  # of the upper tree
 
     @wp.func
     def visit(
-        placement: Placement,
-        parts: wp.array(dtype=Part),
-        origin: wp.vec3d,
-        ray: Ray,
+        tree: WideNodes,
+        child: int,
+        search: wp.ref[InstanceSearch],
         hits: wp.ref[HitBatch],
         i: int,
         best: Candidate,
         work: wp.ref[Counters],
     ):
-        own = object_ray(placement, origin, ray, best.t)
-        if own.valid:
-            part = parts[placement.geometry]
-            best = take(placement, walk(part.tree, part.triangles, own, hits, i, work), ray.t_min, hits, i, best)
+        placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
+        if (placement.mask & search.mask) != wp.uint32(0):
+            own = object_ray(placement, search.origin, search.ray, best.t)
+            if own.valid:
+                part = search.parts[placement.geometry]
+                found = walk(part.tree, part.triangles, own, hits, i, work)
+                best = take(placement, found, search.ray.t_min, hits, i, best)
         return best
 
     return visit
@@ -128,9 +146,8 @@ def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.F
         kind: of the geometries' trees, key of `PARTS`.
         levels: inner nodes on a path of the upper tree.
     """
-    Part, visit = PARTS[kind], make_visit(config, kind)
-    width, counting, any_hit, row = max(config.width, 2), config.counters, config.query == ANY, levels * max(config.width, 2)
-    test_boxes, nearest = ray_boxes(width), nearest_child(width)
+    Part, InstanceSearch = PARTS[kind], instance_search(kind)
+    walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
 
     @wp.func
     def walk(
@@ -143,39 +160,14 @@ def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.F
         i: int,
         work: wp.ref[Counters],
     ):
-        best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
-        keys = wp.zeros(shape=(row,), dtype=int)
-        path = wp.zeros(shape=(levels,), dtype=int)
-        level = int(0)
-        key = test_boxes(top.tree.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
-        if wp.static(counting):
-            work.nodes += 1
-            work.boxes += wp.static(width)
-        while level >= 0:
-            if entry_of(key, wp.static(width)) <= best.t:
-                lane = key & wp.static(width - 1)
-                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                child = load_int(top.tree.child, load_int(path, level) * wp.static(width) + lane)
-                if child >= 0:
-                    level += 1
-                    store_int(path, level, child)
-                    key = test_boxes(top.tree.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
-                    if wp.static(counting):
-                        work.nodes += 1
-                        work.boxes += wp.static(width)
-                else:
-                    placement = top.placements[load_int(top.order, bvh.first_block(child) * wp.static(width))]
-                    if (placement.mask & mask) != wp.uint32(0):
-                        best = visit(placement, parts, origin, ray, hits, i, best, work)
-                    key = nearest(keys, level * wp.static(width))
-                    if wp.static(any_hit):
-                        level = wp.where(best.primitive < 0, level, -1)
-            else:
-                level -= 1
-                if level >= 0:
-                    key = nearest(keys, level * wp.static(width))
-        return best
+        search = InstanceSearch()
+        search.top = top
+        search.parts = parts
+        search.origin = origin
+        search.ray = ray
+        search.mask = mask
+        return walk_keys(top.tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
     return walk
 

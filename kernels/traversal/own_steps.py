@@ -5,11 +5,8 @@ import warp as wp
 from wrt.kernels.traversal.config import EXACT, TraversalConfig
 from wrt.kernels.traversal.crossings import crossing_step
 from wrt.kernels.traversal.exact import exact_step
-from wrt.kernels.traversal.skipping import skipping_step
 
 
 def make_own_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`."""
-    if config.query == EXACT:
-        return exact_step(config, Tree)
-    return (crossing_step if config.crossing else skipping_step)(config, Tree)
+    return (exact_step if config.query == EXACT else crossing_step)(config, Tree)

@@ -5,11 +5,10 @@ boxes in the lanes of one loop, and the tree is log2(W) times shallower (Wald, B
 Keller 2008; Ernst, Greiner 2008).
 
 **Two forms of the step.** The children that a ray meets are not sorted onto a stack: the length of that list, and every
-comparison in it, is a branch that the processor cannot guess. A level of the tree keeps its W keys (`wrt.kernels.box_lanes`)
-and the next child is their minimum, found in the lanes. Visiting the nearest first, the search is done with a level as soon
-as its least key lies beyond the best hit. (Measured on two cores of a Zen 5, random rays: 1.3 times as fast as the sorted
-stack.) Up to four children, and on CUDA, where a thread's lanes are a loop, the ray goes on to the nearest child and keeps
-the others on a stack, with their entries, in any order.
+comparison in it, is a branch that the processor cannot guess. A level of the tree keeps its W keys and the next child is their
+minimum, found in the lanes (`wrt.kernels.traversal.key_walk`). (Measured on two cores of a Zen 5, random rays: 1.3 times as
+fast as the sorted stack.) Up to four children, and on CUDA, where a thread's lanes are a loop, the ray goes on to the nearest
+child and keeps the others on a stack, with their entries, in any order.
 
 References:
     I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
@@ -24,13 +23,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import bvh
-from wrt.kernels.box_lanes import NO_CHILD, entry_of, met_boxes, nearest_child, ray_boxes
+from wrt.kernels.box_lanes import met_boxes
 from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
-from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.key_walk import make_key_walk
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
 from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
@@ -51,21 +51,48 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
+def leaf_search(triangle_test: str) -> type:
+    """The struct of what tests of triangles in leaves need of a ray and of its scene."""
+
+    class LeafSearch:
+        triangles: TriangleBlocks
+        state: TRIANGLE_TESTS[triangle_test].ray_state
+        slabs: RaySlabs
+        t_min: float
+
+    LeafSearch.__qualname__ = f"LeafSearch_{triangle_test}"
+    return wp.struct(LeafSearch)
+
+
+@cache
+def begin_search(triangle_test: str) -> wp.Function:
+    """`wp.func(triangles, ray, slabs) -> search`."""
+    LeafSearch, prepare = leaf_search(triangle_test), TRIANGLE_TESTS[triangle_test].prepare
+
+    @wp.func
+    def begin(triangles: TriangleBlocks, ray: Ray, slabs: RaySlabs):
+        search = LeafSearch()
+        search.triangles = triangles
+        search.state = prepare(ray.origin, ray.direction)
+        search.slabs = slabs
+        search.t_min = ray.t_min
+        return search
+
+    return begin
+
+
+@cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, child, state, slabs, t_min, hits, i, best, work) -> best`: tests the triangles of a leaf."""
-    RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    own_step, Results = config.own_step, results_of(config)
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: tests the triangles of a leaf."""
+    LeafSearch, own_step, Results = leaf_search(config.triangle_test), config.own_step, results_of(config)
     test_block = make_own_step(config, WideNodes) if own_step else block_step(config)
     width, counting = config.width, config.counters
 
     @wp.func
     def test_leaf(
         tree: WideNodes,
-        triangles: TriangleBlocks,
         child: int,
-        state: RayState,
-        slabs: wp.ref[RaySlabs],
-        t_min: float,
+        search: wp.ref[LeafSearch],
         hits: wp.ref[Results],
         i: int,
         best: Candidate,
@@ -78,10 +105,10 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
             work.triangles += count
         while count > 0:
             if wp.static(own_step):
-                within = wp.vec2(t_min, best.t)
-                best = test_block(tree, child, within, triangles, block, state, slabs, hits, i, best)
+                within = wp.vec2(search.t_min, best.t)
+                best = test_block(tree, child, within, search.triangles, block, search.state, search.slabs, hits, i, best)
             else:
-                best = test_block(triangles, block, state, slabs, t_min, best)
+                best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
             block += 1
             count -= wp.static(width)
         return best
@@ -138,8 +165,8 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 
     Goes down to a leaf before it tests one: the threads of a CUDA warp do the same thing at the same time for longer.
     """
-    prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_leaf, step, stacked = make_leaf(config), inner_step(config), stack_of(config)
+    begin, test_leaf = begin_search(config.triangle_test), make_leaf(config)
+    step, stacked = inner_step(config), stack_of(config)
     open_stack, pop, local = stacked.open, stacked.pop, stacked.local
     counting, any_hit, Results = config.counters, config.query == ANY, results_of(config)
 
@@ -147,7 +174,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
         best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-        state = prepare(ray.origin, ray.direction)
+        search = begin(triangles, ray, slabs)
         stack = open_stack(wp.zeros(shape=(local,), dtype=int))
         waiting = int(0)
         child = int(0)
@@ -158,7 +185,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
                 if wp.static(counting):
                     work.nodes += 1
             if child != bvh.EMPTY_LANE:
-                best = test_leaf(tree, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
+                best = test_leaf(tree, child, search, hits, i, best, work)
                 if wp.static(any_hit):
                     waiting = wp.where(best.primitive < 0, waiting, 0)
             searching = bool(False)
@@ -175,45 +202,14 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 @cache
 def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     """The walk with a row of keys for each level."""
-    prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    test_leaf, test_boxes, nearest = make_leaf(config), ray_boxes(config.width), nearest_child(config.width)
-    width, counting, any_hit = config.width, config.counters, config.query == ANY
-    levels, row, Results = config.levels, config.levels * config.width, results_of(config)
+    LeafSearch, Results, begin = leaf_search(config.triangle_test), results_of(config), begin_search(config.triangle_test)
+    walk_keys = make_key_walk(config, config.levels, LeafSearch, make_leaf(config))
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):
-        best = start(ray.t_max)
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-        state = prepare(ray.origin, ray.direction)
-        keys = wp.zeros(shape=(row,), dtype=int)
-        path = wp.zeros(shape=(levels,), dtype=int)
-        level = int(0)
-        key = test_boxes(tree.bounds, 0, slabs, ray.t_min, best.t, keys, 0)
-        if wp.static(counting):
-            work.nodes += 1
-            work.boxes += wp.static(width)
-        while level >= 0:
-            if entry_of(key, wp.static(width)) <= best.t:
-                lane = key & wp.static(width - 1)
-                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                child = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
-                if child >= 0:
-                    level += 1
-                    store_int(path, level, child)
-                    key = test_boxes(tree.bounds, child, slabs, ray.t_min, best.t, keys, level * wp.static(width))
-                    if wp.static(counting):
-                        work.nodes += 1
-                        work.boxes += wp.static(width)
-                else:
-                    best = test_leaf(tree, triangles, child, state, slabs, ray.t_min, hits, i, best, work)
-                    key = nearest(keys, level * wp.static(width))
-                    if wp.static(any_hit):
-                        level = wp.where(best.primitive < 0, level, -1)
-            else:
-                level -= 1
-                if level >= 0:
-                    key = nearest(keys, level * wp.static(width))
-        return best
+        search = begin(triangles, ray, slabs)
+        return walk_keys(tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
 
     return walk
 
