@@ -31,7 +31,7 @@ import warp as wp
 
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.kernels.boxes import INFINITY
-from wrt.kernels.influence.silhouette import projected_area
+from wrt.kernels.influence.clipping import projected_area
 from wrt.kernels.influence.view import AreaView, direction_at
 from wrt.kernels.launch import launch
 

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.influence import frame_of
 from wrt.kernels import regions as kernel
 from wrt.kernels.launch import launch
 
@@ -185,7 +186,7 @@ class Obb(Region):
 
     def _make_frame(self) -> Frame:
         half = np.array(self.half_size)
-        return Frame(np.array(self.center), axes_of(self.forward, self.up), -half[2], half[2], half[:2], np.zeros(2))
+        return Frame(np.array(self.center), frame_of(self.forward, self.up), -half[2], half[2], half[:2], np.zeros(2))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,15 +223,7 @@ class Frustum(Region):
 
     def _make_frame(self) -> Frame:
         slope = np.tan(np.radians([self.fov_x, self.fov_y]) / 2)
-        return Frame(np.array(self.eye), axes_of(self.forward, self.up), self.near, self.far, np.zeros(2), slope)
-
-
-def axes_of(forward: Vector, up: Vector) -> np.ndarray:
-    """(3, 3) right, up and forward, orthogonal unit vectors."""
-    ahead = np.array(forward) / np.linalg.norm(forward)
-    right = np.cross(ahead, np.array(up) / np.linalg.norm(up))
-    right /= np.linalg.norm(right)
-    return np.array([right, np.cross(right, ahead), ahead])
+        return Frame(np.array(self.eye), frame_of(self.forward, self.up), self.near, self.far, np.zeros(2), slope)
 
 
 def check_up(forward: Vector, up: Any) -> Vector:

@@ -10,9 +10,10 @@ import warp as wp
 from shapely import MultiPoint, box
 
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
+from wrt.kernels.influence.clipping import clipped_areas, projected_area
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_window, polygon_area
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas, window_areas
-from wrt.kernels.influence.silhouette import projected_area, projected_hull
+from wrt.kernels.influence.projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
+from wrt.kernels.influence.silhouette import projected_hull
 from wrt.kernels.influence.view import AreaView
 
 AREAS = {
@@ -46,12 +47,11 @@ def measure(
 
 
 @wp.kernel(module="unique")
-def measure_lanes(
-    view: AreaView, boxes: wp.array(dtype=float), count: int, whole: wp.array(dtype=float), cut: wp.array(dtype=float)
-):
-    """One item: all boxes at once."""
-    whole_areas(view, boxes, 0, count, whole)
-    window_areas(view, boxes, 0, count, cut)
+def measure_lanes(view: AreaView, boxes: wp.array(dtype=float), count: int, areas: wp.array2d(dtype=float)):
+    """One item: all boxes at once. Their areas if they need no clipping, cut off at the window, and at the near plane too."""
+    whole_areas(view, boxes, count, areas[0])
+    for by_near in range(2):
+        clipped_areas(view, boxes, count, by_near == 1, areas[1 + by_near])
 
 
 def some_boxes(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
@@ -114,22 +114,25 @@ def test_projected_areas_by_a_polygon_library(name):
 
 @pytest.mark.parametrize("name", AREAS)
 def test_lanes_give_the_same_bits(name):
-    """Of boxes at once: those wholly in the window or outside, then those that the window cuts; some are left to be clipped."""
+    """Of boxes at once: those wholly in the window or outside, those that the window cuts, and those that the near plane cuts;
+    whatever cuts more off gives the others their areas too."""
     low, high, areas, _, _ = measured(name)
-    boxes = wp.array(np.concatenate([low, high], axis=1).T.reshape(-1), dtype=float, device="cpu")
-    found = [wp.zeros(len(low), dtype=float, device="cpu") for _ in range(2)]
-    wp.launch(measure_lanes, 1, [AREAS[name].view(np.zeros(3)), boxes, len(low), *found], device="cpu")
-    whole, cut = (array.numpy() for array in found)
-    done = whole != NEEDS_CLIPPING
-    np.testing.assert_array_equal(whole[done], areas[done, 0])
-    assert 0.05 < (done & (whole > 0)).mean() < 0.9
-    assert (done & (whole == 0)).any()
-    rest = ~done & (cut != NEEDS_CLIPPING)
-    np.testing.assert_array_equal(cut[rest], areas[rest, 0])
-    assert rest.any()
-    assert (cut == NEEDS_CLIPPING).any()
-    inside = done & (cut != NEEDS_CLIPPING)
-    np.testing.assert_allclose(cut[inside], whole[inside], rtol=1e-2, atol=1e-5 * np.prod(window(AREAS[name])))
+    for count in (len(low), 37, 1):  # whole blocks of lanes, some of one, a single box
+        boxes = wp.array(np.concatenate([low, high], axis=1)[:count].T.reshape(-1), dtype=float, device="cpu")
+        found = wp.zeros((3, count), dtype=float, device="cpu")
+        wp.launch(measure_lanes, 1, [AREAS[name].view(np.zeros(3)), boxes, count, found], device="cpu")
+        whole, in_window, in_front = found.numpy()
+        by_window, by_near = whole == NEEDS_WINDOW, whole == NEEDS_NEAR
+        done = ~by_window & ~by_near
+        for chosen, lanes in ((done, whole), (by_window, in_window), (by_near, in_front)):
+            np.testing.assert_array_equal(lanes[chosen], areas[:count, 0][chosen])
+            assert chosen.any() or count < len(low)
+        tolerance = {"rtol": 1e-2, "atol": 1e-5 * np.prod(window(AREAS[name]))}
+        np.testing.assert_allclose(in_window[done], whole[done], **tolerance)
+        np.testing.assert_allclose(in_front[~by_near], np.where(done, whole, in_window)[~by_near], **tolerance)
+        if count == len(low):
+            assert 0.05 < (done & (whole > 0)).mean() < 0.9
+            assert (done & (whole == 0)).any()
 
 
 @pytest.mark.parametrize("name", AREAS)

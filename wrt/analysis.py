@@ -181,7 +181,7 @@ def analyse(
 
     Raises:
         TypeError: an argument is of a wrong type.
-        ValueError: the scene has another tree, or a cost is out of its range.
+        ValueError: the scene has another tree, there is no ray in `rays`, or a cost is out of its range.
     """
     from wrt.builders.bvh.analysis import measure_boxes
     from wrt.builders.common import Bvh
@@ -194,6 +194,8 @@ def analyse(
         raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
     if rays is not None and not isinstance(rays, Rays):
         raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
+    if rays is not None and not len(rays):
+        raise ValueError("rays holds none, whose work has no average; leave it out to trace none")
     for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
         if not 0.0 <= cost < float("inf"):
             raise ValueError(f"{name} is {cost}; it must be finite and not negative")

@@ -94,9 +94,14 @@ class AreaBalance:
         return break_even_share(self.cost_local, self.cost_global, self.cost_miss)
 
     @property
+    def cost(self) -> float:
+        """Mean cost of a ray with areas."""
+        return self.cost_local + (1.0 - self.settled) * self.cost_miss
+
+    @property
     def ratio(self) -> float:
         """Cost of the area's rays without areas, over that with: above 1 it pays."""
-        return self.cost_global / (self.cost_local + (1.0 - self.settled) * self.cost_miss)
+        return self.cost_global / self.cost
 
     @property
     def pays(self) -> bool:
@@ -129,10 +134,10 @@ class BreakEven:
 
     @property
     def ratio(self) -> float:
-        """Cost of the rays of all areas without areas, over that with."""
-        costs = [(a.share * a.cost_global, a.share * a.cost_global / a.ratio) for a in self.areas]
-        without, within = map(sum, zip(*costs, strict=True)) if costs else (1.0, 1.0)
-        return without / within
+        """Cost of the rays of all areas without areas, over that with; 1 if there are none."""
+        if not self.areas:
+            return 1.0
+        return sum(area.share * area.cost_global for area in self.areas) / sum(area.share * area.cost for area in self.areas)
 
     @property
     def pays(self) -> bool:

@@ -4,9 +4,8 @@
 influence areas, boxes have other weights (`wrt.builders.projected_cost`), and some axes are hardly worth a try (`axes`).
 
 **Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins leaves the boxes on
-both sides of every plane, component by component; these are weighed in vector lanes, one box a lane, whatever the area. Only
-boxes that a window or a near plane cuts are weighed one by one. The collapse to wide nodes weighs boxes in the same way, once
-each (`weigh_nodes`).
+both sides of every plane, component by component; these are weighed in vector lanes, one box a lane, whatever the area, and
+whatever its window or its near plane cuts off. The collapse to wide nodes weighs boxes one by one, once each (`weigh_nodes`).
 
 **What we changed.** The published build is for one area, and recursive. It weighs the longest side's planes by surface area
 where no other axis will do; see `axes`.
@@ -33,8 +32,8 @@ from wrt.builders.cost import leaf_cost
 from wrt.builders.projected_cost import Mixture, box_weight, facing, half_surface
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.boxes import INFINITY
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_areas, window_areas
-from wrt.kernels.influence.silhouette import clipped_area
+from wrt.kernels.influence.clipping import clipped_areas
+from wrt.kernels.influence.projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.launch import launch
 from wrt.kernels.memory import load_int
@@ -120,20 +119,16 @@ def sweep_axis(
     ...
 
 
-@wp.func
-def box_corner(boxes: wp.array(dtype=float), stride: int, at: int, upper: int):
-    """A corner of one of the boxes of `sweep_axis`."""
-    first = at + 3 * upper * stride
-    return wp.vec3(boxes[first], boxes[first + stride], boxes[first + 2 * stride])
-
-
-@wp.func_native("""
-    bool any = false;
-    for (int i = 0; i < count; ++i) any |= areas.data[i] < 0.0f;
-    return any;
+@wp.func_native(f"""
+    bool by_window = false, by_near = false;
+    for (int i = 0; i < count; ++i) {{
+        by_window |= areas.data[i] == {float(NEEDS_WINDOW)}f;
+        by_near |= areas.data[i] == {float(NEEDS_NEAR)}f;
+    }}
+    return by_near ? {float(NEEDS_NEAR)}f : by_window ? {float(NEEDS_WINDOW)}f : 0.0f;
 """)
-def needs_clipping(areas: wp.array(dtype=float), count: int) -> bool:
-    """Whether any of the areas is NEEDS_CLIPPING."""
+def most_needed(areas: wp.array(dtype=float), count: int) -> float:
+    """What the most demanding of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0."""
     ...
 
 
@@ -144,14 +139,12 @@ def add_projected(mixture: Mixture, count: int, boxes: wp.array(dtype=float), we
     for v in range(mixture.weighed):
         view = mixture.views[v]
         factor = mixture.factor[v]
-        whole_areas(view, boxes, 0, count, areas)
-        if needs_clipping(areas, count):
-            window_areas(view, boxes, 0, count, areas)
+        whole_areas(view, boxes, count, areas)
+        needed = most_needed(areas, count)
+        if needed < 0.0:
+            clipped_areas(view, boxes, count, needed == NEEDS_NEAR, areas)
         for i in range(count):
-            area = areas[i]
-            if area == NEEDS_CLIPPING:
-                area = clipped_area(view, box_corner(boxes, count, i, 0), box_corner(boxes, count, i, 1))
-            weights[i] += factor * area
+            weights[i] += factor * areas[i]
 
 
 @wp.func

@@ -2,6 +2,7 @@
 
 view        `AreaView`: where the rays of an area start and go; the direction at a box; whether a ray is affine
 projection  area of a box's picture, where nothing of the box is cut off; for one box or for one in each vector lane
-silhouette  the outline of any box's picture, and its area within the window
+clipping    area of what is left of a box's picture that the window or the near plane cuts; of any box
+silhouette  the outline of any box's picture, and what two of them share within the window
 polygons    hull, clipping and area of convex polygons
 """

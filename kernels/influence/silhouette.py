@@ -1,4 +1,4 @@
-"""The outline of a box as an influence area sees it, and the area of what its window shows of it.
+"""The outline of a box as an influence area sees it, and what two of them have in common within the area's window.
 
 The corners on the outline follow from the side of the box that the eye is on: along each axis below, beside or above it. A
 table has them for all 27 cases (`SILHOUETTES`), made here from the definition: an edge is on the outline if one of its two
@@ -17,7 +17,6 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
-from wrt.kernels.influence.projection import NEEDS_CLIPPING, whole_area, window_area
 from wrt.kernels.influence.view import AreaView, direction_at, picture_of, seen_from
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -144,25 +143,6 @@ def projected_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(d
 def visible_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
     """Writes what the window shows of a box's picture; returns its number of corners."""
     return clip_to_window(hull, projected_hull(view, low, high, hull), view.half)
-
-
-@wp.func
-def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3):
-    """`projected_area` by the outline, for any box: what a box that the near plane cuts needs."""
-    hull = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
-    return wp.abs(polygon_area(hull, visible_hull(view, low, high, hull)))
-
-
-@wp.func
-def projected_area(view: AreaView, low: wp.vec3, high: wp.vec3):
-    """Area of what the window shows of a box's picture: parallel rays, in square units across them; radial ones, in the plane
-    at depth 1. 0 for a box outside the area's rays."""
-    area = whole_area(view, low, high)
-    if area == NEEDS_CLIPPING:
-        area = window_area(view, low, high)
-    if area == NEEDS_CLIPPING:
-        area = clipped_area(view, low, high)
-    return area
 
 
 @wp.func

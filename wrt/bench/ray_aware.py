@@ -29,6 +29,7 @@ from wrt.bench.builds import BUDGET, SETTLE
 from wrt.bench.measure import Contender, take_turns
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.camera import PinholeCamera
+from wrt.influence_areas import corners_of
 from wrt.kernels.launch import use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import ANY, CLOSEST, make_plan
@@ -127,11 +128,6 @@ def point_area(bounds: np.ndarray, position: Sequence[float]) -> PointInfluenceA
     fov = [2.0 * degrees(atan(PUSHED * tangent)) for tangent in np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)]
     near, far = 0.5 * seen[:, 2].min(), PUSHED * np.linalg.norm(seen, axis=1).max()
     return PointInfluenceArea(position=position, direction=frame[2], up=frame[1], fov=fov, near=near, far=far)
-
-
-def corners_of(bounds: np.ndarray) -> np.ndarray:
-    """(8, 3) corners of a box (2, 3)."""
-    return np.array([[bounds[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
 
 
 def view_of(mesh: TriangleMesh, size: int) -> tuple[PinholeCamera, np.ndarray]:

@@ -20,6 +20,7 @@ from math import cos, degrees, radians, sin
 import numpy as np
 
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.influence_areas import corners_of
 from wrt.mesh import TriangleMesh
 from wrt.projected_bvh import ProjectedBvh
 from wrt.ray_casters import PlaneCaster
@@ -119,8 +120,7 @@ class Case:
     @cached_property
     def area(self) -> InfluenceArea:
         """What shows most of the scene, or `COVERED` of it."""
-        low, high = self.mesh.bounds
-        corners = np.array([[(low, high)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
+        corners = corners_of(self.mesh.bounds)
         direction, center, radius = DIRECTIONS[self.way], self.mesh.center, self.mesh.extent / 2
         seen = (corners - center) @ frame_of(direction, (0.0, 0.0, 1.0)).T
         half = np.array(COVERED.get(self.scene, (0.9, 0.9))) * np.abs(seen[:, :2]).max(axis=0)
