@@ -16,14 +16,12 @@ FOR_LANES = """
 #define WRT_NAN __builtin_bit_cast(float, 0x7fc00000)
 #if defined(__clang__)
 #pragma clang diagnostic ignored "-Wpass-failed"
-#define WRT_ABS(x) __builtin_fabsf(x)
 #define WRT_FOR_LANES(i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < W; ++i)
 #define WRT_FOR(n, i) _Pragma("clang loop vectorize(enable) unroll(disable)") for (int i = 0; i < (n); ++i)
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
 #define WRT_SCALAR _Pragma("clang loop vectorize(disable)")
 #define WRT_LANES(name, pointer) const float* name = pointer
 #else
-#define WRT_ABS(x) fabsf(x)
 #define WRT_LANES(name, pointer) float name[W]; \\
     if (W % 4 == 0) for (int j_ = 0; j_ < W / 4; ++j_) { const float4 v_ = ((const float4*)(pointer))[j_]; \\
         name[4 * j_] = v_.x; name[4 * j_ + 1] = v_.y; name[4 * j_ + 2] = v_.z; name[4 * j_ + 3] = v_.w; } \\

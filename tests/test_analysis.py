@@ -48,8 +48,6 @@ def test_surface_areas_expect_lines_in_all_directions():
     scene = wrt.Scene(mesh, wrt.Bvh(width=8))
     found = wrt.analyse(scene, rays=rays, box_cost=1 / 8, triangle_cost=0.0)
     assert found.error <= 0.02
-    nodes = wrt.analyse(scene, box_cost=1 / 8, triangle_cost=0.0).boxes.cost.sum()
-    assert nodes == pytest.approx(found.expected_cost)
 
 
 @pytest.mark.parametrize("kind", ["plane", "point inside"])

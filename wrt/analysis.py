@@ -232,11 +232,15 @@ def _count(scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple
 
 
 def _meets_root(scene: Scene, rays: Rays) -> np.ndarray:
-    """(rays,) whether each meets the box of all triangles, in float64."""
-    origins, directions = np.broadcast_arrays(
-        *(np.asarray(a.numpy() if hasattr(a, "numpy") else a, dtype=np.float64) for a in (rays.origins, rays.directions))
+    """(rays,) whether each meets the box of all triangles between its ends, in float64."""
+    origins, directions, t_min, t_max = (
+        np.asarray(a.numpy() if hasattr(a, "numpy") else a, dtype=np.float64)
+        for a in (rays.origins, rays.directions, rays.t_min, rays.t_max)
     )
+    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
+    origins, directions = (np.broadcast_to(a, (*shape, 3)) for a in (origins, directions))
+    t_min, t_max = (np.broadcast_to(a, shape).ravel() for a in (t_min, t_max))
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (scene.bounds[:, None] - origins.reshape(-1, 3)) / directions.reshape(-1, 3)
     entry, leave = np.fmin(*ends).max(axis=-1), np.fmax(*ends).min(axis=-1)
-    return (entry <= leave) & (leave >= 0.0)
+    return np.maximum(entry, t_min) <= np.minimum(leave, t_max)
