@@ -7,6 +7,8 @@ inside another call's chunk cannot wait for itself, and small batches never leav
 
 Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
 What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
+
+While a graph is captured on the CPU, all items are one launch.
 """
 
 import os
@@ -121,12 +123,37 @@ def launch(
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
         return
     size = min(_chunk_size(count, chunk, chunks_per_thread), longest)
+    if device.is_capturing:
+        size = count  # threads that record launches side by side lose some
 
     def run(number: int) -> None:
         first = number * size
         wp.launch(kernel, dim=min(size, count - first), inputs=[first, *inputs], device=device)
 
     run_tasks(run, -(-count // size))
+
+
+def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
+    """A launch to be repeated, on the CPU by the calling thread alone: `set_dim` tells it how many items, from the first on.
+
+    Args: as of `launch`.
+    """
+    load([kernel], device)
+    block = CUDA_BLOCK if device.is_cuda else None
+    return wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, block_dim=block, record_cmd=True)
+
+
+def refuse_capture(device: wp.Device) -> None:
+    """For what is made once and kept: memory taken while a graph is captured is the graph's, and filled when that is launched.
+
+    Raises:
+        RuntimeError: a graph is being captured on the device.
+    """
+    if device.is_capturing:
+        raise RuntimeError(
+            "a graph is being captured, and something that the query keeps for later calls is not there yet; "
+            "make the same query once before the capture"
+        )
 
 
 def _chunk_size(count: int, least: int, chunks_per_thread: int) -> int:

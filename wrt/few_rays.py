@@ -17,7 +17,6 @@ Of a call of one ray, 3 us are the launch; of 1000 rays, 120 are tracing, by the
 from __future__ import annotations
 
 import math
-from collections import deque
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -25,19 +24,16 @@ import numpy as np
 import warp as wp
 
 from wrt.hits import Hits
-from wrt.kernels.launch import load, specialise, use_threads
-from wrt.kernels.rays import HitBatch, RayBatch
+from wrt.kernels.launch import record
+from wrt.kernels.rays import HitBatch
 from wrt.memory import new_rays
-from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, kernel_factory, make_plan, plan_for, traversal_config, way_of
+from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, make_plan, plan_for, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, as_range, as_vectors, common_shape
-from wrt.tracing import new_hits, no_work
+from wrt.recorded import NO_RAYS, take
+from wrt.tracing import kernel_and_inputs, new_hits, no_work
 
 if TYPE_CHECKING:
     from wrt.scene import Scene
-
-
-NO_RAYS = RayBatch()
-"""What hits hold in the place of rays on the device: those on a desk are other rays soon."""
 
 
 class Desk:
@@ -55,12 +51,9 @@ class Desk:
         self.carried_out = plan_for(self.plan, query)
         way, config = way_of(self.carried_out), traversal_config(self.carried_out, scene, query, False)
         self.blocks = scene.triangles(self.carried_out, self.rays)
-        hits = new_hits(FEW_RAYS, query, device)
-        kernel = specialise(kernel_factory(self.carried_out, scene), config)
-        load([kernel], device)
-        inputs = [0, scene.tree.struct(), self.blocks, self.rays, hits, no_work(way.counters, device.alias)]
-        self.launch = wp.launch(kernel, FEW_RAYS, inputs, device=device, record_cmd=True)
-        self.count = FEW_RAYS
+        hits, work = new_hits(FEW_RAYS, query, device), no_work(way.counters, device.alias)
+        self.launch = record(*kernel_and_inputs(scene, self.carried_out, config, self.rays, hits, work), device)
+        self.count = 1
         self.inputs = [a.numpy() for a in (self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max)]
         if query == CLOSEST:
             self.answers = [a.numpy() for a in (hits.t, hits.primitive, hits.uv)]
@@ -120,14 +113,7 @@ def trace_few(scene: Scene, rays: Rays, query: str) -> Any:
     shape = common_shape(*given)
     if not 0 < math.prod(shape) <= FEW_RAYS:
         return None
-    desks = scene.desks.setdefault(query, deque())
-    try:
-        desk = desks.pop()
-    except IndexError:
-        desk = None
-    if desk is None or not desk.suits(scene):
-        with use_threads(scene.num_threads):
-            desk = Desk(scene, query)
+    desk, desks = take(scene, query, lambda: Desk(scene, query))
     answers = desk.trace(given, shape)
     desks.append(desk)
     if query != CLOSEST:

@@ -23,7 +23,8 @@ from wrt.geometry import check_index
 from wrt.instances import Instance, as_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.instances import Geometry, Placement
-from wrt.kernels.launch import use_threads
+from wrt.kernels.launch import refuse_capture, use_threads
+from wrt.memory import keep_alive
 from wrt.mesh import TriangleMesh
 from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.scene import Scene
@@ -266,6 +267,7 @@ class InstancedScene(Scene):
 
         key = plan.accelerator, plan.triangle_test
         if key not in self._tables:
+            refuse_capture(self.device)
             kind, table, used = PARTS[plan.accelerator], [], []
             for scene in self._parts:
                 part, blocks = kind(), scene.triangles(plan, rays)
@@ -368,12 +370,6 @@ def geometry_table(parts: tuple[Scene, ...], device: wp.Device) -> wp.array:
         used.append(part.device_mesh)
         first += part.triangle_count
     return keep_alive(wp.array(table, dtype=Geometry, device=device), used)
-
-
-def keep_alive(table: wp.array, used: list[Any]) -> wp.array:
-    """A table that holds addresses of arrays, with what owns these: hits and queries may outlive an update of the scene."""
-    table.used = used
-    return table
 
 
 def mesh_bytes(mesh: SceneMesh) -> int:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -76,6 +77,12 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
         _pool.give_back(block)
 
     return wp.array(ptr=block.ctypes.data, dtype=dtype, shape=count, capacity=size, device=device, deleter=give_back)
+
+
+def keep_alive(array: wp.array, used: Any) -> wp.array:
+    """An array that lies in the memory of others, or holds addresses of theirs, with what owns these: it may outlive them."""
+    array.used = used
+    return array
 
 
 def new_rays(count: int, device: wp.Device) -> RayBatch:

@@ -133,11 +133,13 @@ def make_plan(
         return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
     # A kernel there is done before Python has made its plan: nothing is sampled, and the same rays have the same plan.
     key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.batch.origin_stride
-    if key not in scene.plans:
+    plan = scene.plans.get(key)  # another thread may clear them at any time
+    if plan is None:
+        plan = choose_plan(scene, rays, *key[:4])
         if len(scene.plans) >= MOST_PLANS:
             scene.plans.clear()
-        scene.plans[key] = choose_plan(scene, rays, *key[:4])
-    return scene.plans[key]
+        scene.plans[key] = plan
+    return plan
 
 
 def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool) -> Plan:

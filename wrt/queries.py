@@ -11,6 +11,7 @@ from wrt.kernels.launch import use_threads
 from wrt.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
 from wrt.precision import find_precisely
 from wrt.rays import RayBuffers, Rays, set_mask, to_device
+from wrt.recorded import trace_recorded
 from wrt.skipping import trace_skipping
 from wrt.tables import lookup
 from wrt.tracing import trace
@@ -73,8 +74,8 @@ class Queries(BlockQueries):
         """
         rays = as_rays(origins, directions, t_min, t_max)
         ours = mask is None and skip is None and not (cull_backfaces or counters or precise)
-        if ours and (few := self._trace_few(rays, CLOSEST, traversal, triangle_test)) is not None:
-            return few
+        if ours and (ready := self._trace_ready(rays, CLOSEST, traversal, triangle_test)) is not None:
+            return ready
         if counters and self.instances and traversal == AUTO and not precise:
             traversal = "single"  # what is counted there
         with use_threads(self.num_threads):
@@ -112,8 +113,8 @@ class Queries(BlockQueries):
         """
         rays = as_rays(origins, directions, t_min, t_max)
         ours = mask is None and skip is None and not cull_backfaces
-        if ours and (few := self._trace_few(rays, ANY, traversal, triangle_test)) is not None:
-            return few
+        if ours and (ready := self._trace_ready(rays, ANY, traversal, triangle_test)) is not None:
+            return ready
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
             batch = self._trace(buffers, ANY, cull_backfaces, skip, traversal, triangle_test)
@@ -176,8 +177,8 @@ class Queries(BlockQueries):
         """
         rays = as_rays(origins, directions, t_min, t_max)
         ours = mask is None and skip is None and not cull_backfaces
-        if ours and (few := self._trace_few(rays, COUNT, traversal, triangle_test)) is not None:
-            return few
+        if ours and (ready := self._trace_ready(rays, COUNT, traversal, triangle_test)) is not None:
+            return ready
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
             batch = self._trace(buffers, COUNT, cull_backfaces, skip, traversal, triangle_test)
@@ -295,11 +296,12 @@ class Queries(BlockQueries):
         plan = make_plan(self, buffers, traversal, triangle_test, query, cull_backfaces)
         return trace(self, plan, buffers, query)[0]
 
-    def _trace_few(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
-        """The answer, if there are few rays, the choice is ours, and there is one tree, all of it; else None."""
-        if self.instances or self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
+    def _trace_ready(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
+        """The answer by what is kept ready, if the choice is ours and the tree is all there; else None."""
+        if self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
             return None
-        return trace_few(self, rays, query)
+        few = None if self.instances else trace_few(self, rays, query)
+        return trace_recorded(self, rays, query) if few is None else few
 
 
 def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import launch
+from wrt.kernels.launch import launch, refuse_capture
 from wrt.kernels.rays import RayBatch, center_float64_points
 from wrt.pictures import one_origin, picture_columns
 
 SAMPLE_PAIRS = 64
 """Pairs of neighbouring rays that are compared to guess whether a batch is coherent."""
+
+NOWHERE = np.zeros(3)
+"""The centre relative to which directions are taken."""
 
 Array = Any
 """A NumPy array or anything that NumPy converts; a Warp array; or an object with `__dlpack__`."""
@@ -81,8 +84,60 @@ class RayBuffers:
         return picture_columns(self.shape, self.batch)
 
 
+class Layout(NamedTuple):
+    """How rays lie in their arrays: all that a launch must know of them besides the arrays.
+
+    Attributes:
+        origins, directions, t_min, t_max: 1 where each ray has its own, 0 where all share element 0.
+        centered: whether the origins are relative to the scene's centre already.
+    """
+
+    origins: int
+    directions: int
+    t_min: int
+    t_max: int
+    centered: bool
+
+
+@dataclass
+class RayArrays:
+    """Rays as flat arrays on the device.
+
+    Attributes:
+        origins, directions: (N,) or (1,) vec3.
+        t_min, t_max: (N,) or (1,) float32.
+        layout: which of them have one element, and what the origins are relative to.
+        shape, is_warp, dtype, keep: as of `RayBuffers`.
+    """
+
+    origins: wp.array
+    directions: wp.array
+    t_min: wp.array
+    t_max: wp.array
+    layout: Layout
+    shape: tuple[int, ...]
+    is_warp: bool
+    dtype: type
+    keep: tuple[Any, ...]
+
+
 def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     """Brings rays to the device, relative to `center` (origins in float64 become float32 only then).
+
+    Raises:
+        TypeError, ValueError: as `lay_out`.
+    """
+    arrays = lay_out(rays, device, center)
+    batch = new_batch(arrays.layout, center)
+    batch.count = math.prod(arrays.shape)
+    batch.origins, batch.directions = arrays.origins, arrays.directions
+    batch.t_min, batch.t_max = arrays.t_min, arrays.t_max
+    coherent, scattered = sample_coherence(batch, device)
+    return RayBuffers(batch, arrays.shape, arrays.is_warp, arrays.dtype, coherent, scattered, list(arrays.keep))
+
+
+def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
+    """The arrays of rays on the device; float64 origins are taken relative to `center` there.
 
     Raises:
         TypeError: an argument is not an array of real numbers.
@@ -96,18 +151,23 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     shape = common_shape(origins, directions, t_min, t_max)
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = one_origin(origins)
+    centered = _is_float64(origins)
+    dtype = np.float64 if centered or _is_float64(directions) else np.float32
+    given = origins, directions, t_min, t_max
+    origins, origin_stride = _vectors(origins, shape, device, center)
+    directions, direction_stride = _vectors(directions, shape, device, NOWHERE)
+    t_min, t_min_stride = _scalars(t_min, shape, device)
+    t_max, t_max_stride = _scalars(t_max, shape, device)
+    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
+    return RayArrays(origins, directions, t_min, t_max, layout, shape, is_warp, dtype, given)
+
+
+def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
+    """A batch that waits for its arrays."""
     batch = RayBatch()
-    batch.count = math.prod(shape)
-    batch.center = wp.vec3d(*(float(x) for x in center))
-    batch.origins, batch.origin_stride = _vectors(origins, shape, device, center)
-    batch.directions, batch.direction_stride = _vectors(directions, shape, device, np.zeros(3))
-    if _is_float64(origins):
-        batch.center = wp.vec3d()
-    batch.t_min, batch.t_min_stride = _scalars(t_min, shape, device)
-    batch.t_max, batch.t_max_stride = _scalars(t_max, shape, device)
-    dtype = np.float64 if _is_float64(origins) or _is_float64(directions) else np.float32
-    coherent, scattered = sample_coherence(batch, device)
-    return RayBuffers(batch, shape, is_warp, dtype, coherent, scattered, [origins, directions, t_min, t_max])
+    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
+    batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
+    return batch
 
 
 def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
@@ -243,7 +303,8 @@ def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray 
 
 
 def common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
-    shapes = [leading_shape(origins), leading_shape(directions), np.shape(t_min), np.shape(t_max)]
+    ranges = [() if type(bound) is float else np.shape(bound) for bound in (t_min, t_max)]  # np.shape takes a microsecond
+    shapes = [leading_shape(origins), leading_shape(directions), *ranges]
     if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
         return shapes[1]
     try:
@@ -301,5 +362,6 @@ def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], devi
 @lru_cache(maxsize=64)
 def _number(value: float, device: str) -> wp.array:
     """An array of one float32, made once: most batches have the same bounds."""
+    refuse_capture(wp.get_device(device))
     with np.errstate(over="ignore"):
         return wp.array(np.float32([value]), dtype=float, device=device)

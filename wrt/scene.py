@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Hashable
 from contextlib import AbstractContextManager
 from copy import copy
 from functools import cached_property
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.local_trees import LocalTrees
+    from wrt.recorded import Recording
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
     from wrt.updates import UpdateReport
@@ -162,8 +164,8 @@ class Scene(Queries):
         """All triangles on the device, for kernels."""
         self.plans: dict[tuple[Any, ...], Plan] = {}
         """Those that were made for rays on CUDA."""
-        self.desks: dict[str, deque[Desk]] = {}
-        """Those that are free, for each query; see `wrt.few_rays`."""
+        self.desks: dict[Hashable, deque[Desk | Recording]] = {}
+        """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
         self.__dict__.pop("is_closed", None)
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, specialise
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, refuse_capture, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
+    from wrt.kernels.traversal.config import TraversalConfig
     from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
@@ -66,6 +67,7 @@ def trace_batch(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: 
 @lru_cache
 def no_work(kind: type, device: str) -> wp.array:
     """What kernels get that count nothing: made once, as small batches feel every allocation."""
+    refuse_capture(wp.get_device(device))
     return wp.zeros(1, dtype=kind, device=device)
 
 
@@ -112,23 +114,16 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
 
 def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
     """Launches the traversal for the tree as it stands."""
-    from wrt.kernels.traversal.brute import AllTriangles
-
     way, config = way_of(plan), traversal_config(plan, scene, query, counters)
-    longest = MAX_CHUNK
-    if plan.accelerator == "none":
-        tree = AllTriangles()
-        tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
-        longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count)
-    else:
-        tree = scene.tree.struct()
+    longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     grain = way.rays_per_item(config)
     if way.streams:
         grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
+    kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
     launch(
-        specialise(kernel_factory(plan, scene), config),
+        kernel,
         -(-rays.count // grain),
-        [tree, scene.triangles(plan, rays), rays, hits, work],
+        inputs,
         device=scene.device,
         chunk=max(1, 1024 // grain),
         longest=max(1, longest // grain),
@@ -143,7 +138,6 @@ def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, quer
         ValueError: work is to be counted for rays that do not go one by one.
     """
     from wrt.instance_batches import trace_batch
-    from wrt.kernels.traversal.instances import make_kernel
 
     if plan.traversal != "single":
         if counters:
@@ -151,9 +145,30 @@ def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, quer
         trace_batch(scene, plan, rays, hits, query)
         return
     config = traversal_config(plan, scene, query, counters)
-    kernel = specialise(partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth)), config)
-    inputs = [scene.upper(), scene.lower(plan, rays), rays, hits, work]
+    kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
     launch(kernel, rays.count, inputs, device=scene.device, chunk=1024)
+
+
+def kernel_and_inputs(
+    scene: Scene, plan: Plan, config: TraversalConfig, rays: RayBatch, hits: HitBatch, work: wp.array
+) -> tuple[wp.Kernel, list[Any]]:
+    """The kernel that carries out a plan on the tree as it stands, and what it gets after the number of the first item.
+
+    On two levels that is the one for rays that go one by one.
+    """
+    if scene.instances:
+        from wrt.kernels.traversal.instances import make_kernel
+
+        factory = partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, work]
+    if plan.accelerator == "none":
+        from wrt.kernels.traversal.brute import AllTriangles
+
+        tree = AllTriangles()
+        tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
+    else:
+        tree = scene.tree.struct()
+    return specialise(kernel_factory(plan, scene), config), [tree, scene.triangles(plan, rays), rays, hits, work]
 
 
 def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:

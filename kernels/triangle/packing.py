@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.launch import launch, specialise
+from wrt.kernels.launch import launch, refuse_capture, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -67,7 +67,11 @@ def pack_blocks(
         width: triangles a block.
         origin: where all rays start, relative to the scene's centre, for a record that depends on it.
         earlier: blocks of the same kind made of the first of these ids: they are copied, not made again.
+
+    Raises:
+        RuntimeError: a graph is being captured on the device.
     """
+    refuse_capture(vertices.device)
     blocks = TriangleBlocks()
     blocks.primitive = primitive
     blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)

@@ -1,0 +1,175 @@
+"""Rays in arrays on the device: a query of a warm scene is one launch that was recorded before.
+
+A million rays take 0.1 to 0.5 ms on a large GPU, and as long as Python makes a plan, structs and a launch for them, that waits
+for its next work. So a scene keeps recorded launches, one for each query and layout of the rays: a call checks the arrays,
+writes their addresses and that of memory for the answer into the arguments of a launch, and repeats it. The driver copies the
+arguments when it is called: then the launch is free for the next call, while the rays are still on their way.
+
+**Who comes here.** On CUDA all rays whose plan is left to us; on the CPU few rays in Warp arrays (NumPy's are `wrt.few_rays`).
+While a graph is captured nothing is recorded or repeated: the ordinary way makes arrays and structs that are the graph's.
+
+**The answer** of `intersect` is one allocation of 16 bytes a ray, cut into t, ids and weights when these are asked for.
+
+**Threads and streams.** A launch is taken from the scene's before its arguments are written, and put back after; as many are
+made as threads ask at the same time. Memory and launch belong to the stream that is current in the calling thread's device.
+
+**Measured** (one thread of a Zen 5, microseconds a call of one ray in Warp arrays on the CPU, tracing included): MEASURED
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Hashable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.hits import Hits, shaped
+from wrt.kernels.launch import record, use_threads
+from wrt.kernels.rays import HitBatch, RayBatch
+from wrt.memory import empty, keep_alive
+from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, choose_plan, plan_for, traversal_config, way_of
+from wrt.rays import Layout, RayArrays, RayBuffers, Rays, lay_out, new_batch
+from wrt.tracing import kernel_and_inputs, no_work
+
+if TYPE_CHECKING:
+    from wrt.scene import Scene
+
+NO_RAYS = RayBatch()
+"""What hits hold in the place of rays on the device, which are their caller's."""
+
+RAYS, HITS = 3, 4
+"""Which of the kernel's arguments they are."""
+
+
+class HitBlock:
+    """Closest hits of N rays in one allocation: what `HitBatch` holds of them, as arrays that are made when asked for."""
+
+    UV, T, PRIMITIVE = 0, 8, 12
+    """Where each begins, in bytes a ray."""
+
+    def __init__(self, count: int, device: wp.Device) -> None:
+        self.memory = empty(count, wp.vec4, device)
+
+    @cached_property
+    def uv(self) -> wp.array:
+        """(N,) vec2."""
+        return self._cut(self.UV, wp.vec2)
+
+    @cached_property
+    def t(self) -> wp.array:
+        """(N,) float32."""
+        return self._cut(self.T, wp.float32)
+
+    @cached_property
+    def primitive(self) -> wp.array:
+        """(N,) int32."""
+        return self._cut(self.PRIMITIVE, wp.int32)
+
+    def _cut(self, begin: int, dtype: type) -> wp.array:
+        memory, count = self.memory, self.memory.size
+        part = wp.array(ptr=memory.ptr + begin * count, dtype=dtype, shape=count, device=memory.device)
+        return keep_alive(part, memory)
+
+
+class Recording:
+    """A recorded launch that answers rays of one layout, for one thread at a time.
+
+    Args:
+        query: "closest", "any" or "count".
+        layout: of the rays.
+    """
+
+    def __init__(self, scene: Scene, query: str, layout: Layout) -> None:
+        self.query, self.device, self.tree, self.mesh = query, scene.device, scene.tree, scene.device_mesh
+        rays, hits = new_batch(layout, scene.center), HitBatch()
+        sample = RayBuffers(rays, (1,), True, np.float32, True, False, [])
+        self.plan = choose_plan(scene, sample, AUTO, AUTO, query, False)
+        plan = plan_for(self.plan, query)
+        config, work = traversal_config(plan, scene, query, False), no_work(way_of(plan).counters, self.device.alias)
+        kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
+        self.launch = record(kernel, inputs, self.device)
+        self.rays, self.hits = rays.__ctype__(), hits.__ctype__()
+        self.launch.set_param_at_index_from_ctype(RAYS, self.rays)
+        self.launch.set_param_at_index_from_ctype(HITS, self.hits)
+        self.count = 0
+
+    def suits(self, scene: Scene) -> bool:
+        """Whether the scene still has what this was made for."""
+        return self.tree is scene.tree and self.mesh is scene.device_mesh
+
+    def trace(self, rays: RayArrays) -> HitBlock | wp.array:
+        """The answer to rays, on its way: flat, and on the device."""
+        count = math.prod(rays.shape)
+        arguments = self.rays
+        arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
+        arguments.t_min, arguments.t_max = rays.t_min.__ctype__(), rays.t_max.__ctype__()
+        resized, self.count = count != self.count, count
+        if resized:
+            arguments.count = count
+            self.launch.set_dim(count)
+        answer = self._closest(count, resized) if self.query == CLOSEST else self._number(count)
+        self.launch.launch()
+        return answer
+
+    def _closest(self, count: int, resized: bool) -> HitBlock:
+        """Memory for closest hits, where the launch writes them."""
+        hits, block = self.hits, HitBlock(count, self.device)
+        if resized:
+            hits.uv, hits.t, hits.primitive = block.uv.__ctype__(), block.t.__ctype__(), block.primitive.__ctype__()
+        else:  # as long as before: all but the addresses holds
+            start = block.memory.ptr
+            hits.uv.data, hits.t.data = start + block.UV * count, start + block.T * count
+            hits.primitive.data = start + block.PRIMITIVE * count
+        return block
+
+    def _number(self, count: int) -> wp.array:
+        """Memory for a number of each ray, where the launch writes it."""
+        if self.query == ANY:
+            values = empty(count, wp.bool, self.device)
+            self.hits.occluded = values.__ctype__()
+        else:
+            values = empty(count, wp.int32, self.device)
+            self.hits.counts = values.__ctype__()
+        return values
+
+
+def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
+    """The answer by a recorded launch; None for rays that go another way.
+
+    Raises:
+        TypeError, ValueError: as `Scene.intersect`.
+    """
+    device = scene.device
+    if scene.local_trees is not None or not (device.is_cuda or _few_on_device(rays)) or device.is_capturing:
+        return None
+    arrays = lay_out(rays, device, scene.center)
+    if not 0 < math.prod(arrays.shape) <= (FEW_RAYS if device.is_cpu else math.inf):
+        return None
+    key = query, arrays.layout
+    with use_threads(scene.num_threads):
+        recording, waiting = take(scene, key, lambda: Recording(scene, *key))
+    answer = recording.trace(arrays)
+    waiting.append(recording)
+    if query != CLOSEST:
+        return shaped(answer, arrays)
+    buffers = RayBuffers(NO_RAYS, arrays.shape, arrays.is_warp, arrays.dtype, True, False, [])
+    return Hits(answer, buffers, scene.device_mesh, recording.plan, None, scene.num_threads)
+
+
+def take(scene: Scene, key: Hashable, make: Callable[[], Any]) -> tuple[Any, deque]:
+    """What a scene keeps ready under a key, for the caller alone, and where to put it back."""
+    waiting = scene.desks.setdefault(key, deque())
+    try:
+        ready = waiting.pop()
+    except IndexError:
+        ready = make()
+    return ready if ready.suits(scene) else make(), waiting
+
+
+def _few_on_device(rays: Rays) -> bool:
+    given = rays.origins, rays.directions
+    return all(isinstance(values, wp.array) and values.size <= 3 * FEW_RAYS for values in given)
