@@ -143,8 +143,11 @@ def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.La
     return wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, block_dim=block, record_cmd=True)
 
 
-def refuse_capture(device: wp.Device) -> None:
-    """For what is made once and kept: memory taken while a graph is captured is the graph's, and filled when that is launched.
+@contextmanager
+def kept(device: wp.Device) -> Iterator[None]:
+    """Around what is made on the device once and kept, for queries from any thread, on any stream, and in graphs.
+
+    Memory taken while a graph is captured would be the graph's, and filled when that is launched.
 
     Raises:
         RuntimeError: a graph is being captured on the device.
@@ -154,6 +157,9 @@ def refuse_capture(device: wp.Device) -> None:
             "a graph is being captured, and something that the query keeps for later calls is not there yet; "
             "make the same query once before the capture"
         )
+    yield
+    if device.is_cuda:
+        wp.synchronize_stream(device.stream)
 
 
 def _chunk_size(count: int, least: int, chunks_per_thread: int) -> int:

@@ -23,7 +23,7 @@ from wrt.geometry import check_index
 from wrt.instances import Instance, as_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.instances import Geometry, Placement
-from wrt.kernels.launch import refuse_capture, use_threads
+from wrt.kernels.launch import kept, use_threads
 from wrt.memory import keep_alive
 from wrt.mesh import TriangleMesh
 from wrt.ray_aware_bvh import RayAwareBvh
@@ -267,14 +267,14 @@ class InstancedScene(Scene):
 
         key = plan.accelerator, plan.triangle_test
         if key not in self._tables:
-            refuse_capture(self.device)
             kind, table, used = PARTS[plan.accelerator], [], []
             for scene in self._parts:
                 part, blocks = kind(), scene.triangles(plan, rays)
                 part.tree, part.triangles = scene.tree.struct(), blocks
                 table.append(part)
                 used.append((scene.tree, blocks))
-            self._tables[key] = keep_alive(wp.array(table, dtype=kind, device=self.device), used)
+            with kept(self.device):
+                self._tables[key] = keep_alive(wp.array(table, dtype=kind, device=self.device), used)
         return self._tables[key]
 
 

@@ -297,8 +297,10 @@ class Queries(BlockQueries):
         return trace(self, plan, buffers, query)[0]
 
     def _trace_ready(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
-        """The answer by what is kept ready, if the choice is ours and the tree is all there; else None."""
+        """The answer by what is kept ready, if the choice is ours and the tree is all there; else, and for graphs, None."""
         if self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
+            return None
+        if self.device.is_capturing:
             return None
         few = None if self.instances else trace_few(self, rays, query)
         return trace_recorded(self, rays, query) if few is None else few

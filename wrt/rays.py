@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import launch, refuse_capture
+from wrt.kernels.launch import kept, launch
 from wrt.kernels.rays import RayBatch, center_float64_points
 from wrt.pictures import one_origin, picture_columns
 
@@ -339,7 +339,7 @@ def _vectors(
     else:
         values, stride = spread(values, shape, (3,))
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
-        values = wp.array(values, dtype=dtype, device=device, copy=False)
+        values = _upload(values, dtype, device)
     if values.dtype is wp.vec3d:
         out = wp.empty(len(values), dtype=wp.vec3f, device=device)
         launch(center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096)
@@ -350,18 +350,34 @@ def _vectors(
 def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
     """Bounds of t as a flat (N,) or (1,) float array."""
     if isinstance(values, float):
-        return _number(values, device.alias), int(math.prod(shape) == 1)
+        stride = int(math.prod(shape) == 1)
+        if device.is_capturing:  # what is kept for others may be dropped before the graph is
+            return wp.full(1, values, dtype=float, device=device), stride
+        return _number(values, device.alias), stride
     if isinstance(values, wp.array):
         if values.size != 1 and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         return values.flatten(), 0 if values.size == 1 else 1
     values, stride = spread(values, shape, ())
-    return wp.array(values, dtype=float, device=device, copy=False), stride
+    return _upload(values, float, device), stride
+
+
+def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
+    """An array on the device, on the CPU in the same memory.
+
+    Raises:
+        RuntimeError: a graph is being captured on the device: it would copy from memory that is gone when it is launched.
+    """
+    if device.is_capturing:
+        raise RuntimeError(
+            "rays must be Warp arrays while a graph is captured; copy them to the device before the capture, "
+            f"by wp.array(..., dtype=wp.vec3, device={str(device)!r})"
+        )
+    return wp.array(values, dtype=dtype, device=device, copy=False)
 
 
 @lru_cache(maxsize=64)
 def _number(value: float, device: str) -> wp.array:
     """An array of one float32, made once: most batches have the same bounds."""
-    refuse_capture(wp.get_device(device))
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore"), kept(wp.get_device(device)):
         return wp.array(np.float32([value]), dtype=float, device=device)

@@ -90,7 +90,8 @@ class Recording:
         self.plan = choose_plan(scene, sample, AUTO, AUTO, query, False)
         plan = plan_for(self.plan, query)
         config, work = traversal_config(plan, scene, query, False), no_work(way_of(plan).counters, self.device.alias)
-        kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
+        with use_threads(scene.num_threads):
+            kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
         self.launch = record(kernel, inputs, self.device)
         self.rays, self.hits = rays.__ctype__(), hits.__ctype__()
         self.launch.set_param_at_index_from_ctype(RAYS, self.rays)
@@ -144,14 +145,13 @@ def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
         TypeError, ValueError: as `Scene.intersect`.
     """
     device = scene.device
-    if scene.local_trees is not None or not (device.is_cuda or _few_on_device(rays)) or device.is_capturing:
+    if scene.local_trees is not None or not (device.is_cuda or _few_on_device(rays)):
         return None
     arrays = lay_out(rays, device, scene.center)
     if not 0 < math.prod(arrays.shape) <= (FEW_RAYS if device.is_cpu else math.inf):
         return None
     key = query, arrays.layout
-    with use_threads(scene.num_threads):
-        recording, waiting = take(scene, key, lambda: Recording(scene, *key))
+    recording, waiting = take(scene, key, lambda: Recording(scene, *key))
     answer = recording.trace(arrays)
     waiting.append(recording)
     if query != CLOSEST:

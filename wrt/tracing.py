@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, launch, refuse_capture, specialise
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, kept, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
@@ -67,8 +67,8 @@ def trace_batch(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: 
 @lru_cache
 def no_work(kind: type, device: str) -> wp.array:
     """What kernels get that count nothing: made once, as small batches feel every allocation."""
-    refuse_capture(wp.get_device(device))
-    return wp.zeros(1, dtype=kind, device=device)
+    with kept(wp.get_device(device)):
+        return wp.zeros(1, dtype=kind, device=device)
 
 
 def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:

@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.launch import launch, refuse_capture, specialise
+from wrt.kernels.launch import kept, launch, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -71,14 +71,14 @@ def pack_blocks(
     Raises:
         RuntimeError: a graph is being captured on the device.
     """
-    refuse_capture(vertices.device)
-    blocks = TriangleBlocks()
+    blocks, device = TriangleBlocks(), vertices.device
     blocks.primitive = primitive
-    blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=vertices.device)
     done = 0 if earlier is None else len(earlier.primitive)
-    if done:
-        wp.copy(blocks.records, earlier.records)
-    if done < len(primitive):
-        inputs = [vertices, faces, primitive[done:], width, wp.vec3(*origin), blocks.records[done * record.components :]]
-        launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=vertices.device, chunk=4096)
+    with kept(device):
+        blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=device)
+        if done:
+            wp.copy(blocks.records, earlier.records)
+        if done < len(primitive):
+            inputs = [vertices, faces, primitive[done:], width, wp.vec3(*origin), blocks.records[done * record.components :]]
+            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=4096)
     return blocks

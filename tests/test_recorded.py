@@ -1,0 +1,263 @@
+"""Rays in arrays on the device, answered by recorded launches: what the ordinary way gives, to the bit, and in graphs."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import mixed_rays
+
+import wrt
+from wrt import plan as planning
+from wrt.kernels.launch import use_threads
+from wrt.plan import FEW_RAYS
+from wrt.rays import Rays, lay_out
+from wrt.recorded import Recording, trace_recorded
+
+ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "instance_id", "is_hit", "position", "normal")
+COUNT = 60
+
+
+def teapot() -> wrt.TriangleMesh:
+    return wrt.scenes.build("teapot", level=2, ground=False)
+
+
+def scene_of(kind: str, device: str) -> wrt.Scene:
+    """Two meshes far from the origin, or two instances of one."""
+    mesh = teapot()
+    if kind == "instances":
+        moved = np.eye(4)
+        moved[:3, 3] = (0.5, 0.2, 0.1)
+        return wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, moved)], device=device)
+    far = mesh.vertices + np.array([300.0, -100.0, 200.0])
+    return wrt.Scene([wrt.TriangleMesh(far, mesh.faces), wrt.TriangleMesh(far + 0.4, mesh.faces)], device=device)
+
+
+@pytest.fixture(scope="module", params=["meshes", "instances"])
+def scene(request) -> wrt.Scene:
+    return scene_of(request.param, "cpu")
+
+
+def on_device(array: np.ndarray, dtype: type = wp.vec3, device: str = "cpu") -> wp.array:
+    return wp.array(array, dtype=dtype, device=device)
+
+
+def device_rays(scene: wrt.Scene, count: int = COUNT, seed: int = 0) -> tuple[wp.array, wp.array]:
+    return tuple(on_device(a, device=scene.device) for a in mixed_rays(scene.flattened(), count, seed=seed))
+
+
+def layouts(scene: wrt.Scene) -> dict[str, tuple]:
+    """Rays in every layout."""
+    origins, directions = mixed_rays(scene.flattened(), COUNT)
+    own, toward = on_device(origins), on_device(directions)
+    near, far = np.linspace(0.0, 1.0, COUNT), np.linspace(1.0, 90.0, COUNT)
+    eye = on_device(scene.center[None] + 3.0)
+    return {
+        "own": (own, toward),
+        "bounds for all": (own, toward, 0.5, 40.0),
+        "one ray": (own[:1], toward[:1]),
+        "one origin": (eye, toward),
+        "one direction": (own, toward[:1], 0, 7),
+        "bounds": (own, toward, on_device(near, float), on_device(far, float)),
+        "bounds of NumPy": (own, toward, near, far),
+        "floats": (on_device(origins, float), on_device(directions, float)),
+        "doubles": (on_device(origins, wp.vec3d), toward),
+        "doubles toward": (own, on_device(directions, wp.vec3d)),
+        "a grid": (own.reshape((6, 10)), toward.reshape((6, 10)), 0.0, np.inf),
+    }
+
+
+LAYOUTS = list(layouts(scene_of("meshes", "cpu")))
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_as_the_ordinary_way(scene, name):
+    rays = layouts(scene)[name]
+    recorded, ordinary = scene.intersect(*rays), scene.intersect(*rays, traversal="single")
+    assert ("closest", lay_out(Rays(*rays), scene.device, scene.center).layout) in scene.desks
+    assert recorded.shape == ordinary.shape
+    assert str(recorded.plan).split(":")[0] == str(ordinary.plan).split(":")[0]
+    for attribute in ATTRIBUTES:
+        one, other = getattr(recorded, attribute), getattr(ordinary, attribute)
+        assert isinstance(one, wp.array)
+        assert (one.shape, one.dtype, one.device) == (other.shape, other.dtype, other.device)
+        np.testing.assert_array_equal(one.numpy(), other.numpy(), err_msg=attribute)
+    for query in (scene.occluded,) if scene.instances else (scene.occluded, scene.count):
+        one, other = query(*rays), query(*rays, traversal="single")
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+        np.testing.assert_array_equal(one.numpy(), other.numpy())
+
+
+def test_who_comes_here(scene):
+    """Few rays in Warp arrays whose plan is left to the scene; a launch is made for each query and layout, and used again."""
+    scene.desks.clear()
+    own, toward = device_rays(scene, FEW_RAYS + 1)
+    assert trace_recorded(scene, Rays(own, toward), "closest") is None
+    scene.intersect(own[:9], toward[:9], traversal="single")
+    scene.occluded(own[:9], toward[:9], triangle_test="woop")
+    scene.intersect(own[:0], toward[:0])
+    assert not scene.desks
+    for count in (7, 9, FEW_RAYS, 7):
+        scene.intersect(own[:count], toward[:count])
+        scene.occluded(own[:count], toward[:count])
+    recordings = [one for waiting in scene.desks.values() for one in waiting]
+    assert len(recordings) == len(scene.desks) == 2
+    assert all(isinstance(one, Recording) for one in recordings)
+
+
+def test_answers_are_the_callers_own(scene):
+    """Later calls, of the same length and of another, leave an answer as it is, also the part that is asked for late."""
+    own, toward = device_rays(scene)
+    first, dark = scene.intersect(own, toward), scene.occluded(own, toward)
+    expected = scene.intersect(own, toward, traversal="single")
+    for other in (on_device(-toward.numpy()), toward[:20]):
+        scene.intersect(own[: len(other)], other)
+        scene.occluded(own[: len(other)], other)
+    for attribute in ATTRIBUTES:
+        np.testing.assert_array_equal(getattr(first, attribute).numpy(), getattr(expected, attribute).numpy())
+    np.testing.assert_array_equal(dark.numpy(), expected.is_hit.numpy())
+    only = scene.intersect(own, toward).t  # its hits, and the memory's other parts, are gone
+    scene.intersect(own, on_device(-toward.numpy()))
+    np.testing.assert_array_equal(only.numpy(), expected.t.numpy())
+
+
+@pytest.mark.parametrize("kind", ["meshes", "instances"])
+def test_after_an_update(kind):
+    scene = scene_of(kind, "cpu")
+    own, toward = device_rays(scene)
+    before = scene.intersect(own, toward)
+    if kind == "instances":
+        scene.update(0, transform=np.diag([2.0, 2.0, 2.0, 1.0]))
+    else:
+        scene.update(0, vertices=scene.meshes[0].vertices * 0.999, rebuild="always")
+    after, expected = scene.intersect(own, toward), scene.intersect(own, toward, traversal="single")
+    np.testing.assert_array_equal(after.t.numpy(), expected.t.numpy())
+    np.testing.assert_array_equal(after.position.numpy(), expected.position.numpy())
+    assert (after.t.numpy() != before.t.numpy()).any()
+
+
+def test_nothing_stale():
+    """What was recorded for a tree is not used for another."""
+    mesh = teapot()
+    scene, moved = (wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu") for scale in (1.0, 0.5))
+    own, toward = device_rays(scene)
+    scene.intersect(own, toward)
+    scene.tree, scene.device_mesh, scene.center, scene._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    np.testing.assert_array_equal(scene.intersect(own, toward).t.numpy(), moved.intersect(own, toward).t.numpy())
+
+
+def test_nothing_outlives_its_owner():
+    """Neither hits nor the scene hold rays, and recordings go with the scene."""
+    scene = wrt.Scene(teapot(), device="cpu")
+    own, toward = device_rays(scene)
+    hits, dark = scene.intersect(own, toward), scene.occluded(own, toward)
+    kept = [weakref.ref(array) for array in (own, toward)]
+    recording = weakref.ref(next(iter(scene.desks.values()))[0])
+    del own, toward
+    gc.collect()
+    assert [ref() for ref in kept] == [None, None]
+    assert recording() is not None
+    del scene
+    gc.collect()
+    assert recording() is None
+    assert np.isfinite(hits.t.numpy()).sum() == dark.numpy().sum() > 0
+
+
+def test_many_threads(scene):
+    """Each call has a launch to itself, whatever the lengths that threads ask for side by side."""
+    own, toward = device_rays(scene, 300)
+    expected = scene.intersect(own, toward, traversal="single").t.numpy()
+
+    def ask(number: int) -> bool:
+        first, count = number % 200, 1 + number * 7 % 100
+        part = own[first : first + count], toward[first : first + count]
+        found, dark = scene.intersect(*part).t.numpy(), scene.occluded(*part).numpy()
+        wanted = expected[first : first + count]
+        return np.array_equal(found, wanted) and np.array_equal(dark, np.isfinite(wanted))
+
+    with ThreadPoolExecutor(8) as pool:
+        assert all(pool.map(ask, range(400)))
+
+
+def test_refused(scene):
+    own, toward = device_rays(scene)
+    for rays, message in (
+        ((own, toward[:7]), "do not broadcast"),
+        ((own.reshape((6, 10)), toward[:10]), "broadcast only from one element"),
+        ((own, toward, -1.0), "t_min must not be negative"),
+        ((own, toward, 0.0, on_device(np.ones(7), float)), "do not broadcast"),
+    ):
+        for query in (scene.intersect, scene.occluded, scene.count):
+            with pytest.raises(ValueError, match=message):
+                query(*rays)
+    with pytest.raises(TypeError, match="origins must hold"):
+        scene.intersect(wp.zeros(COUNT, dtype=wp.vec4, device="cpu"), toward)
+
+
+@pytest.mark.parametrize("count", [COUNT, 20_000])
+def test_graphs(scene, device, count):
+    """A graph answers the rays that are in the arrays when it is launched; many rays on the CPU too, whatever the threads."""
+    scene = scene if device == "cpu" else scene_of("instances" if scene.instances else "meshes", device)
+    own, toward = device_rays(scene, count)
+    plan = scene.intersect(own[:2], toward[:2]).plan
+    options = {"traversal": plan if count > FEW_RAYS else "auto"}  # packets and streams are slow to compile
+    scene.intersect(own, toward, **options).position.numpy()
+    scene.occluded(own, toward, **options)
+    with use_threads(4), wp.ScopedCapture(device=device) as capture:
+        hits = scene.intersect(own, toward, 0.0, 33.25, **options)  # bounds may be new
+        found, dark = [getattr(hits, name) for name in ATTRIBUTES], scene.occluded(own, toward, **options)
+    expected = scene.intersect(own, toward, 0.0, 33.25, **options)
+    wanted, lit = [getattr(expected, name).numpy() for name in ATTRIBUTES], scene.occluded(own, toward, **options).numpy()
+    for bound in range(100):
+        scene.occluded(own[:1], toward[:1], 0.0, float(bound))  # what is kept for bounds is that of others now
+    for step in (slice(None), slice(None, None, -1)):
+        for array in (own, toward):
+            array.assign(np.ascontiguousarray(array.numpy()[step]))
+        wp.capture_launch(capture.graph)
+        for array, value in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(array.numpy(), value[step])
+        np.testing.assert_array_equal(dark.numpy(), lit[step])
+
+
+def test_graphs_of_a_cold_scene(device):
+    """What a graph would take along is refused: records that later queries use, and rays that are not on the device."""
+    scene = scene_of("meshes", device)
+    own, toward = device_rays(scene)
+    with wp.ScopedCapture(device=device), pytest.raises(RuntimeError, match="once before the capture"):
+        scene.intersect(own, toward)
+    expected = scene.intersect(own, toward).t.numpy()
+    assert np.isfinite(expected).any()
+    for rays in ((own.numpy(), toward), (own, toward, 0.0, np.ones(COUNT))):
+        with wp.ScopedCapture(device=device), pytest.raises(RuntimeError, match="must be Warp arrays"):
+            scene.intersect(*rays)
+    np.testing.assert_array_equal(scene.intersect(own, toward).t.numpy(), expected)
+
+
+def test_layout(scene):
+    rays = Rays(on_device(scene.center[None], wp.vec3d), device_rays(scene)[1], 0.0, on_device(np.ones(COUNT), float))
+    arrays = lay_out(rays, scene.device, scene.center)
+    assert arrays.layout == (0, 1, 0, 1, True)
+    assert arrays.shape == (COUNT,)
+    np.testing.assert_array_equal(arrays.origins.numpy(), [[0.0, 0.0, 0.0]])
+
+
+def test_plans_that_another_thread_clears(monkeypatch):
+    """The plans of a scene on CUDA may go between any two steps of a thread that looks for its own: once a KeyError."""
+
+    class Cleared(dict):
+        def __contains__(self, key: object) -> bool:
+            found = super().__contains__(key)
+            self.clear()
+            return found
+
+    monkeypatch.setattr(planning, "choose_plan", lambda *args: "chosen")
+    scene = SimpleNamespace(device=SimpleNamespace(is_cuda=True), plans=Cleared())
+    for shape in [(n,) for n in range(2 * planning.MOST_PLANS)] * 2:
+        rays = SimpleNamespace(shape=shape, batch=SimpleNamespace(origin_stride=1))
+        assert planning.make_plan(scene, rays, "auto", "auto") == "chosen"
+        assert len(scene.plans) <= planning.MOST_PLANS
