@@ -107,6 +107,7 @@ class RayArrays:
         origins, directions: (N,) or (1,) vec3.
         t_min, t_max: (N,) or (1,) float32.
         layout: which of them have one element, and what the origins are relative to.
+        count: N.
         shape, is_warp, dtype, keep: as of `RayBuffers`.
     """
 
@@ -115,6 +116,7 @@ class RayArrays:
     t_min: wp.array
     t_max: wp.array
     layout: Layout
+    count: int
     shape: tuple[int, ...]
     is_warp: bool
     dtype: type
@@ -129,7 +131,7 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
     """
     arrays = lay_out(rays, device, center)
     batch = new_batch(arrays.layout, center)
-    batch.count = math.prod(arrays.shape)
+    batch.count = arrays.count
     batch.origins, batch.directions = arrays.origins, arrays.directions
     batch.t_min, batch.t_max = arrays.t_min, arrays.t_max
     coherent, scattered = sample_coherence(batch, device)
@@ -159,7 +161,7 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
     layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
-    return RayArrays(origins, directions, t_min, t_max, layout, shape, is_warp, dtype, given)
+    return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), shape, is_warp, dtype, given)
 
 
 def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:

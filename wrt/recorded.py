@@ -18,7 +18,6 @@ made as threads ask at the same time. Memory and launch belong to the stream tha
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Hashable
 from functools import cached_property
@@ -104,8 +103,7 @@ class Recording:
 
     def trace(self, rays: RayArrays) -> HitBlock | wp.array:
         """The answer to rays, on its way: flat, and on the device."""
-        count = math.prod(rays.shape)
-        arguments = self.rays
+        arguments, count = self.rays, rays.count
         arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
         arguments.t_min, arguments.t_max = rays.t_min.__ctype__(), rays.t_max.__ctype__()
         resized, self.count = count != self.count, count
@@ -148,7 +146,7 @@ def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
     if scene.local_trees is not None or not (device.is_cuda or _few_on_device(rays)):
         return None
     arrays = lay_out(rays, device, scene.center)
-    if not 0 < math.prod(arrays.shape) <= (FEW_RAYS if device.is_cpu else math.inf):
+    if arrays.count == 0 or (device.is_cpu and arrays.count > FEW_RAYS):
         return None
     key = query, arrays.layout
     recording, waiting = take(scene, key, lambda: Recording(scene, *key))
