@@ -89,8 +89,7 @@ class Recording:
         self.plan = choose_plan(scene, sample, AUTO, AUTO, query, False)
         plan = plan_for(self.plan, query)
         config, work = traversal_config(plan, scene, query, False), no_work(way_of(plan).counters, self.device.alias)
-        with use_threads(scene.num_threads):
-            kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
+        kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
         self.launch = record(kernel, inputs, self.device)
         self.rays, self.hits = rays.__ctype__(), hits.__ctype__()
         self.launch.set_param_at_index_from_ctype(RAYS, self.rays)
@@ -164,8 +163,11 @@ def take(scene: Scene, key: Hashable, make: Callable[[], Any]) -> tuple[Any, deq
     try:
         ready = waiting.pop()
     except IndexError:
-        ready = make()
-    return ready if ready.suits(scene) else make(), waiting
+        ready = None
+    if ready is None or not ready.suits(scene):
+        with use_threads(scene.num_threads):
+            ready = make()
+    return ready, waiting
 
 
 def _few_on_device(rays: Rays) -> bool:
