@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import weakref
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -185,6 +186,22 @@ def test_many_threads(scene):
 
     with ThreadPoolExecutor(8) as pool:
         assert all(pool.map(ask, range(400)))
+
+
+def test_streams(device):
+    """The first stream makes what the others use without waiting for it."""
+    scene = scene_of("meshes", device)
+    own, toward = device_rays(scene)
+    wp.synchronize_device(device)
+    found = []
+    for _ in range(4):
+        stream = wp.Stream(device) if scene.device.is_cuda else None
+        with nullcontext() if stream is None else wp.ScopedStream(stream, sync_enter=False):
+            found.append(scene.intersect(own, toward))
+    wp.synchronize_device(device)
+    expected = scene.intersect(own, toward, traversal="single")
+    for hits in found:
+        assert_same(hits, expected)
 
 
 def test_refused(scene):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from wrt.kernels.rays import HitBatch
     from wrt.plan import Plan
     from wrt.rays import RayBuffers
+    from wrt.recorded import HitBlock
 
 
 def shaped(values: wp.array, rays: RayBuffers) -> Any:
@@ -52,7 +53,7 @@ class Hits:
 
     def __init__(
         self,
-        batch: HitBatch,
+        batch: HitBatch | HitBlock,
         rays: RayBuffers,
         mesh: SceneMesh,
         plan: Plan,

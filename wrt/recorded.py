@@ -1,19 +1,27 @@
 """Rays in arrays on the device: a query of a warm scene is one launch that was recorded before.
 
-A million rays take 0.1 to 0.5 ms on a large GPU, and as long as Python makes a plan, structs and a launch for them, that waits
-for its next work. So a scene keeps recorded launches, one for each query and layout of the rays: a call checks the arrays,
-writes their addresses and that of memory for the answer into the arguments of a launch, and repeats it. The driver copies the
-arguments when it is called: then the launch is free for the next call, while the rays are still on their way.
+A million rays take some tenths of a millisecond on a large GPU, and as long as Python makes a plan, structs and a launch, that
+waits for its next work. So a scene keeps recorded launches, one for each query and layout of the rays: a call checks the
+arrays, writes their addresses, and that of memory for the answer, into the arguments of a launch, and repeats it. What comes
+after, such as cutting that memory into arrays, the GPU need not wait for.
 
-**Who comes here.** On CUDA all rays whose plan is left to us; on the CPU few rays in Warp arrays (NumPy's are `wrt.few_rays`).
-While a graph is captured nothing is recorded or repeated: the ordinary way makes arrays and structs that are the graph's.
+**Who comes here.** On CUDA all rays whose plan is left to the scene; on the CPU few rays in Warp arrays (`wrt.few_rays` are
+NumPy's). Not here while a graph is captured: that takes the ordinary way, whose launches Warp sees with all their arrays.
 
-**The answer** of `intersect` is one allocation of 16 bytes a ray, cut into t, ids and weights when these are asked for.
+**The answer** to `intersect` is one allocation of 16 bytes a ray, cut into t, ids and weights when these are asked for. Each
+of them keeps all of it.
 
-**Threads and streams.** A launch is taken from the scene's before its arguments are written, and put back after; as many are
-made as threads ask at the same time. Memory and launch belong to the stream that is current in the calling thread's device.
+**Threads and streams.** A launch belongs to one thread from before its arguments are written until it is on its way; as many
+are made as threads ask at the same time. Arguments are copied when it is repeated, so that the next call may write others
+while rays are still traced. It goes to the stream that is current, as the memory does.
 
-**Measured** (one thread of a Zen 5, microseconds a call of one ray in Warp arrays on the CPU, tracing included): MEASURED
+**Measured** (a thread of a Zen 5, bunny, random rays in Warp arrays on the CPU, microseconds a call, tracing included: the
+ordinary way / recorded):
+
+                                1 ray         100
+    intersect                142 / 26    244 / 58
+    intersect, t, ids, uv    149 / 45    202 / 90
+    occluded                 117 / 22    166 / 54
 """
 
 from __future__ import annotations
@@ -101,7 +109,10 @@ class Recording:
         return self.tree is scene.tree and self.mesh is scene.device_mesh
 
     def trace(self, rays: RayArrays) -> HitBlock | wp.array:
-        """The answer to rays, on its way: flat, and on the device."""
+        """The answer to rays of the layout: flat, and on CUDA still to be computed.
+
+        Only here are the launch's addresses those of memory that is there.
+        """
         arguments, count = self.rays, rays.count
         arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
         arguments.t_min, arguments.t_max = rays.t_min.__ctype__(), rays.t_max.__ctype__()
