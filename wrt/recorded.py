@@ -120,7 +120,7 @@ class Recording:
         if resized:
             arguments.count = count
             self.launch.set_dim(count)
-        answer = self._closest(count, resized) if self.query == CLOSEST else self._number(count)
+        answer = self._closest(count, resized) if self.query == CLOSEST else self._numbers(count)
         self.launch.launch()
         return answer
 
@@ -135,7 +135,7 @@ class Recording:
             hits.primitive.data = start + block.PRIMITIVE * count
         return block
 
-    def _number(self, count: int) -> wp.array:
+    def _numbers(self, count: int) -> wp.array:
         """Memory for a number of each ray, where the launch writes it."""
         if self.query == ANY:
             values = empty(count, wp.bool, self.device)
