@@ -46,8 +46,8 @@ def test_python_examples(tmp_path, monkeypatch):
     seen = names["scene"].intersect(names["camera"].rays()).is_hit
     assert (names["picture"][~seen] == 0).all()
     assert 0.3 < names["picture"][seen].mean() < 0.95
-    row = names["scene"].intersect(names["eye"].numpy(), names["beams"].numpy()).t
-    np.testing.assert_array_equal(names["ranges"].numpy(), row)
+    row = names["scene"].intersect(names["eye"].numpy(), names["fan"].numpy()).t
+    np.testing.assert_array_equal(names["depth"].numpy(), row)
     np.testing.assert_allclose(names["guess"].numpy()[0], names["camera"].position, atol=1e-3 * names["mesh"].extent)
     np.testing.assert_allclose(names["exact"].t, names["hits"].t[:1000], rtol=1e-3)
     assert Image.open("model.png").size == (640, 480)
