@@ -147,12 +147,17 @@ def test_memory_stays_bounded(scene, tmp_path):
     directions.flush()
     directions = np.load(tmp_path / "rays.npy", mmap_mode="r")
     origins = np.broadcast_to(np.float64(scene.center), directions.shape)
-    list(scene.intersect_blocks(origins[:100_000], directions[:100_000], memory=bound))
-    before, peak = held(), 0
-    for _, hits in scene.intersect_blocks(origins, directions, memory=bound):
-        assert hits.position.shape == hits.normal.shape
-        peak = max(peak, held())
-    assert peak - before < bound
+
+    def peak(count: int) -> int:
+        most = 0
+        for _, hits in scene.intersect_blocks(origins[:count], directions[:count], memory=bound):
+            assert hits.position.shape == hits.normal.shape
+            most = max(most, held())
+        return most
+
+    peak(100_000)  # loads all that is needed: kernels, and on a machine with CUDA the driver's part of it
+    before = held()
+    assert peak(count) - before < bound
 
 
 class Stop:

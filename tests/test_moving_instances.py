@@ -1,0 +1,75 @@
+"""Scenes of instances whose members move, turn and bend: as scenes made anew; an update that fails changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from conftest import assert_same_hits, mixed_rays
+from test_instances import BALL, BOX, FLAT, move, random_instances
+
+import wrt
+
+
+@pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
+def test_moving_vertices(accelerator):
+    """A scene of meshes, and one of instances, after an update: as one made of what is there now."""
+    rng = np.random.default_rng(2)
+    moved = BALL.vertices * rng.uniform(0.5, 1.5, (BALL.vertex_count, 1)) + [7.0, 0.0, 0.0]
+    after = wrt.TriangleMesh(moved, BALL.faces)
+    origins, directions = mixed_rays(wrt.TriangleMesh.concatenate([BOX, after]), 2000)
+    scene = wrt.Scene([BOX, BALL], accelerator, device="cpu")
+    before = scene.intersect(origins, directions)
+    scene.update(1, vertices=moved)
+    old = before.position
+    assert np.nanmax(old[before.is_hit][:, 0]) < 2.0
+    assert_same_hits(scene.intersect(origins, directions), wrt.Scene([BOX, after], accelerator).intersect(origins, directions))
+    made = [wrt.Instance(BOX), wrt.Instance(BALL), wrt.Instance(BALL, move(0, 5))]
+    scene = wrt.Scene(made, accelerator, device="cpu")
+    before = scene.intersect(origins, directions)
+    scene.update(1, vertices=moved)
+    assert np.nanmax(before.position[before.is_hit][:, 0]) < 2.0
+    fresh = [wrt.Instance(BOX), wrt.Instance(after), wrt.Instance(after, move(0, 5))]
+    expected = wrt.Scene([fresh[0], fresh[1], wrt.Instance(fresh[1].mesh, move(0, 5))], accelerator, device="cpu")
+    assert_same_hits(scene.intersect(origins, directions), expected.intersect(origins, directions))
+    assert scene.instances[2].mesh is scene.meshes[1]
+
+
+@pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
+def test_moving_instances(accelerator):
+    """As a scene made of what is there now."""
+    scene = wrt.Scene(random_instances(), accelerator, device="cpu")
+    rays = mixed_rays(scene.flattened(), 6000)
+    matrices = [instance.transform @ move(0.3) for instance in scene.instances]
+    moving = wrt.Scene(scene.instances, scene.accelerator, device="cpu")
+    moving.update(range(len(matrices)), transform=matrices)
+    moving.update(2, transform=np.eye(4), mask=8)
+    made = [wrt.Instance(old.mesh, m, mask=old.mask) for old, m in zip(scene.instances, matrices, strict=True)]
+    made[2] = wrt.Instance(made[2].mesh, mask=8)
+    expected = wrt.Scene(made, scene.accelerator, device="cpu")
+    assert_same_hits(moving.intersect(*rays, mask=9), expected.intersect(*rays, mask=9))
+    np.testing.assert_array_equal(moving.bounds, expected.bounds)
+
+
+UPDATES = {
+    "nothing": (lambda s: s.update(0), TypeError, "nothing to update"),
+    "no such instance": (lambda s: s.update(99, transform=np.eye(4)), ValueError, "instance indices go from 0 to 24"),
+    "empty": (lambda s: s.update([], mask=1), ValueError, "index is empty"),
+    "index": (lambda s: s.update(1.5, transform=np.eye(4)), TypeError, "index must be an int"),
+    "singular": (lambda s: s.update(0, transform=FLAT), ValueError, r"singular.*mesh\.transformed"),
+    "wrong number": (lambda s: s.update([0, 1], transform=np.tile(np.eye(4), (3, 1, 1))), ValueError, "3 matrices for 2"),
+    "vertices": (lambda s: s.update(0, vertices=np.zeros((5, 3))), ValueError, "5 points, but the mesh has 162"),
+    "late": (lambda s: s.update(0, vertices=np.full((162, 3), np.nan), transform=move(1)), ValueError, "must be finite"),
+    "two meshes": (lambda s: s.update([0, 3], vertices=BALL.vertices), ValueError, "several meshes"),
+    "mask": (lambda s: s.update(0, mask=1 << 32), ValueError, "mask is 4294967296"),
+}
+
+
+@pytest.mark.parametrize("case", UPDATES)
+def test_a_failed_update_changes_nothing(case):
+    call, kind, message = UPDATES[case]
+    scene = wrt.Scene(random_instances(), device="cpu")
+    before = dict(vars(scene))
+    with pytest.raises(kind, match=message):
+        call(scene)
+    assert vars(scene).keys() == before.keys()
+    assert all(vars(scene)[name] is value for name, value in before.items())
