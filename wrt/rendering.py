@@ -89,13 +89,7 @@ def render(
         TypeError: `scene` or `camera` is of a wrong type.
         ValueError: a value out of its range; unknown names.
     """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
-    distance = np.inf if ambient_distance is None else float(ambient_distance)
-    if not distance > 0.0:
-        raise ValueError(f"ambient_distance is {ambient_distance}; it must be above 0, or None for no limit")
+    _check_types(scene, camera)
     if not 0.0 < crease_angle < 90.0:
         raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)")
     samples = check_whole("samples", samples, 1)
@@ -105,7 +99,7 @@ def render(
         lighting=_lighting(light_color, ambient_color, background),
         shadows=bool(shadows),
         ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
-        ambient_distance=distance,
+        ambient_distance=_check_distance(ambient_distance),
         seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
         query={"traversal": traversal, "triangle_test": triangle_test},
     )
@@ -240,6 +234,20 @@ def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surfac
     look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
     look.albedo_stride = 0 if len(colors) == 1 else 1
     return look
+
+
+def _check_types(scene: Scene, camera: Camera) -> None:
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
+
+
+def _check_distance(ambient_distance: float | None) -> float:
+    distance = np.inf if ambient_distance is None else float(ambient_distance)
+    if not distance > 0.0:
+        raise ValueError(f"ambient_distance is {ambient_distance}; it must be above 0, or None for no limit")
+    return distance
 
 
 def _lighting(light_color: Any, ambient_color: Any, background: Any) -> film.Lighting:
