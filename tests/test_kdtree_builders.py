@@ -41,17 +41,18 @@ def scattered_soup(count: int, seed: int) -> wrt.TriangleMesh:
     return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
 
 
-def leaf_lists(tree) -> dict[int, list[int]]:
-    """Sorted triangle ids of every leaf, by node."""
+def leaf_references(tree) -> np.ndarray:
+    """(2, references) the leaf's node and the triangle of every reference, sorted; lanes that hold none are marked."""
     flat, primitive = unpack(tree), tree.primitive.numpy()
-    lists = {}
-    for node in np.flatnonzero(flat.is_leaf):
-        first = flat.first_block[node] * tree.width
-        blocks = -(-flat.triangles[node] // tree.width)
-        lanes = primitive[first : first + blocks * tree.width]
-        assert (lanes[flat.triangles[node] :] == -1).all()
-        lists[int(node)] = sorted(lanes[: flat.triangles[node]].tolist())
-    return lists
+    leaves = np.flatnonzero(flat.is_leaf)
+    counts = flat.triangles[leaves]
+    lanes = -(-counts // tree.width) * tree.width
+    lane = np.arange(lanes.sum()) - np.repeat(np.cumsum(lanes) - lanes, lanes)
+    triangle = primitive[np.repeat(flat.first_block[leaves] * tree.width, lanes) + lane]
+    used = lane < np.repeat(counts, lanes)
+    assert (triangle[~used] == -1).all()
+    references = np.stack([np.repeat(leaves, counts), triangle[used]])
+    return references[:, np.lexsort(references[::-1])]
 
 
 @wp.kernel(enable_backward=False)
@@ -132,20 +133,17 @@ def test_invariants(scene_mesh, builder, width):
     assert flat.depth.max() <= config.stop.limits(scene_mesh.triangle_count).depth <= kdtree.MAX_TREE_DEPTH
     corners = scene_mesh.vertices.astype(np.float32)[scene_mesh.faces].astype(np.float64)
     low, high = np.ascontiguousarray(corners.min(axis=1).T), np.ascontiguousarray(corners.max(axis=1).T)
-    seen = np.zeros(scene_mesh.triangle_count, dtype=bool)
-    lists = leaf_lists(tree)
-    for node, ids in list(lists.items())[:: max(1, len(lists) // 400)]:
+    leaves, (owner, triangle) = np.flatnonzero(leaf), leaf_references(tree)
+    for node in leaves[:: max(1, len(leaves) // 400)]:
         ends = list(zip(low, flat.high[node], high, flat.low[node], strict=True))
         inside = np.logical_and.reduce([(a < b) & (c > d) for a, b, c, d in ends])
         touches = np.logical_and.reduce([(a <= b) & (c >= d) for a, b, c, d in ends])
         listed = np.zeros_like(inside)
-        listed[ids] = True
-        assert len(set(ids)) == len(ids)
+        listed[triangle[slice(*np.searchsorted(owner, [node, node + 1]))]] = True
         assert listed[inside].all()
         assert touches[listed].all()
-    for ids in lists.values():
-        seen[ids] = True
-    assert seen.all()
+    assert ((np.diff(owner) > 0) | (np.diff(triangle) > 0)).all()  # none twice in a leaf
+    assert (np.bincount(triangle, minlength=scene_mesh.triangle_count) > 0).all()
     left = np.flatnonzero(~leaf)
     np.testing.assert_array_equal(flat.left[left], left + 1)  # depth-first order
 
@@ -169,7 +167,7 @@ def test_exact_builders_equal_the_judge(scene_mesh, options):
             continue
         tree, _ = build(scene_mesh, builder, **options)
         np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-        assert leaf_lists(tree) == leaf_lists(judge)
+        np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
         assert kdtree_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost == cost
 
 
@@ -192,7 +190,7 @@ def test_exact_builders_equal_the_judge_on_the_bunny(bunny):
     for builder in ("in_place", "sweep"):
         tree, _ = build(bunny, builder, width=16)
         np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-        assert leaf_lists(tree) == leaf_lists(judge)
+        np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
@@ -251,7 +249,7 @@ def test_tiny_and_flat_meshes(builder, count):
             shaped[:, :, flatten] = 0.25
         mesh = wrt.TriangleMesh(shaped.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
         tree, _ = build(mesh, builder, width=1, block_cost=3.0)
-        assert set().union(*leaf_lists(tree).values()) == set(range(count))
+        assert set(leaf_references(tree)[1]) == set(range(count))
 
 
 def hard_meshes() -> dict[str, wrt.TriangleMesh]:
@@ -279,8 +277,7 @@ def test_hard_meshes(builder):
     rng = np.random.default_rng(8)
     for name, mesh in hard_meshes().items():
         tree, _ = build(mesh, builder)
-        lists = leaf_lists(tree)
-        assert sum(map(len, lists.values())) <= 64 * mesh.triangle_count, name
+        assert leaf_references(tree).shape[1] <= 64 * mesh.triangle_count, name
         scene = wrt.Scene(mesh, wrt.KdTree(builder=builder, width=8), device="cpu")
         corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, 300)]]
         targets = (rng.dirichlet([1, 1, 1], 300)[:, :, None] * corners).sum(axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import SCENES
-from test_kdtree_builders import build, leaf_lists
+from test_kdtree_builders import build, leaf_references
 
 import wrt
 from wrt import scenes
@@ -43,10 +43,11 @@ def test_leaves_list_what_they_meet(builder, name):
     corners = mesh.vertices.astype(np.float32)[mesh.faces]
     pad = PAD * float((corners.max((0, 1)) - corners.min((0, 1))).max())
     tree, _ = build(mesh, builder, split_clipping=True)
-    flat, lists = unpack(tree), leaf_lists(tree)
+    flat, (leaf, triangle) = unpack(tree), leaf_references(tree)
     low, high = corners.min(axis=1), corners.max(axis=1)
     checked, box_only = 0, 0
-    for node, ids in list(lists.items())[::5]:
+    for node in np.flatnonzero(flat.is_leaf)[::5]:
+        ids = triangle[leaf == node]
         cell_low, cell_high = flat.low[node], flat.high[node]
         near = np.flatnonzero(((low <= cell_high) & (high >= cell_low)).all(axis=1))
         must = {i for i in near if meets(corners[i], cell_low + 1e-7, cell_high - 1e-7)}
