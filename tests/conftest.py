@@ -9,6 +9,11 @@ import pytest
 import warp as wp
 
 wp.config.log_level = wp.LOG_WARNING
+wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=1000"
+"""Warp's own flags inline nine times as much: kernels then run a little faster, which is not asked here, and compile for a
+third longer. (By LLVM's own threshold some loops over lanes are not vectorised.) Processes that tests start compile as users
+do."""
+
 wp.init()
 
 import wrt  # noqa: E402
@@ -18,6 +23,10 @@ MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
 ENGINE_TESTS = ("woop", "moeller_trumbore", "komatsu")
 """Triangle tests on which everything around them is tested: by hand, by steps, and with an origin that must be shared. What
 the engine does with a test is the same for all others; `test_triangle_tests.py` shows that they fit in."""
+
+OTHER_WAYS_TO_PACKETS = ("mlrta", "aepsa", "omnidirectional")
+"""Traversals that meet leaves by the steps of "packet" on a kd-tree (`wrt.kernels.traversal.packet_kernel`): what they do with
+one triangle test, and with an origin that must be shared, is the same for all."""
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 
@@ -46,7 +55,7 @@ SCENES = {
     "teapot": lambda: scenes.build("teapot", level=4),
     "random_triangles": lambda: scenes.build("random_triangles", count=700, size=0.4, seed=3),
     "stadium": lambda: scenes.build("teapot_in_stadium", level=3),
-    "atrium": lambda: scenes.build("atrium"),
+    "atrium": lambda: scenes.build("atrium", bays=(3, 2), detail=3),
     "wood": lambda: scenes.build("wood", trees=3),
     "grid": lambda: snapped_soup(600, seed=5),
     "degenerate": lambda: degenerate_soup(),
