@@ -12,12 +12,13 @@ from test_packets import beams
 import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.plan import Plan
+from wrt.plan import STREAMS, Plan
 from wrt.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
 
 TREES = TRAVERSALS["stream"].trees
 SMALL_SCENES = ("teapot", "random_triangles", "stadium", "grid", "degenerate")
-SIZE = 64
+SIZE = STREAMS[-1]
+"""What a plan asks for if rays are few: other tests have these kernels too."""
 
 
 def stream_plan(scene: wrt.Scene, rays: wrt.Rays, size: int, triangle_test: str = "woop") -> Plan:
@@ -55,7 +56,7 @@ def test_beams(tree, triangle_test, own_origins, device):
         assert expected.is_hit.mean() > 0.05
 
 
-@pytest.mark.parametrize("size", [1, 17, 1024, MAX_STREAM])
+@pytest.mark.parametrize("size", [1, 17, SIZE, MAX_STREAM])
 @pytest.mark.parametrize("tree", TREES)
 def test_sizes(tree, size, device):
     """Streams of one ray to the longest, with per-ray ranges that cut between hits, at hits, and empty ones."""
@@ -79,7 +80,7 @@ def test_ray_counts(tree, device):
     """None, one, and counts about the length of a stream."""
     mesh = wrt.scenes.build("teapot", level=3)
     scene = wrt.Scene(mesh, tree, device=device)
-    for count in (0, 1, 63, 64, 65, 127, 128, 129):
+    for count in (0, 1, SIZE - 1, SIZE, SIZE + 1, 2 * SIZE - 1, 2 * SIZE, 2 * SIZE + 1):
         assert_equals_brute_force(scene, wrt.Rays(*mixed_rays(mesh, count, seed=count)), SIZE)
 
 
@@ -129,12 +130,12 @@ def test_coherent_rays_and_long_streams_fill_the_lanes(tree):
     rng = np.random.default_rng(0)
     random = wrt.Rays(rng.uniform(*mesh.bounds, (128 * 128, 3)), rng.normal(size=(128 * 128, 3)))
     kinds = {"camera": camera, "random": random}
-    shares = {(name, size): utilisation(scene, rays, size) for name, rays in kinds.items() for size in (64, 1024)}
+    shares = {(name, size): utilisation(scene, rays, size) for name, rays in kinds.items() for size in (SIZE, 1024)}
     assert all(0.0 < share <= 1.0 for both in shares.values() for share in both)
-    for size in (64, 1024):
+    for size in (SIZE, 1024):
         assert shares["camera", size][0] > shares["random", size][0]
     for name in ("camera", "random"):
-        assert shares[name, 1024][0] > shares[name, 64][0]
+        assert shares[name, 1024][0] > shares[name, SIZE][0]
 
 
 def test_counters_of_a_stream():
