@@ -162,13 +162,17 @@ def test_a_nan_anywhere_is_a_miss(name, form, device):
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     for triangle in corners[np.linalg.norm(normals, axis=1) > 0.1]:
         origin = triangle.mean(axis=0) + np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-        numbers = np.concatenate([triangle.ravel(), origin, triangle.mean(axis=0) - origin])
-        assert not np.isnan(all_pairs(name, triangle[None], origin[None], numbers[None, 12:], 4, form, device)[..., 0]).any()
-        for where in range(15):
-            bad = numbers.copy()
-            bad[where] = np.nan
-            got = all_pairs(name, bad[:9].reshape(1, 3, 3), bad[None, 9:12], bad[None, 12:], 4, form, device)
-            assert np.isnan(got[..., 0]).all()
+        triangles = np.concatenate([triangle[None], with_nan(triangle.ravel()).reshape(9, 3, 3)])
+        directions = np.concatenate([[triangle.mean(axis=0) - origin], with_nan(triangle.mean(axis=0) - origin)])
+        got = all_pairs(name, triangles, np.broadcast_to(origin, (4, 3)), directions, 4, form, device)[..., 0]
+        assert np.argwhere(~np.isnan(got)).tolist() == [[0, 0]]
+        for bad in with_nan(origin):
+            assert np.isnan(all_pairs(name, triangles, bad[None], directions[:1], 4, form, device)[..., 0]).all()
+
+
+def with_nan(numbers: np.ndarray) -> np.ndarray:
+    """(N, N) each row the N numbers, one of them a NaN."""
+    return np.where(np.eye(len(numbers), dtype=bool), np.nan, numbers)
 
 
 @pytest.mark.parametrize("name", TRIANGLE_TESTS)
