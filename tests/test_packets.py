@@ -105,7 +105,7 @@ def test_rays_that_meet_at_a_light(culling, scale, device):
 @pytest.mark.parametrize(("tree", "vectors"), [("bvh", 1), ("bvh", 2), ("bvh", 16), ("kdtree", 1), ("kdtree", 8)])
 def test_sizes_and_ranges(vectors, tree, device):
     """Packets of one vector to the largest; per-ray ranges that cut between hits, at hits, and empty ones."""
-    mesh = wrt.scenes.build("atrium")
+    mesh = SCENES["atrium"]()
     scene = wrt.Scene(mesh, tree, device=device)
     origins, directions = beams(mesh, 80, True, seed=1)
     first = brute_force(scene, wrt.Rays(origins, directions))
