@@ -141,7 +141,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         rows = int(0)
         while upcoming < end or busy != wp.uint32(0):
             # refill
-            idle = wp.uint32(wp.static(all_lanes)) & ~busy
+            idle = wp.static(wp.uint32(all_lanes)) & ~busy
             while idle != wp.uint32(0) and upcoming < end:
                 ray = load_ray(rays, upcoming)
                 interval = wp.vec2(1.0, 0.0)
