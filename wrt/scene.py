@@ -24,6 +24,7 @@ from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.rays import shared_origin
 from wrt.tables import lookup
 from wrt.updates import MovedTriangles, TreeRecipe, UpdatePolicy, as_policy, can_move, move_tree, typical_motion
+from wrt.wide_trees import walked_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
     from wrt.updates import UpdateReport
+    from wrt.wide_trees import WideForm
 
 Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
@@ -167,6 +169,8 @@ class Scene(Queries):
         self.desks: dict[Hashable, deque[Desk | Recording]] = {}
         """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+        self.wide: WideForm | None = None
+        """The wide form of a kd-tree; None if no rays have asked for it (`wrt.wide_trees`)."""
         self.__dict__.pop("is_closed", None)
 
     def update(
@@ -296,6 +300,11 @@ class Scene(Queries):
         """Triangles of all meshes."""
         return self.device_mesh.faces.shape[0]
 
+    def keep_wide(self, form: WideForm) -> None:
+        """Takes over a wide form of the tree; records in the order of an earlier one are let go."""
+        self.wide = form
+        self._blocks = {key: blocks for key, blocks in self._blocks.items() if key[0] != "wide"}
+
     @property
     def parts(self) -> tuple[Scene, ...]:
         """The scenes of one level that this one is made of: itself, or those of the meshes that instances share."""
@@ -364,19 +373,20 @@ class Scene(Queries):
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks
 
-        tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
+        walked = walked_tree(plan, self)
+        tree, record = "wide" if plan.is_wide else plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
         origin = shared_origin(rays) if record.per_origin else None
         made_for, blocks = self._blocks.get((tree, record), (None, None))
-        primitive = self.tree.primitive
+        primitive, width = walked.primitive, walked.width
         if made_for != origin:
             blocks = None
         if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
             if tree == "none":
-                count, width = self.triangle_count, self.tree.width
+                count = self.triangle_count
                 ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
-            mesh, width = self.device_mesh, self.tree.width
+            mesh = self.device_mesh
             blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0), blocks)
             self._blocks[tree, record] = origin, blocks
         return blocks

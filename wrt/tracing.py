@@ -11,6 +11,7 @@ from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, ke
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
+from wrt.wide_trees import walked_tree
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -167,7 +168,7 @@ def kernel_and_inputs(
         tree = AllTriangles()
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
-        tree = scene.tree.struct()
+        tree = walked_tree(plan, scene).struct()
     return specialise(kernel_factory(plan, scene), config), [tree, scene.triangles(plan, rays), rays, hits, work]
 
 

@@ -1,0 +1,78 @@
+"""The wide form of a scene's kd-tree (`wrt.builders.kdtree.wide`): made for the first rays that pay for it, and kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from wrt.kernels.launch import use_threads
+
+if TYPE_CHECKING:
+    from wrt.builders.common import Bvh, KdTree
+    from wrt.plan import Plan
+    from wrt.rays import RayBuffers
+    from wrt.scene import Scene
+
+LEAST_WIDTH = 2
+"""Children of a wide node at least, whatever the width of the kd-tree's blocks."""
+
+TRIANGLES_PER_RAY = 2.0
+"""Triangles of a scene for which a ray pays: to make the form takes the time that it saves this share of as many rays."""
+
+
+@dataclass(frozen=True)
+class WideForm:
+    """A kd-tree and its wide form, on the scene's device."""
+
+    source: KdTree
+    tree: Bvh
+
+
+def wide_width(scene: Scene) -> int:
+    """Children of a wide node, and triangles of its blocks."""
+    return max(scene.width, LEAST_WIDTH)
+
+
+def wide_tree(scene: Scene) -> Bvh:
+    """The wide form of a scene's kd-tree, which does not grow; made on the CPU if the scene has none of this tree."""
+    form = _known(scene)
+    if form is None:
+        with use_threads(scene.num_threads):
+            form = WideForm(scene.tree, _make(scene))
+        scene.keep_wide(form)
+    return form.tree
+
+
+def _known(scene: Scene) -> WideForm | None:
+    """The form, if it is of the tree that the scene has now."""
+    return scene.wide if scene.wide is not None and scene.wide.source is scene.tree else None
+
+
+def _make(scene: Scene) -> Bvh:
+    from wrt.accelerator import Bvh as Description
+    from wrt.builders.kdtree.wide import wide_form
+    from wrt.builders.triangles import triangle_boxes
+
+    host, width, mesh = wp.get_device("cpu"), wide_width(scene), scene.device_mesh
+    triangles = triangle_boxes(mesh.vertices.to(host), mesh.faces.to(host), scene.center)
+    config = Description(width=width, max_leaf_triangles=width).config(width)
+    return wide_form(scene.tree.to(host), triangles, config).to(scene.device)
+
+
+def can_be_wide(scene: Scene) -> bool:
+    """Whether the scene has one kd-tree, all of it."""
+    return scene.accelerator.kind == "kdtree" and scene.growing is None and not scene.instances and not scene.only_single
+
+
+def pays(scene: Scene, rays: RayBuffers) -> bool:
+    """Whether the rays are better off with the wide form, counting what it takes to make it unless it is there."""
+    if not can_be_wide(scene):
+        return False
+    return _known(scene) is not None or rays.count * TRIANGLES_PER_RAY >= scene.triangle_count
+
+
+def walked_tree(plan: Plan, scene: Scene) -> KdTree | Bvh:
+    """What a plan's kernel walks: the scene's tree, or its wide form."""
+    return wide_tree(scene) if plan.is_wide else scene.tree
