@@ -57,7 +57,7 @@ def _make(scene: Scene) -> Bvh:
 
     host, width, mesh = wp.get_device("cpu"), wide_width(scene), scene.device_mesh
     triangles = triangle_boxes(mesh.vertices.to(host), mesh.faces.to(host), scene.center)
-    config = Description(width=width, max_leaf_triangles=width).config(width)
+    config = Description(width=width).config(width)
     return wide_form(scene.tree.to(host), triangles, config).to(scene.device)
 
 
