@@ -55,8 +55,17 @@ from wrt.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+TOGETHER = 32
+"""Blocks of references of a node that is not followed further."""
+
 RUN = 32
-"""Leaves that one thread divides one after the other, in the same work space."""
+"""Lists that one thread divides one after the other, in the same work space."""
+
+NOWHERE = wp.constant(-1)
+"""Place of a node below one that is not followed further."""
+
+SLOTS = wp.constant(2048)
+"""Of a table of triangles, of which there are `TOGETHER` blocks at most: it is never more than a quarter full."""
 
 
 @wp.struct
@@ -74,10 +83,10 @@ class Cells:
     """(parted,) nodes of the binary tree that have children in two cells, parents before children; room for all nodes."""
     pairs: wp.array(dtype=int)
     """(parted,) their children."""
-    leaves: wp.array(dtype=int)
-    """(leaves,) nodes of the kd-tree; leaves that are not empty."""
+    whole: wp.array(dtype=int)
+    """(whole,) nodes of the kd-tree that are not followed further, and not empty."""
     totals: wp.array(dtype=int)
-    """(2,) how many of these there are: parted, leaves."""
+    """(2,) how many of these there are: parted, whole."""
 
 
 @wp.kernel
@@ -116,21 +125,29 @@ def move_in(cells: Cells, node: int, place: int, first_reference: int):
 
 
 @wp.kernel
-def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), cells: Cells, tree: BinaryTree):
-    """One item: parents before children. The root has its cell and its place, 0."""
+def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: Cells, tree: BinaryTree):
+    """One item: parents before children. The root has its cell and its place, 0. most: references that are left together."""
     parted = int(0)
-    leaves = int(0)
+    whole = int(0)
     for at in range(nodes.shape[0]):
         node = nodes[at]
+        place = cells.place[at]
         references = cells.references[at]
-        if references[1] > 0 and kdtree.split_axis(node) == LEAF:
-            cells.leaves[leaves] = at
-            leaves += 1
-        elif references[1] > 0:
+        left = at + 1
+        right = kdtree.right_child(node)
+        is_leaf = kdtree.split_axis(node) == LEAF
+        if place == NOWHERE or references[1] <= most:
+            if place != NOWHERE and references[1] > 0:
+                cells.whole[whole] = at
+                whole += 1
+            if not is_leaf:
+                cells.place[left] = NOWHERE
+                cells.place[right] = NOWHERE
+        elif is_leaf:
+            cells.whole[whole] = at
+            whole += 1
+        else:
             divide_cell(cells, at, node)
-            left = at + 1
-            right = kdtree.right_child(node)
-            place = cells.place[at]
             on_left = cells.references[left][1]
             if on_left > 0 and on_left < references[1]:
                 pair = references[0] + on_left
@@ -145,7 +162,7 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), cells: Cells, tree:
                 move_in(cells, left, place, references[0])
                 move_in(cells, right, place, references[0])
     cells.totals[0] = parted
-    cells.totals[1] = leaves
+    cells.totals[1] = whole
 
 
 @wp.func_native(
@@ -167,11 +184,58 @@ def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, refe
     ...
 
 
+@wp.func
+def is_new(table: wp.array(dtype=int), triangle: int):
+    """Whether a triangle is not in the table yet, whose free slots are 0; it is put there."""
+    number = triangle + 1
+    slot = int((wp.uint32(number) * wp.uint32(2654435769)) >> wp.uint32(21))  # Fibonacci hashing
+    while table[slot] != 0 and table[slot] != number:
+        slot = (slot + 1) & (SLOTS - 1)
+    fresh = table[slot] == 0
+    table[slot] = number
+    return fresh
+
+
+@wp.func
+def gather(
+    nodes: wp.array(dtype=wp.vec2i),
+    primitive: wp.array(dtype=int),
+    list_width: int,
+    boxes: Boxes,
+    cells: Cells,
+    at: int,
+    references: wp.array(dtype=float),
+):
+    """Writes the references of the triangles below a node, each once, clipped to its cell; how many they are."""
+    table = wp.zeros(shape=(SLOTS,), dtype=int)
+    low = cells.low[at]
+    high = cells.high[at]
+    first = cells.references[at][0]
+    listed = cells.references[at][1]
+    several = kdtree.split_axis(nodes[at]) != LEAF  # a leaf lists each once, and may have any number
+    count = int(0)
+    below = int(at)
+    while listed > 0:
+        if kdtree.split_axis(nodes[below]) == LEAF:
+            triangles = kdtree.leaf_triangles(nodes[below])
+            for i in range(triangles):
+                triangle = primitive[kdtree.first_block(nodes[below]) * list_width + i]
+                fresh = bool(True)
+                if several:
+                    fresh = is_new(table, triangle)
+                if fresh:
+                    write_clipped(boxes, triangle, low, high, references, first + count)
+                    count += 1
+            listed -= triangles
+        below += 1
+    return count
+
+
 build_subtree = make_build_subtree(SURFACE)
 
 
 @wp.kernel
-def divide_leaves(
+def divide_lists(
     first: int,
     nodes: wp.array(dtype=wp.vec2i),
     primitive: wp.array(dtype=int),
@@ -187,21 +251,18 @@ def divide_leaves(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a run of leaves. list_width: of the kd-tree's blocks; triangles: references of all leaves; the rest as of
-    `wrt.builders.bvh.subtrees`, with work space by run."""
+    """Item: a run of nodes that are not followed further. list_width: of the kd-tree's blocks; triangles: references of all
+    leaves; the rest as of `wrt.builders.bvh.subtrees`, with work space by run."""
     run = first + wp.tid()
-    for leaf in range(run * RUN, wp.min((run + 1) * RUN, subtrees.shape[0])):
-        at = cells.leaves[leaf]
+    for number in range(run * RUN, wp.min((run + 1) * RUN, subtrees.shape[0])):
+        at = cells.whole[number]
         task = Frame()
         task.node = cells.place[at]
         task.first = cells.references[at][0]
-        task.count = cells.references[at][1]
-        slot = kdtree.first_block(nodes[at]) * list_width
-        for i in range(task.count):
-            write_clipped(boxes, primitive[slot + i], cells.low[at], cells.high[at], references, task.first + i)
+        task.count = gather(nodes, primitive, list_width, boxes, cells, at, references)
         range_box(references, task.first, task.count, tree.box, task.node)
         end = build_subtree(rules, AllDirections(), references, triangles, task, run, scratch, domain, stack, tree)
-        subtrees[leaf] = wp.vec2i(task.first + 1, end)
+        subtrees[number] = wp.vec2i(task.first + 1, end)
 
 
 @wp.kernel
@@ -215,7 +276,7 @@ def join_boxes(first: int, cells: Cells, tree: BinaryTree):
             tree.box[cells.parted[at] * 8 + component] = wp.min(left, right)
 
 
-def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
+def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, together: int = TOGETHER) -> Bvh:
     """The tree in nodes of `config.cost.width` children, on the CPU, where tree and triangles have to be.
 
     Args:
@@ -233,17 +294,17 @@ def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         launch(count_references, 1, [nodes, cells], device=device)
         count = int(cells.references[:1].numpy()[0, 1])
         binary = empty_tree(max(count, 1), device)
-        launch(place_nodes, 1, [nodes, cells, binary], device=device)
-        parted, leaves = cells.totals.numpy().tolist()
+        launch(place_nodes, 1, [nodes, together * config.cost.width, cells, binary], device=device)
+        parted, whole = cells.totals.numpy().tolist()
     with phase("divide"):
-        runs = -(-leaves // RUN)
+        runs = -(-whole // RUN)
         references = wp.empty(16 * max(count, 1), dtype=float, device=device)  # two buffers
         scratch, domain = make_scratch(runs, device), wp.empty(8 * STACK * runs, dtype=float, device=device)
         stack = wp.empty((runs, STACK), dtype=Frame, device=device)
-        subtrees = wp.empty(leaves, dtype=wp.vec2i, device=device)
+        subtrees = wp.empty(whole, dtype=wp.vec2i, device=device)
         lists = [nodes, tree.primitive, tree.width, triangles.boxes, cells]
         work = [config.struct(), references, count, scratch, domain, stack, binary, subtrees]
-        launch(divide_leaves, runs, [*lists, *work], device=device, chunk=1)
+        launch(divide_lists, runs, [*lists, *work], device=device, chunk=1)
         launch(join_boxes, 1, [cells, binary], device=device)
     with phase("collapse"):
         top = cells.pairs[:parted] if parted else None
@@ -259,6 +320,6 @@ def _empty_cells(tree: KdTree) -> Cells:
     cells.high[:1].fill_(tree.high)
     cells.references = wp.empty(count, dtype=wp.vec2i, device=device)
     cells.place = wp.zeros(count, dtype=int, device=device)
-    cells.parted, cells.pairs, cells.leaves = (wp.empty(count, dtype=int, device=device) for _ in range(3))
+    cells.parted, cells.pairs, cells.whole = (wp.empty(count, dtype=int, device=device) for _ in range(3))
     cells.totals = wp.zeros(2, dtype=int, device=device)
     return cells
