@@ -112,8 +112,8 @@ def check_wide(scene: Scene, way: Traversal) -> None:
     """
     if way.wide and not can_be_wide(scene):
         raise ValueError(
-            f"traversal {way.name!r} walks the wide form of a finished kd-tree, and this one is lazy; choose from auto, lockstep, "
-            "packet, or another builder"
+            f"traversal {way.name!r} walks the wide form of a finished kd-tree, and this one is lazy; "
+            "choose from auto, lockstep, packet, or another builder"
         )
 
 

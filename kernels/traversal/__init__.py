@@ -148,8 +148,8 @@ TRAVERSALS: dict[str, Traversal] = {
         ),
         Traversal(
             "wide_stream",
-            "stream, through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: Object partitioning "
-            "considered harmful: space subdivision for BVHs (2009)",
+            "stream through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: "
+            "Object partitioning considered harmful: space subdivision for BVHs (2009)",
             {"kdtree": stream_bvh.make_kernel},
             stream.rays_per_item,
             streams=True,
@@ -158,7 +158,7 @@ TRAVERSALS: dict[str, Traversal] = {
         ),
         Traversal(
             "wide_packet",
-            "packet, through the same",
+            "packet through the same",
             {"kdtree": packet.make_kernel},
             packet_kernel.rays_per_item,
             packets=True,
