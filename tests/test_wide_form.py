@@ -146,7 +146,7 @@ def test_nodes_have_two_children_at_least(teapot):
 
 
 def test_when_there_is_one():
-    """Made when so many rays come that they pay for it, then kept for few; never for a tree that is lazy."""
+    """Made when rays have come that pay for it, at once or by and by, then kept for few; never for a tree that is lazy."""
     mesh = wrt.scenes.build("random_triangles", count=3000, size=0.1)
     rng = np.random.default_rng(0)
     origins, directions = rng.uniform(*mesh.bounds, (3000, 3)), rng.normal(size=(3000, 3))
@@ -154,6 +154,10 @@ def test_when_there_is_one():
     scene, lazy = (wrt.Scene(mesh, wrt.KdTree(builder=builder), device="cpu") for builder in ("in_place", "lazy"))
     assert [scene.explain(rays).traversal for rays in (some, many)] == ["lockstep", "wide_stream"]
     assert scene.wide is None
+    by_and_by = wrt.Scene(mesh, "kdtree", device="cpu")
+    assert [by_and_by.intersect(some).plan.traversal for _ in range(4)] == ["lockstep"] * 2 + ["wide_stream"] * 2
+    by_and_by.update(0, vertices=mesh.vertices)
+    assert by_and_by.explain(some).traversal == "lockstep"
     hits = scene.intersect(many)
     assert hits.plan.traversal == "wide_stream"
     assert scene.explain(some).traversal == "wide_stream"

@@ -170,7 +170,8 @@ class Scene(Queries):
         """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
         self.wide: WideForm | None = None
-        """The wide form of a kd-tree; None if no rays have asked for it (`wrt.wide_trees`)."""
+        """The wide form of a kd-tree, if there is one, and what the rays so far would have saved with it (`wrt.wide_trees`)."""
+        self.missed = 0.0
         self.__dict__.pop("is_closed", None)
 
     def update(

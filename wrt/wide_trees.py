@@ -1,4 +1,8 @@
-"""The wide form of a scene's kd-tree (`wrt.builders.kdtree.wide`): made for the first rays that pay for it, and kept."""
+"""The wide form of a scene's kd-tree (`wrt.builders.kdtree.wide`): made once rays have paid for it, and kept.
+
+Nobody knows whether more rays will come: a tree of an animation may live for a picture. So the form is made when as much time
+would have been saved as that takes. Whatever comes then, rays and form have not taken twice the time of the better choice.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +22,9 @@ if TYPE_CHECKING:
 LEAST_WIDTH = 2
 """Children of a wide node at least, whatever the width of the kd-tree's blocks."""
 
-TRIANGLES_PER_RAY = 2.0
-"""Triangles of a scene for which a ray pays: to make the form takes the time that it saves this share of as many rays."""
+SAVED_ALONE, SAVED_TOGETHER = 1.0, 1.0 / 16.0
+"""What the form saves a ray, of what it takes to make it, by the triangle: rays that look different, and neighbours that look
+alike. (Bunny, one thread: 0.19 us a triangle; random rays 0.20 us, ambient occlusion 0.23, a view 0.005 to 0.015.)"""
 
 
 @dataclass(frozen=True)
@@ -67,10 +72,15 @@ def can_be_wide(scene: Scene) -> bool:
 
 
 def pays(scene: Scene, rays: RayBuffers) -> bool:
-    """Whether the rays are better off with the wide form, counting what it takes to make it unless it is there."""
+    """Whether rays are traced through the wide form: it is there, or they and those before them pay for it."""
     if not can_be_wide(scene):
         return False
-    return _known(scene) is not None or rays.count * TRIANGLES_PER_RAY >= scene.triangle_count
+    return _known(scene) is not None or scene.missed + saved(rays.count, rays.coherent) >= scene.triangle_count
+
+
+def saved(count: int, coherent: bool) -> float:
+    """What the form would save rays, in triangles that it could be made of."""
+    return count * (SAVED_TOGETHER if coherent else SAVED_ALONE)
 
 
 def walked_tree(plan: Plan, scene: Scene) -> KdTree | Bvh:
