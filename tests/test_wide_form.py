@@ -14,6 +14,7 @@ from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree.statistics import unpack
 from wrt.builders.kdtree.wide import TOGETHER, wide_form
 from wrt.builders.triangles import TriangleBoxes, triangle_boxes
+from wrt.kernels.kdtree import LEAF
 from wrt.kernels.launch import use_threads
 from wrt.wide_trees import wide_tree
 
@@ -110,6 +111,14 @@ def test_threads_do_not_show(teapot):
             forms.append(wide_form(scene.tree, boxes_of(scene), CONFIG))
     for name in ("bounds", "child", "primitive"):
         np.testing.assert_array_equal(*(getattr(form, name).numpy() for form in forms))
+
+
+def test_no_triangles():
+    """Of leaves that are all empty; no mesh gives such a tree."""
+    mesh = same_triangle(1)
+    scene = wrt.Scene(mesh, "kdtree", device="cpu")
+    scene.tree.nodes.assign(np.array([[0, LEAF]] * len(scene.tree.nodes), dtype=np.int32))
+    assert not scene.intersect(*mixed_rays(mesh, 2000), traversal="wide_stream").is_hit.any()
 
 
 def same_triangle(count: int) -> wrt.TriangleMesh:

@@ -22,12 +22,17 @@ division is finished already, and all that is left to do is to gather it.
 of which a ray would need one, and half as many references again as there are triangles. Where cells are that small, copies
 cost more, of memory above all, than boxes that overlap.
 
-**Measured** (one thread of a Zen 5, 1024 x 1024 rays of the bunny, how many times as fast as the best walk by planes): random
-2.4 (`lockstep`), ambient occlusion 3.0 (`lockstep`), shadow 1.5, far 1.3 and near 1.4 (`packet`); 0.9 times as fast as the BVH
-of the same triangles. On the dragon of 202,520 triangles, at 512 x 512: random 1.5, ambient occlusion 2.4, far 1.3, near 1.35.
-A random ray meets 3.9 nodes and 1.4 blocks, where `lockstep` takes 18 steps to 4 leaves of 57 triangles. Followed to the
-leaves, `together=0`, there are a quarter more references and random rays are 0.75 to 0.87 times as fast; 60 blocks would gain
-some 3 %, but leave little of the tree. It is made in an eighth of the time of the tree itself.
+**Measured** (one thread of a Zen 5, 1024 x 1024 rays; how many times as fast as the best walk by planes, `lockstep` for random
+rays and ambient occlusion, else `packet`; and as packets or streams through the BVH of the same triangles):
+
+               random        ao            shadow        far           near
+    bunny      2.4 (0.81)    3.0 (0.95)    1.5 (1.00)    1.3 (0.96)    1.4 (0.93)
+    dragon     1.3 (0.76)    2.2 (0.75)    1.7 (1.08)    1.3 (0.93)    1.4 (0.92)
+    atrium     1.7 (0.91)    2.0 (0.86)    2.2 (1.00)    1.1 (0.96)    1.2 (1.01)
+
+A random ray of the bunny meets 4 nodes and 1.4 leaves, where `lockstep` takes 18 steps to 4 leaves of 57 triangles. With
+`together=0` there are a quarter more references, and random rays are 0.75 to 0.87 times as fast; with 60, some 1.03 times, but
+little of the tree is left. The form is made in a tenth of the time that the in-place builder takes for the tree.
 
 **Why hits stay the same to the bit.** A hit lies in the interval of its ray in some cell whose leaf lists the triangle
 (`wrt.kernels.traversal.single`), and in that of the triangle's box. So its t is at least the entry into either and at most the
@@ -150,17 +155,14 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
         left = at + 1
         right = kdtree.right_child(node)
         is_leaf = kdtree.split_axis(node) == LEAF
-        if place == NOWHERE or references[1] <= most:
-            if place != NOWHERE and references[1] > 0:
-                cells.whole[whole] = at
-                whole += 1
-            if not is_leaf:
-                cells.place[left] = NOWHERE
-                cells.place[right] = NOWHERE
-        elif is_leaf:
+        is_whole = place != NOWHERE and (is_leaf or references[1] <= most)
+        if is_whole and references[1] > 0:
             cells.whole[whole] = at
             whole += 1
-        else:
+        if (is_whole or place == NOWHERE) and not is_leaf:
+            cells.place[left] = NOWHERE
+            cells.place[right] = NOWHERE
+        elif not is_leaf:
             divide_cell(cells, at, node)
             on_left = cells.references[left][1]
             if on_left > 0 and on_left < references[1]:
@@ -312,6 +314,9 @@ def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, togethe
         launch(count_references, 1, [nodes, cells], device=device)
         count = int(cells.references[:1].numpy()[0, 1])
         binary = empty_tree(max(count, 1), device)
+        if count == 0:  # the root is a leaf
+            for array in (binary.pair, binary.range, binary.box):
+                array.zero_()
         launch(place_nodes, 1, [nodes, together * config.cost.width, cells, binary], device=device)
         parted, whole = cells.totals.numpy().tolist()
     with phase("divide"):
