@@ -20,12 +20,14 @@ from wrt.wide_trees import wide_tree
 
 WIDTH = 4
 CONFIG = BvhConfig(SurfaceAreaCost(width=WIDTH))
+BINNED = wrt.KdTree(builder="binned")
+
 TREES = {
-    "default": wrt.KdTree(width=WIDTH),
-    "fine": wrt.KdTree(width=WIDTH, block_cost=20.0),
+    "default": wrt.KdTree(builder="binned", width=WIDTH),
+    "fine": wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0),
     "clipped": wrt.KdTree(builder="binned", split_clipping=True),
-    "one leaf": wrt.KdTree(width=WIDTH, max_depth=0),
-    "width 1": wrt.KdTree(width=1, block_cost=0.3),
+    "one leaf": wrt.KdTree(builder="binned", width=WIDTH, max_depth=0),
+    "width 1": wrt.KdTree(builder="binned", width=1, block_cost=0.3),
 }
 
 
@@ -70,7 +72,7 @@ def test_boxes_hold_what_is_below(teapot, name, together):
 
 def test_boxes_lie_in_cells(teapot):
     """Followed to its leaves, the tree's cells bound the boxes: each is in that of a leaf which lists all its triangles."""
-    scene = wrt.Scene(teapot, wrt.KdTree(width=WIDTH, block_cost=20.0), device="cpu")
+    scene = wrt.Scene(teapot, wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0), device="cpu")
     config = BvhConfig(SurfaceAreaCost(width=WIDTH, block=20.0), max_leaf_triangles=WIDTH)
     triangle, leaf, low, high = lists(wide_form(scene.tree, boxes_of(scene), config, together=0))
     flat, primitive = unpack(scene.tree), scene.tree.primitive.numpy()
@@ -84,9 +86,11 @@ def test_boxes_lie_in_cells(teapot):
 
 
 def test_what_is_listed_together_is_listed_once(teapot):
-    scene = wrt.Scene(teapot, wrt.KdTree(width=WIDTH, block_cost=20.0), device="cpu")
+    scene = wrt.Scene(teapot, wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0), device="cpu")
     few = wrt.Scene(
-        wrt.scenes.build("random_triangles", count=40, size=0.15), wrt.KdTree(width=WIDTH, block_cost=20.0), device="cpu"
+        wrt.scenes.build("random_triangles", count=40, size=0.15),
+        wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0),
+        device="cpu",
     )
     references = [len(lists(wide_form(scene.tree, boxes_of(scene), CONFIG, together))[0]) for together in (0, 8, 32)]
     assert references[0] == unpack(scene.tree).triangles.sum()
@@ -96,13 +100,13 @@ def test_what_is_listed_together_is_listed_once(teapot):
 
 
 def test_more_together_than_there_is_room_for(teapot):
-    scene = wrt.Scene(teapot, "kdtree", device="cpu")
+    scene = wrt.Scene(teapot, BINNED, device="cpu")
     with pytest.raises(ValueError, match="together is 1000; it must be from 0 to 128"):
         wide_form(scene.tree, boxes_of(scene), BvhConfig(SurfaceAreaCost(width=8)), 1000)
 
 
 def test_threads_do_not_show(teapot):
-    scene = wrt.Scene(teapot, wrt.KdTree(width=WIDTH), device="cpu")
+    scene = wrt.Scene(teapot, wrt.KdTree(builder="binned", width=WIDTH), device="cpu")
     forms = []
     for threads in (1, 3):
         with use_threads(threads):
@@ -114,7 +118,7 @@ def test_threads_do_not_show(teapot):
 def test_no_triangles():
     """Of leaves that are all empty; no mesh gives such a tree."""
     mesh = same_triangle(1)
-    scene = wrt.Scene(mesh, "kdtree", device="cpu")
+    scene = wrt.Scene(mesh, BINNED, device="cpu")
     scene.tree.nodes.assign(np.array([[0, LEAF]] * len(scene.tree.nodes), dtype=np.int32))
     assert not scene.intersect(*mixed_rays(mesh, 2000), traversal="wide_stream").is_hit.any()
 
@@ -130,7 +134,7 @@ def same_triangle(count: int) -> wrt.TriangleMesh:
 )
 def test_hits_equal_brute_force(mesh):
     """Leaves from one triangle to hundreds, boxes without a volume, and triangles that are nearly everywhere."""
-    scene = wrt.Scene(mesh, "kdtree", device="cpu")
+    scene = wrt.Scene(mesh, BINNED, device="cpu")
     origins, directions = mixed_rays(mesh, 3000)
     expected = scene.intersect(origins, directions, traversal="brute")
     assert expected.is_hit.mean() > 0.05
@@ -156,10 +160,10 @@ def test_when_there_is_one():
     rng = np.random.default_rng(0)
     origins, directions = rng.uniform(*mesh.bounds, (3000, 3)), rng.normal(size=(3000, 3))
     many, some = wrt.Rays(origins, directions), wrt.Rays(origins[:1200], directions[:1200])
-    scene, lazy = (wrt.Scene(mesh, wrt.KdTree(builder=builder), device="cpu") for builder in ("in_place", "lazy"))
+    scene, lazy = (wrt.Scene(mesh, wrt.KdTree(builder=builder), device="cpu") for builder in ("binned", "lazy"))
     assert [scene.explain(rays).traversal for rays in (some, many)] == ["lockstep", "wide_stream"]
     assert scene.wide is None
-    by_and_by = wrt.Scene(mesh, "kdtree", device="cpu")
+    by_and_by = wrt.Scene(mesh, BINNED, device="cpu")
     for traversal in ("lockstep", "lockstep", "wide_stream"):
         assert by_and_by.explain(some).traversal == traversal
         by_and_by.intersect(some, traversal="brute")
@@ -177,7 +181,7 @@ def test_when_there_is_one():
 
 
 def test_moved_triangles_have_another(teapot):
-    scene = wrt.Scene(teapot, "kdtree", device="cpu")
+    scene = wrt.Scene(teapot, BINNED, device="cpu")
     origins, directions = mixed_rays(teapot, 3000)
     scene.intersect(origins, directions, traversal="wide_stream")
     form, records = wide_tree(scene), scene.record_bytes
@@ -187,7 +191,7 @@ def test_moved_triangles_have_another(teapot):
     hits = scene.intersect(origins, directions, traversal="wide_stream")
     assert wide_tree(scene) is not form
     assert_same_hits(hits, scene.intersect(origins, directions, traversal="brute"))
-    scene.tree = wrt.Scene(scene.meshes, wrt.KdTree(builder="binned"), device="cpu").tree
+    scene.tree = wrt.Scene(scene.meshes, BINNED, device="cpu").tree
     assert_same_hits(scene.intersect(origins, directions, traversal="wide_stream"), hits)
     assert scene.record_bytes < 3 * records  # those of the form before are let go
     assert wp.get_device("cpu") == wide_tree(scene).child.device
