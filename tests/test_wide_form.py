@@ -184,14 +184,15 @@ def test_moved_triangles_have_another(teapot):
     scene = wrt.Scene(teapot, BINNED, device="cpu")
     origins, directions = mixed_rays(teapot, 3000)
     scene.intersect(origins, directions, traversal="wide_stream")
-    form, records = wide_tree(scene), scene.record_bytes
+    form = wide_tree(scene)
     assert wide_tree(scene) is form
     scene.update(0, vertices=teapot.vertices * [1.0, 1.3, 0.8])
     assert scene.wide is None
     hits = scene.intersect(origins, directions, traversal="wide_stream")
     assert wide_tree(scene) is not form
     assert_same_hits(hits, scene.intersect(origins, directions, traversal="brute"))
+    records = scene.record_bytes
     scene.tree = wrt.Scene(scene.meshes, BINNED, device="cpu").tree
     assert_same_hits(scene.intersect(origins, directions, traversal="wide_stream"), hits)
-    assert scene.record_bytes < 3 * records  # those of the form before are let go
+    assert 0 < scene.record_bytes < 1.3 * records  # those of the form before are let go
     assert wp.get_device("cpu") == wide_tree(scene).child.device

@@ -301,11 +301,6 @@ class Scene(Queries):
         """Triangles of all meshes."""
         return self.device_mesh.faces.shape[0]
 
-    def keep_wide(self, form: WideForm) -> None:
-        """Takes over a wide form of the tree; records in the order of an earlier one are let go."""
-        self.wide = form
-        self._blocks = {key: blocks for key, blocks in self._blocks.items() if key[0] != "wide"}
-
     @property
     def parts(self) -> tuple[Scene, ...]:
         """The scenes of one level that this one is made of: itself, or those of the meshes that instances share."""
@@ -344,7 +339,8 @@ class Scene(Queries):
     @property
     def record_bytes(self) -> int:
         """Memory of the triangle records made so far: queries make those that their triangle test needs."""
-        return sum(blocks.records.capacity for _, blocks in self._blocks.values())
+        parts = (self._blocks,) if self.wide is None else (self._blocks, self.wide.records)
+        return sum(blocks.records.capacity for known in parts for _, blocks in known.values())
 
     def flattened(self) -> TriangleMesh:
         """All meshes as one, triangles in the order in which the scene numbers them."""
@@ -375,9 +371,10 @@ class Scene(Queries):
         from wrt.kernels.triangle.packing import pack_blocks
 
         walked = walked_tree(plan, self)
-        tree, record = "wide" if plan.is_wide else plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
+        known = self.wide.records if plan.is_wide else self._blocks
+        tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
         origin = shared_origin(rays) if record.per_origin else None
-        made_for, blocks = self._blocks.get((tree, record), (None, None))
+        made_for, blocks = known.get((tree, record), (None, None))
         primitive, width = walked.primitive, walked.width
         if made_for != origin:
             blocks = None
@@ -389,7 +386,7 @@ class Scene(Queries):
                 primitive = wp.array(ids, dtype=int, device=self.device)
             mesh = self.device_mesh
             blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0), blocks)
-            self._blocks[tree, record] = origin, blocks
+            known[tree, record] = origin, blocks
         return blocks
 
 

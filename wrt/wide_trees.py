@@ -6,7 +6,7 @@ would have been saved as that takes. Whatever comes then, rays and form have not
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -15,9 +15,10 @@ from wrt.kernels.launch import use_threads
 
 if TYPE_CHECKING:
     from wrt.builders.common import Bvh, KdTree
+    from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.plan import Plan
     from wrt.rays import RayBuffers
-    from wrt.scene import Scene
+    from wrt.scene import Origin, Scene
 
 LEAST_WIDTH = 2
 """Children of a wide node at least, whatever the width of the kd-tree's blocks."""
@@ -29,10 +30,11 @@ alike. (Bunny, one thread: 0.19 us a triangle; random rays 0.20 us, ambient occl
 
 @dataclass(frozen=True)
 class WideForm:
-    """A kd-tree and its wide form, on the scene's device."""
+    """A kd-tree, its wide form on the scene's device, and the triangle records in the order of that (`Scene.triangles`)."""
 
     source: KdTree
     tree: Bvh
+    records: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = field(default_factory=dict)
 
 
 def wide_width(scene: Scene) -> int:
@@ -45,8 +47,7 @@ def wide_tree(scene: Scene) -> Bvh:
     form = _known(scene)
     if form is None:
         with use_threads(scene.num_threads):
-            form = WideForm(scene.tree, _make(scene))
-        scene.keep_wide(form)
+            form = scene.wide = WideForm(scene.tree, _make(scene))
     return form.tree
 
 
