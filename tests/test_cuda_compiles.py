@@ -105,7 +105,8 @@ ANSWERS = [
     for tree in way.trees
     for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in (QUERIES if test.name == "woop" else ("closest",))
-    if way.answers(query, tree) and (test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS))
+    if way.answers(query, tree) and not way.wide  # wide forms have the kernels of a BVH
+    if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""
 

@@ -121,7 +121,7 @@ def test_sizes_and_ranges(vectors, tree, device):
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
-@pytest.mark.parametrize(("tree", "otherwise"), [("bvh", "stream"), ("kdtree", "lockstep")])
+@pytest.mark.parametrize(("tree", "otherwise"), [("bvh", "stream"), ("kdtree", "wide_stream")])
 def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, tree, device="cpu")

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
-from wrt.plan_checks import ALL, COUNT, check_culling, check_origins, check_plan, check_query, check_spaces
+from wrt.plan_checks import ALL, COUNT, TILED, check_culling, check_origins, check_plan, check_query, check_spaces, check_wide
 from wrt.tables import lookup
+from wrt.wide_trees import pays, walked_tree, wide_width
 
 if TYPE_CHECKING:
     import warp as wp
@@ -95,6 +96,11 @@ class Plan:
     cull_backfaces: bool = False
     one_by_one: bool = False
 
+    @property
+    def is_wide(self) -> bool:
+        """Whether the scene's kd-tree is walked in its wide form."""
+        return way_of(self).wide
+
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
         if self.packet > 1:
@@ -159,19 +165,21 @@ def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: s
 
         check_instances(scene, query, way, test)
     check_spaces(scene, way)
+    check_wide(scene, way)
+    width = wide_width(scene) if way.wide else scene.width
     options: dict[str, object] = {}
     if way.packets:
-        options["packet"] = PACKET_VECTORS * scene.width
-        options["culling"] = choose_culling(scene, rays, test)
+        options["packet"] = PACKET_VECTORS * width
+        options["culling"] = choose_culling(scene, rays, way, test)
     if way.streams:
         options["stream"] = stream_size(scene, rays)
-    if traversal == AUTO or way.name == "packet":
+    if traversal == AUTO or way.name in TILED:
         options["reorder"] = choose_order(scene, rays, way, test)
     return Plan(
         accelerator=accelerator,
         traversal=way.name,
         triangle_test=test.name,
-        width=scene.width,
+        width=width,
         coherent=rays.coherent,
         shared_origin=rays.batch.origin_stride == 0 and not scene.instances,
         reason=reason,
@@ -205,13 +213,15 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
         what = "all hits" if query in (COUNT, ALL) else "front faces"
         is_bvh = scene.accelerator.kind == "bvh"
         return ("stream", f"{what} of many rays") if is_bvh else ("single", f"what finds {what} on a kd-tree")
-    if scene.accelerator.kind == "kdtree":
+    is_bvh, is_wide = scene.accelerator.kind == "bvh", pays(scene, rays)
+    if not (is_bvh or is_wide):
         return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
+    stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
     if not rays.coherent:
-        return "stream", DIFFERENT
+        return stream, DIFFERENT
     if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
-        return "stream", f"{ALIKE}, but each has its own origin and triangles are small"
-    return "packet", ALIKE
+        return stream, f"{ALIKE}, but each has its own origin and triangles are small"
+    return packet, ALIKE
 
 
 def tree_for(way: Traversal, scene: Scene) -> str:
@@ -240,17 +250,17 @@ def stream_size(scene: Scene, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
-def choose_culling(scene: Scene, rays: RayBuffers, test: TriangleTest) -> str:
+def choose_culling(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
     """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide."""
     if not test.accurate:
         return "interval"
     shared = rays.batch.origin_stride == 0 and not scene.instances
-    return "vertex" if shared or scene.accelerator.kind != "bvh" else "transient_frustum"
+    return "vertex" if shared or not (way.wide or scene.accelerator.kind == "bvh") else "transient_frustum"
 
 
 def choose_order(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
     """Order of tracing."""
-    if way.name == "packet":
+    if way.name in TILED:
         return "tiles" if rays.columns > 0 else "none"
     return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
 
@@ -269,8 +279,8 @@ def traversal_config(plan: Plan, scene: Scene, query: str, counters: bool) -> Tr
         options = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
     if way.streams:
         options["stream"] = plan.stream
-    if plan.accelerator == "bvh":
-        options["levels"] = stack_levels(scene.depth)
+    if way.wide or plan.accelerator == "bvh":
+        options["levels"] = stack_levels(walked_tree(plan, scene).depth)
         options["block"] = CUDA_BLOCK if scene.device.is_cuda else 0
     test, mailbox = plan.triangle_test, plan.mailbox
     alone = plan.one_by_one

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from wrt.rays import shares_origin
 from wrt.tables import lookup
+from wrt.wide_trees import can_be_wide, wide_width
 
 if TYPE_CHECKING:
     from wrt.kernels.packet import Culling
@@ -27,6 +28,9 @@ MAX_STREAM = 4096
 """Rays of a stream at most: 64 x 64."""
 
 ORDERS = ("none", "cells", "tiles")
+
+TILED = ("packet", "wide_packet")
+"""Traversals that take the pixels of a picture tile by tile."""
 
 
 def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
@@ -54,8 +58,10 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
 
         check_instances(scene, query, way, test)
     check_spaces(scene, way)
-    if plan.width != scene.width:
-        raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {scene.width}")
+    check_wide(scene, way)
+    width = wide_width(scene) if way.wide else scene.width
+    if plan.width != width:
+        raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {width}")
     if plan.shared_origin and (rays.batch.origin_stride != 0 or scene.instances):
         raise ValueError(
             "plan.shared_origin is true, but rays have origins of their own; broadcast a single one, without instances"
@@ -69,8 +75,8 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
             f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to meet a triangle in every leaf; use 'none'"
         )
     lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
-    if plan.reorder == "tiles" and plan.traversal != "packet":
-        raise ValueError(f"plan.reorder is 'tiles', which goes with the traversal 'packet', not {plan.traversal!r}")
+    if plan.reorder == "tiles" and plan.traversal not in TILED:
+        raise ValueError(f"plan.reorder is 'tiles', which goes with {' and '.join(TILED)}, not {plan.traversal!r}")
     if plan.reorder == "cells" and way.packets:
         raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
     if plan.reorder == "tiles" and rays.columns == 0:
@@ -84,7 +90,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
         return plan
     if plan.packet < plan.width or plan.packet % plan.width or plan.packet > MAX_PACKET:
         raise ValueError(f"plan.packet is {plan.packet}; it must be a multiple of {plan.width}, at most {MAX_PACKET}")
-    fitting = {name: c for name, c in CULLINGS.items() if c.holds_for(test) and fits(c, plan.accelerator)}
+    fitting = {name: c for name, c in CULLINGS.items() if c.holds_for(test) and fits(c, way, plan.accelerator)}
     if lookup(CULLINGS, plan.culling, "plan.culling").name not in fitting:
         able = ", ".join(fitting)
         raise ValueError(
@@ -93,9 +99,22 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
     return plan
 
 
-def fits(culling: Culling, tree: str) -> bool:
-    """Whether a culling has what it needs in a kind of tree."""
-    return tree == "bvh" or not culling.needs_boxes
+def fits(culling: Culling, way: Traversal, tree: str) -> bool:
+    """Whether a culling has what it needs in a kind of tree, as the traversal walks it."""
+    return way.wide or tree == "bvh" or not culling.needs_boxes
+
+
+def check_wide(scene: Scene, way: Traversal) -> None:
+    """Refuses a traversal of wide forms where there is none.
+
+    Raises:
+        ValueError: the scene's kd-tree is built while rays ask for it.
+    """
+    if way.wide and not can_be_wide(scene):
+        raise ValueError(
+            f"traversal {way.name!r} walks the wide form of a finished kd-tree, and this one is lazy; "
+            "choose from auto, lockstep, packet, or another builder"
+        )
 
 
 def check_spaces(scene: Scene, way: Traversal) -> None:

@@ -24,6 +24,7 @@ from wrt.ray_aware_bvh import RayAwareBvh
 from wrt.rays import shared_origin
 from wrt.tables import lookup
 from wrt.updates import MovedTriangles, TreeRecipe, UpdatePolicy, as_policy, can_move, move_tree, typical_motion
+from wrt.wide_trees import walked_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
     from wrt.updates import UpdateReport
+    from wrt.wide_trees import WideForm
 
 Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
@@ -167,6 +169,9 @@ class Scene(Queries):
         self.desks: dict[Hashable, deque[Desk | Recording]] = {}
         """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+        self.wide: WideForm | None = None
+        """The wide form of a kd-tree, if there is one, and what the rays so far would have saved with it (`wrt.wide_trees`)."""
+        self.missed = 0.0
         self.__dict__.pop("is_closed", None)
 
     def update(
@@ -334,7 +339,8 @@ class Scene(Queries):
     @property
     def record_bytes(self) -> int:
         """Memory of the triangle records made so far: queries make those that their triangle test needs."""
-        return sum(blocks.records.capacity for _, blocks in self._blocks.values())
+        parts = (self._blocks,) if self.wide is None else (self._blocks, self.wide.records)
+        return sum(blocks.records.capacity for known in parts for _, blocks in known.values())
 
     def flattened(self) -> TriangleMesh:
         """All meshes as one, triangles in the order in which the scene numbers them."""
@@ -364,21 +370,23 @@ class Scene(Queries):
         from wrt.kernels.triangle import TRIANGLE_TESTS
         from wrt.kernels.triangle.packing import pack_blocks
 
+        walked = walked_tree(plan, self)
+        known = self.wide.records if plan.is_wide else self._blocks
         tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
         origin = shared_origin(rays) if record.per_origin else None
-        made_for, blocks = self._blocks.get((tree, record), (None, None))
-        primitive = self.tree.primitive
+        made_for, blocks = known.get((tree, record), (None, None))
+        primitive, width = walked.primitive, walked.width
         if made_for != origin:
             blocks = None
         if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
             if tree == "none":
-                count, width = self.triangle_count, self.tree.width
+                count = self.triangle_count
                 ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
-            mesh, width = self.device_mesh, self.tree.width
+            mesh = self.device_mesh
             blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0), blocks)
-            self._blocks[tree, record] = origin, blocks
+            known[tree, record] = origin, blocks
         return blocks
 
 

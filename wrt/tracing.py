@@ -11,6 +11,7 @@ from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, ke
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
+from wrt.wide_trees import saved, walked_tree
 
 if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
@@ -44,6 +45,7 @@ def trace(
 def trace_batch(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
     """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
     device = scene.device
+    scene.missed += 0.0 if plan.is_wide else saved(rays.count, plan.coherent)
     hits = new_hits(rays.count, query, device)
     kind = way_of(plan).counters
     work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
@@ -167,7 +169,7 @@ def kernel_and_inputs(
         tree = AllTriangles()
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
-        tree = scene.tree.struct()
+        tree = walked_tree(plan, scene).struct()
     return specialise(kernel_factory(plan, scene), config), [tree, scene.triangles(plan, rays), rays, hits, work]
 
 

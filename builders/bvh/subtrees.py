@@ -84,30 +84,25 @@ def divide_in_the_middle(
 
 
 @cache
-def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel whose item is a task."""
+def make_build_subtree(heuristic: Heuristic) -> wp.Function:
+    """`wp.func(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree) -> end` of the pairs that it made,
+    which begin at `task.first + 1`; the rest as of the kernel below."""
     rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
 
-    def build_subtrees(
-        first: int,
+    @wp.func
+    def build_subtree(
         rules: BuildRules,
         rays: rays_type,
         references: wp.array(dtype=float),
         triangles: int,
-        tasks: wp.array(dtype=Frame),
+        task: Frame,
+        slot: int,
         scratch: Scratch,
         domain: wp.array(dtype=float),
         stack: wp.array2d(dtype=Frame),
         tree: BinaryTree,
-        subtrees: wp.array(dtype=wp.vec2i),
     ):
-        """Item: a task.
-
-        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
-        that of the current one. subtrees: (tasks,) the pairs that each task made.
-        """
-        slot = first + wp.tid()
-        frame = tasks[slot]
+        frame = task
         next_pair = frame.first + 1
         waiting = int(0)
         centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
@@ -150,6 +145,37 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
                 waiting += 1
                 frame.node = 2 * pair
                 frame.count = plane.left
-        subtrees[slot] = wp.vec2i(tasks[slot].first + 1, next_pair)
+        return next_pair
+
+    return build_subtree
+
+
+@cache
+def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a task."""
+    rays_type, build_subtree = heuristic.rays, make_build_subtree(heuristic)
+
+    def build_subtrees(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        references: wp.array(dtype=float),
+        triangles: int,
+        tasks: wp.array(dtype=Frame),
+        scratch: Scratch,
+        domain: wp.array(dtype=float),
+        stack: wp.array2d(dtype=Frame),
+        tree: BinaryTree,
+        subtrees: wp.array(dtype=wp.vec2i),
+    ):
+        """Item: a task.
+
+        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
+        that of the current one. subtrees: (tasks,) the pairs that each task made.
+        """
+        slot = first + wp.tid()
+        task = tasks[slot]
+        end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
+        subtrees[slot] = wp.vec2i(task.first + 1, end)
 
     return wp.kernel(build_subtrees, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -56,6 +56,7 @@ class Traversal:
         packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
         mailbox: whether `mailbox` of the config matters, on a kd-tree.
         streams: whether rays go in streams: `stream` of the config matters.
+        wide: whether a kd-tree is walked in its wide form, which has the layout of a BVH (`wrt.builders.kdtree.wide`).
         counters: struct of the work that its kernels count, at the first ray of an item.
         queries: for each kind of tree that answers more than the nearest queries, what it answers.
     """
@@ -67,6 +68,7 @@ class Traversal:
     packets: bool = False
     mailbox: bool = False
     streams: bool = False
+    wide: bool = False
     counters: type = Counters
     queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -143,6 +145,24 @@ TRAVERSALS: dict[str, Traversal] = {
             streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
+        ),
+        Traversal(
+            "wide_stream",
+            "stream through the cells of a kd-tree in nodes of W, after Popov, Georgiev, Dimov, Slusallek: "
+            "Object partitioning considered harmful: space subdivision for BVHs (2009)",
+            {"kdtree": stream_bvh.make_kernel},
+            stream.rays_per_item,
+            streams=True,
+            wide=True,
+            counters=stream.StreamCounters,
+        ),
+        Traversal(
+            "wide_packet",
+            "packet through the same",
+            {"kdtree": packet.make_kernel},
+            packet_kernel.rays_per_item,
+            packets=True,
+            wide=True,
         ),
     )
 }

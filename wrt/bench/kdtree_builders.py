@@ -34,6 +34,9 @@ REFERENCE = "sweep"
 RAYS = ("near", "random")
 """Workloads that trees are traced with: a camera's rays, and rays from anywhere to anywhere."""
 
+BY_PLANES = {"near": "packet", "random": "lockstep"}
+"""The fastest of the walks that take a kd-tree's planes one by one."""
+
 GROWTH = (1_000, 10_000, 100_000, 1_000_000)
 """Triangles of the teapots on which growth is shown, about."""
 
@@ -123,7 +126,8 @@ def compare_trees(
         trees: by name; all figures refer to the first.
         rounds, threads, size, on_turn: as in `compare_builders`.
         trace_rounds: turns of each tree at tracing, which takes less time than building; None for `rounds`.
-        traversal: how rays are traced, key in `TRAVERSALS` or "auto".
+        traversal: how rays are traced, key in `TRAVERSALS`, or "auto" for the best walk by planes: in wide forms, leaves do not
+            show.
         clock: seconds; `time.thread_time` with one thread on a machine that others use.
 
     Raises:
@@ -137,7 +141,8 @@ def compare_trees(
         scenes[name] = Scene(mesh, trees[name], device="cpu", num_threads=threads)
 
     def trace(name: str, rays: Workload) -> None:
-        scenes[name].intersect(rays.origins, rays.directions, traversal=traversal)
+        way = BY_PLANES[rays.name] if traversal == AUTO else traversal
+        scenes[name].intersect(rays.origins, rays.directions, traversal=way)
 
     take = {"budget": BUDGET, "settle": SETTLE, "clock": clock, "on_turn": on_turn}
     timings = take_turns([Contender(name, lambda name=name: build(name)) for name in trees], rounds, **take)
