@@ -47,7 +47,7 @@ MAX_LEVELS = 12
 SPARE_ROOM = 1.5
 """Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
 
-EVEN = 4
+EVEN = 2
 """Chunks per thread of kernels whose items all cost the same."""
 
 TRIANGLES = 1 << 16
