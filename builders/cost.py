@@ -172,13 +172,24 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
     return frame
 
 
-@wp.func
-def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int):
+PLANE_COST = """
+    const auto leaf_price = [&](int triangles) {
+        return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
+    };
+    const auto plane_price = [&](float position, int left, int right) {
+        const float area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area;
+        const float area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area;
+        const float price = frame.base + (area_left * leaf_price(left) + area_right * leaf_price(right));
+        return left == 0 || right == 0 ? price * cost.empty_factor : price;
+    };
+"""
+"""Head of a native function of a `SplitCost` named cost and an `AxisFrame` named frame: plane_price is `plane_cost`."""
+
+
+@wp.func_native(PLANE_COST + "return plane_price(position, left, right);")
+def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int) -> float:
     """Cost of a split into children with so many triangles."""
-    area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area
-    area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area
-    price = frame.base + (area_left * leaf_cost(cost, left) + area_right * leaf_cost(cost, right))
-    return wp.where(left == 0 or right == 0, price * cost.empty_factor, price)
+    ...
 
 
 @wp.func

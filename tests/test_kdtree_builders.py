@@ -193,6 +193,18 @@ def test_exact_builders_equal_the_judge_on_the_bunny(bunny):
         np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
 
 
+@pytest.mark.parametrize("soup", [snapped_soup, scattered_soup])
+def test_exact_builders_equal_the_judge_where_chunks_are_left_out(soup, monkeypatch):
+    """The levels search few of the chunks of a large mesh; in none of the others is a best plane, or one of equals."""
+    mesh = soup(10_000, seed=4)
+    judge, _ = build(mesh, "sorting_sweep")
+    monkeypatch.setattr(in_place, "TASKS_PER_THREAD", 64)
+    with use_threads(4):
+        tree, _ = build(mesh)
+    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+    np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+
+
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 def test_threads_and_tasks_do_not_show(threads, monkeypatch):
     """Bit for bit the same tree, whatever the threads, the chunks, and the level at which subtrees take over."""

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.hits import SceneMesh
-from wrt.mesh import TriangleMesh
+from wrt.mesh import TriangleMesh, extremes
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class PlacedMeshes:
 def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedMeshes:
     """Joins meshes, moves them to their centre in float64, and takes them to a device in float32."""
     vertices, faces, first = join_meshes(meshes)
-    center = (vertices.min(axis=0).astype(np.float64) + vertices.max(axis=0)) / 2
+    low, high = extremes(vertices)
+    center = (low.astype(np.float64) + high) / 2
     host_vertices = wp.array((vertices - center).astype(np.float32), dtype=wp.vec3, device="cpu", copy=False)
     host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
     mesh = SceneMesh()

@@ -47,7 +47,7 @@ MAX_LEVELS = 12
 SPARE_ROOM = 1.5
 """Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
 
-EVEN = 4
+EVEN = 2
 """Chunks per thread of kernels whose items all cost the same."""
 
 TRIANGLES = 1 << 16
@@ -133,11 +133,12 @@ class InPlaceBuilder:
         chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
         nodes = len(self.live)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
+        reached = wp.empty((3, nodes), dtype=float, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
         sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
-        self.run(level_phase.count_events, 3 * chunks, events, membership, self.live, counts)
-        self.run(level_phase.scan_chunks, 3 * nodes, counts, chunk=64)
-        work = [membership, self.live, counts, frames, sweeps]
+        self.run(level_phase.count_events, 3 * chunks, events, membership, counts)
+        self.run(level_phase.scan_chunks, 3 * nodes, self.cost, events, self.live, counts, reached, chunk=16)
+        work = [membership, self.live, counts, reached, frames, sweeps]
         self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
         self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
 

@@ -12,6 +12,10 @@ Data does not move: events stay in the order in which they were sorted once, and
 Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
 of the axes and positions. So neither threads nor chunks show in the result.
 
+**What we changed.** Most chunks are not searched. The counts before and behind a chunk bound the cost of all its planes from
+below; planes at which chunks begin have their true cost already. A chunk whose bound is above the least of these cannot hold a
+node's best plane (`may_win`). On the bunny's first three levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+
 References:
     B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
@@ -20,15 +24,19 @@ References:
 import warp as wp
 
 from wrt.builders.common import Descent, StopLimits, descend
-from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
 from wrt.builders.kdtree.events import END, START, Events, event_position, event_value
 from wrt.builders.kdtree.planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.triangles import Boxes
+from wrt.kernels.boxes import INFINITY
 from wrt.kernels.memory import load_int
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-EVENT_CHUNK = 8192
+EVENT_CHUNK = 2048
+
+SLACK = 1.0 + 1e-5
+"""By how much the least cost that a chunk can have must exceed a cost that another has: far more than rounding."""
 
 
 @wp.struct
@@ -70,41 +78,119 @@ def chunk_begin(events: Events, axis: int, chunk: int):
     return begin
 
 
-@wp.kernel
-def count_events(
-    first: int,
+@wp.func_native(
+    f"""
+    const size_t row = (size_t)axis * events.value.shape[1];
+    auto* of_node = counts.data + ((size_t)axis * counts.shape[1] + chunk) * counts.shape[2];
+    for (int node = 0; node < counts.shape[2]; ++node) of_node[node].c[0] = of_node[node].c[1] = 0;
+    for (int i = begin; i < end; ++i) {{
+        const int value = events.value.data[row + i], kind = value & 3, triangle = value >> 2;
+        const int begins = kind != {int(END)}, ends = kind != {int(START)};
+        const int last = membership.first.data[triangle + 1];
+        for (int m = membership.first.data[triangle]; m < last; ++m) {{
+            auto& count = of_node[membership.node.data[m]];
+            count.c[0] += begins;
+            count.c[1] += ends;
+        }}
+    }}
+"""
+)
+def count_range(
     events: Events,
+    axis: int,
+    chunk: int,
+    begin: int,
+    end: int,
     membership: Membership,
-    nodes: wp.array(dtype=LiveNode),
     counts: wp.array3d(dtype=wp.vec2i),
 ):
+    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk."""
+    ...
+
+
+@wp.kernel
+def count_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=wp.vec2i)):
     """Item: axis * chunks + chunk. counts: (3, chunks, nodes), (triangles that begin, triangles that end) in the chunk."""
     item = first + wp.tid()
     axis = item / counts.shape[1]
     chunk = item % counts.shape[1]
-    row = counts[axis, chunk]
-    for node in range(counts.shape[2]):
-        row[node] = wp.vec2i(0, 0)
-    for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
-        value = event_value(events, axis, i)
-        kind = value & 3
-        change = wp.vec2i(wp.where(kind == END, 0, 1), wp.where(kind == START, 0, 1))
-        triangle = value >> 2
-        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
-            row[load_int(membership.node, m)] += change
+    count_range(events, axis, chunk, chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1), membership, counts)
 
 
 @wp.kernel
-def scan_chunks(first: int, counts: wp.array3d(dtype=wp.vec2i)):
-    """Item: axis * nodes + node. Turns the counts of chunks into the counts before them."""
+def scan_chunks(
+    first: int,
+    cost: SplitCost,
+    events: Events,
+    nodes: wp.array(dtype=LiveNode),
+    counts: wp.array3d(dtype=wp.vec2i),
+    reached: wp.array2d(dtype=float),
+):
+    """Item: axis * nodes + node. Turns the counts of chunks into the counts before them.
+
+    reached: (3, nodes), left with the least cost of the planes at which chunks begin."""
     item = first + wp.tid()
     axis = item / counts.shape[2]
-    node = item % counts.shape[2]
+    index = item % counts.shape[2]
+    node = nodes[index]
+    along = axis_frame(cost, axis, node.low, node.high, node.triangles)
     total = wp.vec2i(0, 0)
+    least = float(INFINITY)
     for chunk in range(counts.shape[1]):
-        here = counts[axis, chunk, node]
-        counts[axis, chunk, node] = total
+        here = counts[axis, chunk, index]
+        counts[axis, chunk, index] = total
+        begin = chunk_begin(events, axis, chunk)
+        if begin < events.count[axis]:
+            position = event_position(events, axis, begin)
+            if position > along.low and position < along.high:
+                # what ends there still counts as on the right: the plane is no dearer than this
+                least = wp.min(least, plane_cost(cost, along, position, total[0], node.triangles - total[1]))
         total += here
+    reached[axis, index] = least
+
+
+@wp.func
+def may_win(
+    cost: SplitCost,
+    along: AxisFrame,
+    begin: float,
+    end: float,
+    left: int,
+    right: int,
+    index: int,
+    reached: wp.array2d(dtype=float),
+):
+    """Whether a plane of a chunk may be a node's best: so many triangles begin before the chunk and end behind it, and its
+    positions are begin .. end. If the node had not the slab between them, its cheapest plane would cost no more than any."""
+    low = wp.max(begin, along.low)
+    high = wp.min(end, along.high)
+    known = wp.min(reached[0, index], wp.min(reached[1, index], reached[2, index]))
+    thin = along
+    thin.high = along.high - (high - low)
+    return low <= high and not (plane_cost(cost, thin, low, left, right) > known * SLACK)
+
+
+@wp.func
+def sweep_chunk(
+    cost: SplitCost,
+    events: Events,
+    axis: int,
+    begin: int,
+    end: int,
+    membership: Membership,
+    along: wp.array(dtype=AxisFrame),
+    sweeps: wp.array(dtype=Sweep),
+):
+    """Evaluates the planes of the events begin .. end - 1 for each node that their triangles lie in."""
+    for i in range(begin, end):
+        position = event_position(events, axis, i)
+        value = event_value(events, axis, i)
+        triangle = value >> 2
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            node = load_int(membership.node, m)
+            sweep_event(cost, along[node], value & 3, position, sweeps[node])
+    for node in range(sweeps.shape[0]):
+        close_planar(cost, along[node], sweeps[node])
 
 
 @wp.kernel
@@ -115,29 +201,37 @@ def search_planes(
     membership: Membership,
     nodes: wp.array(dtype=LiveNode),
     before: wp.array3d(dtype=wp.vec2i),
+    reached: wp.array2d(dtype=float),
     frames: wp.array3d(dtype=AxisFrame),
     sweeps: wp.array3d(dtype=Sweep),
 ):
-    """Item: axis * chunks + chunk. sweeps: (3, chunks, nodes), left with each node's best plane in the chunk;
+    """Item: axis * chunks + chunk.
+
+    sweeps: (3, chunks, nodes), left with each node's best plane in the chunk, or with none where none can be its best at all;
     frames: scratch of the same shape."""
     item = first + wp.tid()
     axis = item / before.shape[1]
     chunk = item % before.shape[1]
     row = sweeps[axis, chunk]
     along = frames[axis, chunk]
-    for node in range(before.shape[2]):
-        counts = before[axis, chunk, node]
-        row[node] = start_sweep(counts[0], nodes[node].triangles - counts[1])
-        along[node] = axis_frame(cost, axis, nodes[node].low, nodes[node].high, nodes[node].triangles)
-    for i in range(chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1)):
-        position = event_position(events, axis, i)
-        value = event_value(events, axis, i)
-        triangle = value >> 2
-        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
-            node = load_int(membership.node, m)
-            sweep_event(cost, along[node], value & 3, position, row[node])
-    for node in range(before.shape[2]):
-        close_planar(cost, along[node], row[node])
+    begin = chunk_begin(events, axis, chunk)
+    end = chunk_begin(events, axis, chunk + 1)
+    hopeful = bool(False)
+    for index in range(before.shape[2]):
+        node = nodes[index]
+        counts = before[axis, chunk, index]
+        behind = wp.vec2i(node.triangles, node.triangles)
+        if chunk + 1 < before.shape[1]:
+            behind = before[axis, chunk + 1, index]
+        row[index] = start_sweep(counts[0], node.triangles - counts[1])
+        along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
+        if not node.finished and begin < end:
+            at = event_position(events, axis, begin)
+            to = event_position(events, axis, end - 1)
+            if may_win(cost, along[index], at, to, counts[0], node.triangles - behind[1], index, reached):
+                hopeful = True
+    if hopeful:
+        sweep_chunk(cost, events, axis, begin, end, membership, along, row)
 
 
 @wp.kernel

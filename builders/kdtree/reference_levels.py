@@ -34,6 +34,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 CHUNK = 8192
 """References that are worth a launch of their own."""
 
+PLANES = 2048
+"""Planes an axis whose evaluation is worth one."""
+
+EVEN = 4
+"""Chunks per thread of kernels whose items all cost the same."""
+
 
 @dataclass(frozen=True)
 class LevelRules:
@@ -213,7 +219,8 @@ def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules)
     """Makes the references and splits large nodes until there are none."""
     count, device = triangles.count, triangles.boxes.low.device
     references = wp.empty(8 * count, dtype=float, device=device)
-    launch(make_references, -(-count // CHUNK), [triangles.boxes, count, CHUNK, references], device=device, chunk=1)
+    inputs = [triangles.boxes, count, CHUNK, references]
+    launch(make_references, -(-count // CHUNK), inputs, device=device, chunk=1, chunks_per_thread=EVEN)
     nodes = root_level(triangles, rules)
     levels = []
     while not nodes["finished"].all():
@@ -248,16 +255,17 @@ def split_level(
     counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
     measured = wp.empty(slots, dtype=Sides, device=device)
     sampling = [rules.bins, rules.sampled]
-    launch(bin_chunks, slots, [*sampling, references, live, parts, counter], device=device, chunk=1)
+    even = {"device": device, "chunk": 1, "chunks_per_thread": EVEN}
+    launch(bin_chunks, slots, [*sampling, references, live, parts, counter], **even)
     rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
-    launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=16)
-    launch(measure_chunks, slots, [references, live, parts, measured], device=device, chunk=1)
+    launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, PLANES // rules.bins))
+    launch(measure_chunks, slots, [references, live, parts, measured], **even)
     nodes, sides = live.numpy(), measured.numpy()
     children = next_level(nodes, sides, rules.large)
     place_chunks(chunks, nodes, children, sides)
     target = wp.empty(8 * int(children["frame"]["count"][:, 0].sum()), dtype=float, device=device)
     parts = wp.array(chunks, dtype=Chunk, device=device)
-    launch(move_chunks, slots, [references, live, parts, target], device=device, chunk=1)
+    launch(move_chunks, slots, [references, live, parts, target], **even)
     return nodes, children, target
 
 

@@ -23,7 +23,7 @@ from wrt.kernels.launch import launch, load, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-SPARE_ROOM = 1.0
+SPARE_ROOM = 1.5
 """Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
 
 

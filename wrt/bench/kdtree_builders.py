@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from math import log2
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -20,6 +19,7 @@ import click
 
 from wrt.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
+from wrt.bench.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth, print_growth
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
@@ -36,9 +36,6 @@ RAYS = ("near", "random")
 
 BY_PLANES = {"near": "packet", "random": "lockstep"}
 """The fastest of the walks that take a kd-tree's planes one by one."""
-
-GROWTH = (1_000, 10_000, 100_000, 1_000_000)
-"""Triangles of the teapots on which growth is shown, about."""
 
 
 @dataclass(frozen=True)
@@ -62,23 +59,6 @@ class BuilderFigures:
     tree_bytes: float
     peak_bytes: float
     trace_ratios: dict[str, float | None]
-
-
-@dataclass(frozen=True)
-class Growth:
-    """How a builder's time grows.
-
-    Attributes:
-        builder: key in `KDTREE_BUILDERS`.
-        triangles: of each mesh.
-        seconds: of each build, least of the rounds.
-        per_n_log_n: seconds / (n log2 n), as multiples of the first: constant if the time grows like that.
-    """
-
-    builder: str
-    triangles: list[int]
-    seconds: list[float]
-    per_n_log_n: list[float]
 
 
 def compare_builders(
@@ -168,49 +148,13 @@ def compare_trees(
     ]
 
 
-def measure_growth(
-    builders: Sequence[str],
-    sizes: Sequence[int] = GROWTH,
-    *,
-    rounds: int = 3,
-    threads: int = 1,
-    clock: Callable[[], float] = perf_counter,
-    on_turn: Callable[[str], None] = lambda name: None,
-) -> list[Growth]:
-    """Builds teapots of about so many triangles; a builder is not asked for more than it can be waited for."""
-    from wrt import scenes
-
-    coarse = scenes.build("teapot", level=4).triangle_count
-    meshes = [scenes.build("teapot", level=max(1, round(4 * (size / coarse) ** 0.5))) for size in sizes]
-    grown = {name: Growth(name, [], [], []) for name in builders}
-    for mesh in meshes:
-        count = mesh.triangle_count
-        contenders = [
-            Contender(name, lambda name=name, mesh=mesh: Scene(mesh, KdTree(builder=name), device="cpu", num_threads=threads))
-            for name in builders
-            if count <= KDTREE_BUILDERS[name].most_triangles
-        ]
-        for name, timing in take_turns(contenders, rounds, budget=BUDGET, clock=clock, on_turn=on_turn).items():
-            least = min(timing.times)
-            grown[name].triangles.append(count)
-            grown[name].seconds.append(least)
-            first = grown[name].seconds[0] / n_log_n(grown[name].triangles[0])
-            grown[name].per_n_log_n.append(least / n_log_n(count) / first)
-    return [growth for growth in grown.values() if growth.triangles]
-
-
-def n_log_n(n: int) -> float:
-    """n log2 n."""
-    return n * log2(n)
-
-
 @click.command("builders")
 @click.argument("model", default="teapot")
 @click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each builder.")
 @click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
-@click.option("--growth/--no-growth", default=False, show_default=True, help="Show growth from 10^3 to 10^6 triangles too.")
+@click.option("--growth", type=click.IntRange(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
 @click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
 def builders_command(
     model: str,
@@ -218,7 +162,7 @@ def builders_command(
     size: int,
     rounds: int,
     threads: int | None,
-    growth: bool,
+    growth: int | None,
     json_file: Path | None,
 ) -> None:
     """Compares kd-tree builders on MODEL, a mesh file or a built-in scene: time to build, cost, memory, time to trace.
@@ -227,7 +171,7 @@ def builders_command(
     """
     from rich.console import Console
 
-    from wrt.bench.loading import load_model, progress, usage_errors
+    from wrt.bench.loading import load_model, progress, progress_bar, usage_errors
 
     mesh = load_model(model)
     chosen = builders or tuple(description.builder for description in kdtree_descriptions(mesh.triangle_count))
@@ -235,8 +179,10 @@ def builders_command(
     grown: list[Growth] = []
     with progress() as on_turn, usage_errors():
         figures = compare_builders(mesh, chosen, rounds=rounds, threads=count, size=size, on_turn=on_turn)
-        if growth:
-            grown = measure_growth(chosen, rounds=rounds, threads=count, on_turn=on_turn)
+    if growth is not None:
+        sizes = growth_sizes(growth)
+        with progress_bar(growth_turns(chosen, sizes, rounds)) as on_turn:
+            grown = measure_growth(chosen, sizes, rounds=rounds, threads=count, on_turn=on_turn)
     console = Console()
     console = console if console.is_terminal else Console(width=180)
     print_figures(figures, mesh, count, console)
@@ -245,7 +191,8 @@ def builders_command(
     if json_file is not None:
         with usage_errors():
             found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count}
-            found |= {"builders": [asdict(row) for row in figures], "growth": [asdict(row) for row in grown]}
+            found["builders"] = [asdict(row) for row in figures]
+            found["growth"] = [asdict(row) | {"per_n_log_n": row.per_n_log_n} for row in grown]
             json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
 
 
@@ -271,19 +218,3 @@ def print_figures(figures: Sequence[BuilderFigures], mesh: TriangleMesh, threads
     console.print(f"[bold]{label}[/bold]", highlight=False)
     console.print(table)
     console.print(f"Times are ratios to {REFERENCE}'s; bytes are per triangle.", style="dim", highlight=False)
-
-
-def print_growth(grown: Sequence[Growth], console: Any) -> None:
-    """The table of growth."""
-    from wrt.bench.report import new_table
-
-    sizes = max((growth.triangles for growth in grown), key=len)
-    table = new_table(("builder",), [f"{size:,}" for size in sizes])
-    for growth in grown:
-        cells = [
-            f"{seconds * 1e3:.1f} ms ({factor:.2f}x)"
-            for seconds, factor in zip(growth.seconds, growth.per_n_log_n, strict=True)
-        ]
-        table.add_row(growth.builder, *cells)
-    console.print("\n[bold]Growth: time to build, and time / (n log n) as a multiple of the first[/bold]", highlight=False)
-    console.print(table)

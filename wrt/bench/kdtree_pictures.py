@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.bench.kdtree_builders import BuilderFigures, Growth, n_log_n
+from wrt.bench.kdtree_builders import BuilderFigures
+from wrt.bench.kdtree_growth import Growth, n_log_n
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.statistics import KdTreeStatistics, unpack
 from wrt.mesh import TriangleMesh

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import click
@@ -49,3 +50,19 @@ def progress() -> Iterator[Callable[[str], None]]:
         return
     with console.status("bench") as status:
         yield lambda name: status.update(f"bench: {name}")
+
+
+@contextmanager
+def progress_bar(steps: int) -> Iterator[Callable[[str], None]]:
+    """What to call with the name of each of so many steps when it begins: a bar on stderr if that is a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda name: None
+        return
+    with Progress(console=console, transient=True) as bar:
+        task = bar.add_task("bench", total=steps)
+        begun = count()
+        yield lambda name: bar.update(task, description=f"bench: {name}", completed=next(begun))
