@@ -14,7 +14,7 @@ import wrt
 from wrt.builders.bvh.binned import BinnedBuilder
 from wrt.builders.bvh.config import BvhConfig
 from wrt.builders.bvh.reinsertion import Reinsertion
-from wrt.builders.bvh.statistics import bvh_statistics, half_area
+from wrt.builders.bvh.statistics import bvh_statistics, half_area, unpack
 from wrt.builders.bvh.tree import LEAF
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangles import triangle_boxes
@@ -176,6 +176,14 @@ def test_the_atrium_gets_cheaper(builder):
         assert ("reinsertion" in tree.stats.seconds) == (rounds > 0)
     assert costs[1] < {"binned": 0.96, "sweep": 0.98}[builder] * costs[0]
     assert costs[2] < costs[1]
+
+
+def test_what_gains_nothing_stays_as_it_is():
+    """A tree whose nodes have nowhere better to go has the boxes and leaves of one that was built without."""
+    mesh = wrt.scenes.build("teapot", level=12)
+    plain, tried = (unpack(build(mesh, width=16, reinsertion=rounds)[0]) for rounds in (0, ROUNDS))
+    for name in ("child", "low", "high"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(tried, name))
 
 
 def test_threads_do_not_show():

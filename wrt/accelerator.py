@@ -119,8 +119,8 @@ class Bvh:
         bins: bins along an axis, 2 to 32, for builders that bin.
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
         reinsertion: rounds, from 0 to 1000, in which subtrees are put where they cost less; three gain most of what can be
-            gained. For scenes of very unequal triangles, such as buildings, which are traced up to 1.1 times as fast after
-            builds that take up to three times as long; scanned meshes gain nothing.
+            gained. For scenes of very unequal triangles, such as buildings, which are traced up to 1.1 times as fast; scanned
+            meshes gain nothing, and their tree stays as it is. Builds take three to four times as long.
 
     Raises:
         ValueError: unknown builder, or a value out of its range.

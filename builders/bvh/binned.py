@@ -101,10 +101,10 @@ class BinnedBuilder:
             self.build_levels()
         with self.phase("subtrees"):
             self.build_subtrees()
-        binary, rounds = self.result(), self.config.reinsertion
-        if rounds:
+        binary = self.result()
+        if self.config.reinsertion:
             with self.phase("reinsertion"):
-                binary = reinsert(binary, self.triangles.count, rounds, self.phase.stats)
+                binary = reinsert(binary, self.triangles.count, self.config, self.phase.stats)
         with self.phase("collapse"):
             return collapse(binary, self.triangles, self.config, self.phase.stats)
 

@@ -23,9 +23,9 @@ number of threads. Leaves of the binary tree, of up to a block of triangles, mov
 **Complexity.** O(N) moves a round; a search meets the whole tree in the worst case and some dozen nodes as a rule.
 
 **Measured** (one thread of a Zen 5, 16 children a node, three rounds beside none). The atrium, where few large triangles lie
-across many small ones, costs 9 % less by the surface area heuristic, and shadow rays take 0.88 of the time, near views 0.92,
-random and ambient rays 0.95. Scanned meshes have nothing to gain: the cost of bunny and dragon changes by less than 2 %, and
-as their leaves get finer, and blocks less full, rays take up to 1.06 of the time. The build takes up to three times as long.
+across many small ones, costs 9 % less by the surface area heuristic; shadow rays take 0.88 of the time, near views 0.91, random
+and ambient rays 0.94. Scanned meshes have nothing to gain: the cost of bunny and dragon changes by less than 2 %, and rays took
+1.02 to 1.16 of the time with finer leaves. Whether moves are kept or not, the build takes three to four times as long.
 
 References:
     J. Bittner, M. Hapala, V. Havran: Fast insertion-based optimization of bounding volume hierarchies.
@@ -39,7 +39,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import warp as wp
 
-from wrt.builders.bvh.collapse import BinaryBuild
+from wrt.builders.bvh.collapse import MAX_WIDTH, BinaryBuild, solve_costs
+from wrt.builders.bvh.config import BuildRules, BvhConfig
 from wrt.builders.bvh.tree import LEAF, BinaryTree, empty_tree, half_area
 from wrt.builders.common import BuildStats
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
@@ -52,6 +53,9 @@ STACK = MAX_WIDE_DEPTH + 2
 
 SEARCHES = 64
 """Searches that are worth a launch."""
+
+WORTH = 0.95
+"""What a tree of finer leaves may cost at most, as a share of the cost of the tree without moves."""
 
 
 @wp.struct
@@ -268,6 +272,15 @@ def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pair
     pairs[0] = next_pair
 
 
+@wp.kernel
+def join_leaves(first: int, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i), most: int):
+    """Item: a subtree. Its nodes of at most so many triangles become leaves."""
+    pairs = subtrees[first + wp.tid()]
+    for node in range(2 * pairs[0], 2 * pairs[1]):
+        if tree.range[node][1] <= most:
+            tree.pair[node] = LEAF
+
+
 @dataclass
 class Reinsertion:
     """A tree whose nodes move.
@@ -318,19 +331,31 @@ class Reinsertion:
         return [*self.binary.arrays(), self.links.parent, self.links.height, self.links.stamp, places.place, places.gain]
 
 
-def reinsert(binary: BinaryBuild, triangles: int, rounds: int, stats: BuildStats) -> BinaryBuild:
-    """A cheaper tree over the same leaves.
+def wide_cost(binary: BinaryBuild, rules: BuildRules) -> float:
+    """The least cost of a tree of wide nodes, times the root's area."""
+    solve_costs(binary, rules)
+    pair = int(binary.tree.pair[:1].numpy()[0])
+    return float(binary.space[pair * MAX_WIDTH : pair * MAX_WIDTH + 1].numpy()[0])
+
+
+def reinsert(binary: BinaryBuild, triangles: int, config: BvhConfig, stats: BuildStats) -> BinaryBuild:
+    """A cheaper tree, or if it is not worth it, the same with the leaves of a build without reinsertion.
 
     Args:
-        binary: of a builder whose heuristic is the surface area.
+        binary: of a builder whose heuristic is the surface area; to be overwritten.
         triangles: their number.
-        rounds: at most; fewer if nothing moves any more.
+        config: how it was built.
         stats: where memory is noted.
     """
     work = Reinsertion.of(binary, triangles)
-    for _ in range(rounds):
+    if work.end == 1:
+        return binary
+    for _ in range(config.reinsertion):
         places = work.search()
         stats.reserve(*binary.arrays(), *work.arrays(places))
         if work.move(places) == 0:
             break
-    return Reinsertion.of(work.binary, triangles).binary
+    rules, moved = config.struct(), Reinsertion.of(work.binary, triangles).binary
+    inputs = [binary.tree, binary.subtrees, replace(config, reinsertion=0).struct().grain]
+    launch(join_leaves, len(binary.subtrees), inputs, device=binary.space.device, chunk=1)
+    return moved if wide_cost(moved, rules) < WORTH * wide_cost(binary, rules) else binary

@@ -226,7 +226,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     binary = BinaryBuild(tree, subtrees, None, wp.empty(16 * count, dtype=float, device=device))
     if config.reinsertion:
         start = perf_counter()
-        binary = reinsert(binary, count, config.reinsertion, stats)
+        binary = reinsert(binary, count, config, stats)
         wp.synchronize_device(device)
         stats.seconds["reinsertion"] = perf_counter() - start
     start = perf_counter()
