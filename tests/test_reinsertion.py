@@ -27,7 +27,7 @@ ROUNDS = 4
 
 @functools.cache
 def atrium() -> wrt.TriangleMesh:
-    return wrt.scenes.build("atrium", bays=(3, 2), detail=3)
+    return wrt.scenes.build("atrium", bays=(2, 1), detail=2)
 
 
 def unequal(count: int, seed: int = 3) -> wrt.TriangleMesh:
@@ -95,7 +95,7 @@ class HostTree:
 
 def test_places_are_the_best_of_all():
     """Every node tries every place, each tree that comes of it is measured anew."""
-    work = binary_of(unequal(45))
+    work = binary_of(unequal(40))
     places, tree = work.search(), HostTree(work)
     gain, place = places.gain.numpy(), places.place.numpy()
     before, gaining = tree.area(), 0
@@ -112,7 +112,7 @@ def test_places_are_the_best_of_all():
 
 def test_every_move_gains():
     """The first mover gains what its search promised; whoever moves later, the sum never grows."""
-    work = binary_of(unequal(2000))
+    work = binary_of(unequal(900))
     places, area = work.search(), HostTree(work).area()
     gain = places.gain.numpy()
     alone = places.gain.numpy().copy()
@@ -125,14 +125,14 @@ def test_every_move_gains():
         before = HostTree(work).area()
         movers.append(work.move(work.search()))
         assert HostTree(work).area() <= before * (1.0 - 1e-9 if movers[-1] else 1.0)
-    assert movers[0] > 50
+    assert movers[0] > 20
     assert HostTree(work).area() < 0.97 * area
 
 
 def test_boxes_and_heights_follow():
     """After a round, boxes are the exact unions of their leaves' and heights are right."""
-    work = binary_of(unequal(2000))
-    assert work.move(work.search()) > 50
+    work = binary_of(unequal(900))
+    assert work.move(work.search()) > 20
     tree, height = HostTree(work), work.links.height.numpy()
 
     def visit(node: int) -> tuple[np.ndarray, int]:
@@ -169,13 +169,12 @@ def test_deep_and_flat_trees():
 @pytest.mark.parametrize("builder", ["binned", "sweep"])
 def test_the_atrium_gets_cheaper(builder):
     mesh, costs = atrium(), []
-    for rounds in (0, 1, ROUNDS):
+    for rounds in (0, ROUNDS):
         tree, config = build(mesh, builder, width=WIDTH, reinsertion=rounds)
         check(tree, mesh.vertices, mesh.faces, config)
         costs.append(bvh_statistics(tree, mesh.triangle_count, config.cost).sah_cost)
         assert ("reinsertion" in tree.stats.seconds) == (rounds > 0)
-    assert costs[1] < {"binned": 0.96, "sweep": 0.98}[builder] * costs[0]
-    assert costs[2] < costs[1]
+    assert costs[1] < 0.96 * costs[0]
 
 
 def test_what_gains_nothing_stays_as_it_is():
