@@ -118,6 +118,9 @@ class Bvh:
             blocks are mostly full, else 1.5.
         bins: bins along an axis, 2 to 32, for builders that bin.
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
+        reinsertion: rounds, from 0 to 1000, in which subtrees are put where they cost less; three gain most of what can be
+            gained. For scenes of very unequal triangles, such as buildings, which are traced up to 1.1 times as fast; scanned
+            meshes gain nothing, and their tree stays as it is. Builds take three to four times as long.
 
     Raises:
         ValueError: unknown builder, or a value out of its range.
@@ -131,6 +134,7 @@ class Bvh:
     block_cost: float | None = None
     bins: int = 16
     max_leaf_triangles: int | None = None
+    reinsertion: int = 0
 
     def __post_init__(self) -> None:
         from wrt.builders.bvh import BVH_BUILDERS
@@ -146,7 +150,7 @@ class Bvh:
         width = width if self.width is None else self.width
         block_cost = (0.5 if width >= 8 else 1.5) if self.block_cost is None else self.block_cost
         cost = SurfaceAreaCost(traversal=self.traversal_cost, block=block_cost, width=width)
-        return BvhConfig(cost, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles)
+        return BvhConfig(cost, self.bins, self.max_leaf_triangles, self.reinsertion)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
         """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""

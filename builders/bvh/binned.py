@@ -4,7 +4,8 @@
 
 **Algorithm.** Centroids fall into a few bins along each axis; only the planes between bins are tried (`bins`). Large nodes
 are split level by level, parallel over chunks of triangles (`levels`); the others are tasks, each of which builds a
-subtree depth first (`subtrees`). The binary tree is then collapsed to nodes of W children (`collapse`).
+subtree depth first (`subtrees`). The binary tree, whose nodes may first move to better places (`reinsertion`), is then
+collapsed to nodes of W children (`collapse`).
 
 **Complexity.** O(N) a level of the tree, with sequential access to memory only. 64 bytes a triangle for references; nodes take
 what the tree needs, of a reserve of 88 bytes a triangle.
@@ -32,6 +33,7 @@ from wrt.builders.bvh.collapse import BinaryBuild, collapse, collapse_kernels
 from wrt.builders.bvh.config import BvhConfig
 from wrt.builders.bvh.heuristic import SURFACE, AllDirections, Heuristic
 from wrt.builders.bvh.levels import Chunk, LiveNode, Totals, make_search_planes
+from wrt.builders.bvh.reinsertion import find_places, reinsert
 from wrt.builders.bvh.subtrees import STACK, make_build_subtrees
 from wrt.builders.bvh.tree import Frame, empty_tree
 from wrt.builders.common import Bvh, Phases
@@ -99,12 +101,17 @@ class BinnedBuilder:
             self.build_levels()
         with self.phase("subtrees"):
             self.build_subtrees()
+        binary = self.result()
+        if self.config.reinsertion:
+            with self.phase("reinsertion"):
+                binary = reinsert(binary, self.triangles.count, self.config, self.phase.stats)
         with self.phase("collapse"):
-            return collapse(self.result(), self.triangles, self.config, self.phase.stats)
+            return collapse(binary, self.triangles, self.config, self.phase.stats)
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""
-        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *collapse_kernels(self.heuristic)]
+        moving = [find_places] if self.config.reinsertion else []
+        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *moving, *collapse_kernels(self.heuristic)]
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""

@@ -343,6 +343,16 @@ def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
     return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
 
 
+def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
+    """F of all inner nodes, to `binary.space`."""
+    solve, device, tree, rays = make_solve(binary.heuristic), binary.space.device, binary.tree, binary.rays
+    in_order = wp.empty(0, dtype=int, device=device)
+    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], device=device, chunk=1)
+    if binary.top is not None:
+        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
+        launch(solve, 1, [rules, rays, tree, whole, binary.top, binary.space], device=device)
+
+
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
     """The wide tree.
 
@@ -350,14 +360,9 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         ValueError: it would need more than MAX_BLOCKS blocks.
     """
     tree, costs, rays = binary.tree, binary.space, binary.rays
-    solve = make_solve(binary.heuristic)
     pick_children = make_pick_children(binary.heuristic)
     device, width, rules = costs.device, config.cost.width, config.struct()
-    in_order = wp.empty(0, dtype=int, device=device)
-    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, costs], device=device, chunk=1)
-    if binary.top is not None:
-        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
-        launch(solve, 1, [rules, rays, tree, whole, binary.top, costs], device=device)
+    solve_costs(binary, rules)
     pairs = binary.subtrees.numpy()
     most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
     wide = WideLevels()

@@ -22,6 +22,7 @@ import warp as wp
 
 from wrt.builders.bvh.collapse import BinaryBuild, collapse
 from wrt.builders.bvh.config import BuildRules, BvhConfig
+from wrt.builders.bvh.reinsertion import find_places, reinsert
 from wrt.builders.bvh.tree import LEAF, BinaryTree, empty_tree, half_area, middle, must_halve, price_of_areas
 from wrt.builders.common import BuildStats, Bvh
 from wrt.builders.cost import leaf_cost
@@ -207,7 +208,7 @@ def build_by_sweep(
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes, in one thread."""
     device, count = triangles.boxes.low.device, triangles.count
-    load([build_by_sweep], device)
+    load([build_by_sweep, find_places], device)
     stats = BuildStats()
     start = perf_counter()
     centroids = triangles.boxes.low.numpy() + triangles.boxes.high.numpy()
@@ -222,9 +223,14 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     launch(build_by_sweep, 1, [config.struct(), triangles.boxes, work, tree, subtrees], device=device)
     wp.synchronize_device(device)
     stats.seconds["sweep"] = perf_counter() - start
-    space = wp.empty(16 * count, dtype=float, device=device)
+    binary = BinaryBuild(tree, subtrees, None, wp.empty(16 * count, dtype=float, device=device))
+    if config.reinsertion:
+        start = perf_counter()
+        binary = reinsert(binary, count, config, stats)
+        wp.synchronize_device(device)
+        stats.seconds["reinsertion"] = perf_counter() - start
     start = perf_counter()
-    result = collapse(BinaryBuild(tree, subtrees, None, space), triangles, config, stats)
+    result = collapse(binary, triangles, config, stats)
     wp.synchronize_device(device)
     stats.seconds["collapse"] = perf_counter() - start
     return result

@@ -6,6 +6,10 @@ parent's words when its turn comes, so that no ray is ever in more than one list
 are all the room that there has to be. Keys say which child comes next, as for a single ray (`wrt.kernels.box_lanes`), but a
 key is that of the first of the rays to enter.
 
+Where any hit will do, the nearest child is as good a guess as another. Rays to a light start on a surface, which is near and
+hides nothing: for alike ones the farthest child comes first, which takes 0.94 to 0.96 of the time (bunny, dragon, atrium).
+Ambient rays do not care, to 1 %; the child that a ray is longest in cost 1.1 times the time.
+
 Leaves are tested as soon as their parent's list is filtered: their pairs come from 16 leaves at once, where a leaf of its own
 would have a handful of rays, and what they hit shortens the rays for the inner children, which are filtered later.
 
@@ -33,7 +37,7 @@ from wrt.kernels.box_lanes import NO_CHILD
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
-from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, next_child
 from wrt.kernels.traversal.stream_load import load_stream
@@ -49,7 +53,8 @@ BELOW_ALL_KEYS = wp.constant(-0x80000000)
 def make_trace(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, stream, words, rays, hits, first_ray, work)`: traces the rays words[0 .. rays - 1]."""
     StreamRay = stream_ray(config.triangle_test)
-    filter_list, following = filter_boxes(config.width, config.triangle_test), next_child(config.width)
+    far_first = config.query == ANY and config.coherent
+    filter_list, following = filter_boxes(config.width, config.triangle_test, far_first), next_child(config.width)
     test_pairs = pair_tester(config)
     counting, width, levels, row = config.counters, config.width, config.levels, config.levels * config.width
 

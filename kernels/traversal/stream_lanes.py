@@ -85,9 +85,10 @@ _FILTER_BOXES = """
             t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
             t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
             t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
-            int near = (__builtin_bit_cast(int, enter) & -W) | i;
-            near = enter <= leave ? near : NO_CHILD;
-            least[i] = near < least[i] ? near : least[i];
+            const int entry = __builtin_bit_cast(int, enter);
+            int order = ((FAR_FIRST ? 0x7f7fffff - entry : entry) & -W) | i;
+            order = enter <= leave ? order : NO_CHILD;
+            least[i] = order < least[i] ? order : least[i];
             hit[i] = enter <= leave ? -1 : 0;
         }
         const unsigned bits = wrt_bits(hit), inner = bits & ~leaves;
@@ -105,17 +106,19 @@ _FILTER_BOXES = """
 
 
 @cache
-def filter_boxes(width: int, triangle_test: str) -> wp.Function:
+def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function:
     """`func(bounds, children, node, rays, words, first, count, keys, row, pairs, tested, survivors) -> int`.
 
     Filters a list, words[first .. first + count - 1], through the W boxes of a node. A ray whose interval up to its best hit
     meets a child's box is active there: for a leaf, (ray, leaf) goes to `pairs`; for inner children, their bits go into
     the ray's word above its number. Words without such a bit are dropped, in place, and keys[row ..] are lowered to those of
-    the rays that enter first. Stops when the pairs may run out of room, and goes on at `tested` when it is called again. How
-    many pairs there are is returned.
+    the rays that enter first; if `far_first`, keys are the other way round, and those of the rays that enter last count.
+    Stops when the pairs may run out of room, and goes on at `tested` when it is called again. How many pairs there are is
+    returned.
     """
     StreamRay = stream_ray(triangle_test)
     constants = f"    constexpr int W = {width}, PAIRS = {PAIRS}, NO_CHILD = {NO_CHILD_CONSTANT};\n"
+    constants += f"    constexpr bool FAR_FIRST = {int(far_first)};\n"
 
     @wp.func_native(LISTS + constants + _FILTER_BOXES)
     def filter_boxes_native(

@@ -3,7 +3,11 @@
 Round by round, a block of each leaf: a pair whose ray's line meets some triangle of the block is kept, with the mask of
 these triangles; of those that are kept, hits are worked out one by one and selected rather than branched for. Each
 comparison ends a long chain of arithmetic, and a wrong guess would throw away what has been done for the next pairs
-meanwhile: with a branch, random rays took 1.6 times as long altogether.
+meanwhile: with a branch, random rays took 1.6 times as long altogether. A select that is written as such may still become one,
+so the closest hit is selected bit by bit (`take_better`): random rays took 0.92 of the time in the atrium. To filter by the
+ray's range as well, along its main axis or by the triangles' boxes, spares up to half of the hits and took 1.1 to 1.3 times as
+long. Any hit is different: what comes after a ray's first one is not looked at, which saves ambient and shadow rays of the
+atrium an eighth of their time, more than half of which goes to the one ray in five that hits something.
 
 References: see `wrt.kernels.traversal.stream`.
 """
@@ -126,6 +130,24 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     return keep_pairs
 
 
+@wp.func_native("""
+    const float t = hit.c[0];
+    const bool ahead = (t < best.t) | ((t == best.t) & ((best.primitive < 0) | (primitive < best.primitive)));
+    const unsigned taken = 0u - (unsigned)((t >= t_min) & ahead);
+    auto pick = [&](float old, float other) {
+        const unsigned kept = wp::cast<unsigned>(old) & ~taken;
+        return wp::cast<float>(kept | (wp::cast<unsigned>(other) & taken));
+    };
+    best.primitive = (int)(((unsigned)best.primitive & ~taken) | ((unsigned)primitive & taken));
+    best.t = pick(best.t, t);
+    best.u = pick(best.u, hit.c[1]);
+    best.v = pick(best.v, hit.c[2]);
+""")
+def take_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
+    """Takes over a hit (t, u, v) if it `improves` the best so far, without a branch."""
+    ...
+
+
 @cache
 def hit_finder(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, block, mask, hits, i)`: the hits of ray k among some triangles of a block.
@@ -157,6 +179,8 @@ def hit_finder(config: TraversalConfig) -> wp.Function:
         state = RayState()
         best = Candidate()
         t_min = get(stream, k, slabs, state, best)
+        if wp.static(any_hit):
+            mask = wp.where(best.primitive < 0, mask, wp.uint32(0))  # it may have had its hit since its pairs were listed
         while mask != wp.uint32(0):
             slot = block * wp.static(width) + lowest_bit(mask)
             mask = mask & (mask - wp.uint32(1))
@@ -165,12 +189,15 @@ def hit_finder(config: TraversalConfig) -> wp.Function:
             if wp.static(crossing):
                 if hit[0] >= t_min and hit[0] <= best.t:
                     best = take(hits, i, best, hit[0], primitive, hit[1], hit[2])
-            else:
+            elif wp.static(not any_hit):
+                take_better(hit, primitive, t_min, best)
+            else:  # most candidates of such rays lie behind them, which is easily guessed
                 better = improves(hit[0], primitive, t_min, best)
                 best.t = wp.where(better, hit[0], best.t)
                 best.primitive = wp.where(better, primitive, best.primitive)
                 best.u = wp.where(better, hit[1], best.u)
                 best.v = wp.where(better, hit[2], best.v)
+                mask = wp.where(better, wp.uint32(0), mask)
         put_best(stream, k, best)
 
     return find_hits

@@ -102,6 +102,19 @@ def exact_area(p: wp.vec3, q: wp.vec3):
     return float(wp.float64(p[0]) * wp.float64(q[1]) - wp.float64(p[1]) * wp.float64(q[0]))
 
 
+@wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
+def some_zero(a: float, b: float, c: float) -> bool:
+    """Whether one of three numbers is 0: one decision, where `or` takes three."""
+    ...
+
+
+@wp.func_native("return ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));")
+def on_one_side(a: float, b: float, c: float) -> bool:
+    """Whether three areas have no different signs. With `and` and `or` the first sign decides how to go on, and that nobody can
+    guess: from which side a ray comes."""
+    ...
+
+
 @wp.func
 def intersect(ray: ShearedRay, corners: Corners):
     """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
@@ -111,13 +124,12 @@ def intersect(ray: ShearedRay, corners: Corners):
     area_a = c[0] * b[1] - c[1] * b[0]
     area_b = a[0] * c[1] - a[1] * c[0]
     area_c = b[0] * a[1] - b[1] * a[0]
-    if area_a == 0.0 or area_b == 0.0 or area_c == 0.0:
+    if some_zero(area_a, area_b, area_c):
         area_a = exact_area(c, b)
         area_b = exact_area(a, c)
         area_c = exact_area(b, a)
-    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0)
     total = (area_a + area_b) + area_c
-    if not inside or total == 0.0:
+    if not on_one_side(area_a, area_b, area_c) or total == 0.0:
         return wp.vec3(wp.nan, 0.0, 0.0)
     return interpolate(wp.vec3(a[2], b[2], c[2]), area_a, area_b, area_c)
 
@@ -152,7 +164,7 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
     area_a = c[0] * b[1] - c[1] * b[0]
     area_b = a[0] * c[1] - a[1] * c[0]
     area_c = b[0] * a[1] - b[1] * a[0]
-    inside = (area_a >= 0.0 and area_b >= 0.0 and area_c >= 0.0) or (area_a <= 0.0 and area_b <= 0.0 and area_c <= 0.0)
+    inside = on_one_side(area_a, area_b, area_c)
     if wp.abs(area_a) < SMALL or wp.abs(area_b) < SMALL or wp.abs(area_c) < SMALL:
         exact_a = area64(c, b)
         exact_b = area64(a, c)
