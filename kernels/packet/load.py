@@ -54,10 +54,12 @@ _LOAD = """
         origin_y[k] = (float)((double)o.c[1] - center_y);
         origin_z[k] = (float)((double)o.c[2] - center_z);
     }
-    if (consecutive && rays.t_min_stride) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k] * rays.t_min_stride];
-    if (consecutive && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k] * rays.t_max_stride];
+    if (!rays.t_min_stride) { const float value = rays.t_min.data[0]; WRT_FOR(P, k) t_min[k] = value; }
+    else if (consecutive) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k]];
+    if (!rays.t_max_stride) { const float value = rays.t_max.data[0]; WRT_FOR(P, k) t[k] = value; }
+    else if (consecutive) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k]];
 
     WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz);
     WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);

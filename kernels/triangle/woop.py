@@ -316,8 +316,8 @@ PACKET = PacketForm(
             const int* axis = (const int*)main_axis;
     """,
     inside="""
-                int inside[W];
-                float area_a[W], area_b[W], area_c[W];
+                alignas(4 * W) int inside[W];
+                alignas(4 * W) float area_a[W], area_b[W], area_c[W];
                 int some = 0, edges = 0;
                 WRT_FOR_LANES(i) {
                     const int k = f + i;
