@@ -12,6 +12,7 @@ import wrt
 import wrt.plan
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.packet import PATIENCE
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import Plan
 
@@ -119,6 +120,39 @@ def test_sizes_and_ranges(vectors, tree, device):
     plan = replace(plan, packet=vectors * plan.width)
     assert_same_hits(scene.intersect(rays, traversal=plan), expected)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+
+
+def apart(mesh: wrt.TriangleMesh, places: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Packets of `size` rays to a light; those of packet i start in turn at, or near, `places[i]` places; some rays are bad."""
+    rng = np.random.default_rng(0)
+    low, high = mesh.bounds
+    which = np.arange(size) % places[:, None]
+    origins = np.take_along_axis(rng.uniform(low, high, (len(places), places.max(), 3)), which[..., None], axis=1)
+    origins += rng.normal(size=origins.shape) * rng.choice([0.0, 1e-3], (len(places), 1, 1)) * (high - low)
+    directions = high + (high - low) * (0.2, 0.1, 0.3) - origins
+    directions[rng.random(which.shape) < 0.02] = np.nan
+    return origins.astype(np.float32).reshape(-1, 3), directions.astype(np.float32).reshape(-1, 3)
+
+
+def test_packets_part_where_their_origins_do():
+    """Rays from two places make two packets; those from more than a packet is made into go alone at last."""
+    mesh = wrt.scenes.build("atrium")
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    places = np.repeat([1, 2, 3, 16], 20)
+    plan = packet_plan(scene, wrt.Rays(*apart(mesh, places, 16)), "woop", packet=scene.width)
+    rays = wrt.Rays(*apart(mesh, places, plan.packet), 0.0, 1.0)
+    expected = brute_force(scene, rays)
+    assert 0.2 < expected.is_hit.mean() < 1.0
+    hits = scene.intersect(rays, traversal=plan, counters=True)
+    assert_same_hits(hits, expected)
+    np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
+    steps = (hits.counters["nodes"] + hits.counters["leaves"]).reshape(-1, plan.packet)
+    parted = steps[:, 0] > PATIENCE * plan.packet
+    alone = (steps[:, 1:] > 0).sum(axis=1)
+    assert not parted[places == 1].any()
+    assert parted[places > 1].any()
+    assert not alone[places < 16].any()
+    assert alone[places == 16].any()
 
 
 @pytest.mark.parametrize(("tree", "otherwise"), [("bvh", "stream"), ("kdtree", "wide_stream")])

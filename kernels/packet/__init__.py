@@ -2,7 +2,8 @@
 
 A packet of P rays lives in one local array, component by component (`layout`), with intervals over its rays beside it
 (`bounds`). `load` and `store` bring rays in and hits out, `block` tests the rays against the triangles of a leaf, W rays at
-a time, and a *culling* decides for all rays at once which child boxes and which triangles none of them can hit.
+a time, and a *culling* decides for all rays at once which child boxes and which triangles none of them can hit. A packet that
+meets too much goes on in parts (`parting`).
 
 **Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` looks at W child boxes, `triangles` at
 the W triangles of a block, `start` gets a packet ready for its walk, `leaf` looks at its rays again before a leaf is

@@ -33,13 +33,18 @@ _BLOCK = """
                     WRT_SLABS
                     at = at > enter ? at : enter;
                     at = at < leave ? at : leave;
-                    // no hit so far is -1, the greatest number without a sign
-                    const bool hit = (inside[i] != 0) & (enter <= leave) & (at >= t_min[k])
-                        & ((at < t[k]) | ((at == t[k]) & ((unsigned)id < (unsigned)found[k])));
-                    t[k] = hit ? (ANY_HIT ? -INF : at) : t[k];
-                    found[k] = hit ? id : found[k];
-                    u[k] = hit ? hit_u : u[k];
-                    v[k] = hit ? hit_v : v[k];
+                    const bool within = (inside[i] != 0) & (enter <= leave) & (at >= t_min[k]);
+                    if (ANY_HIT) {  // the first will do, and nobody asks for its weights
+                        const bool hit = within & (at <= t[k]);
+                        t[k] = hit ? -INF : t[k];
+                        found[k] = hit ? id : found[k];
+                    } else {  // no hit so far is -1, the greatest number without a sign
+                        const bool hit = within & ((at < t[k]) | ((at == t[k]) & ((unsigned)id < (unsigned)found[k])));
+                        t[k] = hit ? at : t[k];
+                        found[k] = hit ? id : found[k];
+                        u[k] = hit ? hit_u : u[k];
+                        v[k] = hit ? hit_v : v[k];
+                    }
                 }
             }
         }

@@ -1,4 +1,4 @@
-"""Where a packet's numbers are: P floats a component, one component after another, in one local array.
+"""Where a packet's numbers are: P floats a component, one component after another from a cache line on, in one local array.
 
 inverse_x, _y, _z    1 / direction
 t_min                where the ray starts
@@ -6,18 +6,36 @@ t                    its best hit so far; before the first its t_max; -inf for a
 primitive            bits of an int: the best hit's triangle, -1 before the first
 u, v                 the best hit's weights
 slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along that
+main_axis            bits of an int: the axis along which the direction is largest
 origin_x, _y, _z     relative to the scene's centre; left out where all rays share one (`PacketBounds.origin_low`)
 slack                widening of boxes (`wrt.kernels.boxes`); left out likewise (`PacketBounds.slack`)
+part                 bits of an int: which part of a packet that parted the ray is in (`parting`); left out likewise
+kept                 its t while the rays of another part are active; left out likewise
 ...                  what the triangle test prepares per ray (`PacketForm.state`)
 """
 
 from dataclasses import dataclass
 
+import warp as wp
+
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y")
-OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack")
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y", "main_axis")
+OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack", "part", "kept")
+
+CACHE_LINE = 16
+"""Floats of a cache line, at which the components begin: vectors that lie across two lines take longer to load and to store."""
+
+_FIRST_ROW = f"(-((size_t)packet.data / 4) & {CACHE_LINE - 1})"
+
+
+@wp.func_native(f"return (int){_FIRST_ROW};")
+def first_row(packet: wp.array(dtype=float)) -> int:
+    """Floats of a packet's memory before its first component."""
+    ...
 
 
 @dataclass(frozen=True)
@@ -44,8 +62,8 @@ class PacketLayout:
 
     @property
     def size(self) -> int:
-        """Floats of a packet."""
-        return len(self.components) * self.rays
+        """Floats of a packet, and a cache line to begin at one."""
+        return len(self.components) * self.rays + CACHE_LINE
 
     @property
     def constants(self) -> str:
@@ -58,7 +76,8 @@ class PacketLayout:
     @property
     def head(self) -> str:
         """The same for a function with a parameter `packet`: a pointer for each component follows."""
-        pointers = "".join(f"    float* {name} = packet.data + {k} * P;\n" for k, name in enumerate(self.components))
+        pointers = f"    float* rows = packet.data + {_FIRST_ROW};\n"
+        pointers += "".join(f"    float* {name} = rows + {k} * P;\n" for k, name in enumerate(self.components))
         if self.shared_origin:
             pointers += "    float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr, *slack = nullptr;\n"
         return self.constants + pointers

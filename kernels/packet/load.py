@@ -5,6 +5,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import SLACK
+from wrt.kernels.packet.bounding import BOUND
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
@@ -54,14 +55,13 @@ _LOAD = """
         origin_y[k] = (float)((double)o.c[1] - center_y);
         origin_z[k] = (float)((double)o.c[2] - center_z);
     }
-    if (consecutive && rays.t_min_stride) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k] * rays.t_min_stride];
-    if (consecutive && rays.t_max_stride) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k] * rays.t_max_stride];
+    if (!rays.t_min_stride) { const float value = rays.t_min.data[0]; WRT_FOR(P, k) t_min[k] = value; }
+    else if (consecutive) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k]];
+    if (!rays.t_max_stride) { const float value = rays.t_max.data[0]; WRT_FOR(P, k) t[k] = value; }
+    else if (consecutive) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
+    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k]];
 
-    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz);
-    WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
-    int active = 0, main_axes = 0;
     WRT_FOR(P, k) {
         const float x = dx[k], y = dy[k], z = dz[k];
         const float ox = SHARED ? ox0 : origin_x[k], oy = SHARED ? oy0 : origin_y[k], oz = SHARED ? oz0 : origin_z[k];
@@ -73,8 +73,7 @@ _LOAD = """
         const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
         inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
         if (!SHARED) slack[k] = SLACK * reach(ox, oy, oz);
-        const float end = valid ? t[k] : -INF;
-        t[k] = end;
+        t[k] = valid ? t[k] : -INF;
         ((int*)primitive)[k] = -1;
         u[k] = 0.0f; v[k] = 0.0f;
         const bool xy = size_x >= size_y, xz = size_x >= size_z, yz = size_y >= size_z;
@@ -82,76 +81,10 @@ _LOAD = """
         const float major = main_x ? x : main_y ? y : z;
         const float sx = (main_x ? y : main_y ? z : x) / major, sy = (main_x ? z : main_y ? x : y) / major;
         slope_x[k] = sx; slope_y[k] = sy;
+        ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
         WRT_PREPARE
-        active += valid ? 1 : 0;
-        main_axes |= valid ? (main_x ? 1 : main_y ? 2 : 4) : 0;
-        WRT_WIDEN(ix, ix, valid) WRT_WIDEN(iy, iy, valid) WRT_WIDEN(iz, iz, valid)
-        WRT_WIDEN(sx, sx, valid) WRT_WIDEN(sy, sy, valid)
-        WRT_WIDEN(start, t_min[k], valid) WRT_WIDEN(end, end, valid)
     }
     float lows[3] = {ox0, oy0, oz0}, highs[3] = {ox0, oy0, oz0};
-    if (!SHARED) {
-        WRT_INTERVAL(ox); WRT_INTERVAL(oy); WRT_INTERVAL(oz); WRT_INTERVAL(wide);
-        WRT_FOR(P, k) {
-            const bool valid = t[k] >= -0.0f;
-            WRT_WIDEN(ox, origin_x[k], valid) WRT_WIDEN(oy, origin_y[k], valid) WRT_WIDEN(oz, origin_z[k], valid)
-            WRT_WIDEN(wide, slack[k], valid)
-        }
-        lows[0] = wrt_value(ox_low); lows[1] = wrt_value(oy_low); lows[2] = wrt_value(oz_low);
-        highs[0] = wrt_value(ox_high); highs[1] = wrt_value(oy_high); highs[2] = wrt_value(oz_high);
-        slack0 = wrt_value(wide_high);
-    }
-    bounds.active = active;
-    bounds.main_axes = main_axes;
-    bounds.passes = PASSES == 1 ? 1 : main_axes;
-    bounds.t_min = wrt_value(start_low); bounds.t_max = wrt_value(end_high);
-    bounds.slack = slack0;
-    bounds.slope_low = wp::vec2(wrt_value(sx_low), wrt_value(sy_low));
-    bounds.slope_high = wp::vec2(wrt_value(sx_high), wrt_value(sy_high));
-    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
-    const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
-    bounds.plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
-    if (SHARED) {
-        bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
-    } else {
-        const float plane = bounds.plane;
-        const float* along = main == 0 ? origin_x : main == 1 ? origin_y : origin_z;
-        const float* across_x = main == 0 ? origin_y : main == 1 ? origin_z : origin_x;
-        const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
-        float through_x[P], through_y[P];
-        WRT_FOR(P, k) { through_x[k] = across_x[k] - slope_x[k] * (along[k] - plane); }
-        WRT_FOR(P, k) { through_y[k] = across_y[k] - slope_y[k] * (along[k] - plane); }
-        WRT_INTERVAL(cx); WRT_INTERVAL(cy);
-        WRT_FOR(P, k) {
-            const bool valid = t[k] >= -0.0f;
-            WRT_WIDEN(cx, through_x[k], valid) WRT_WIDEN(cy, through_y[k], valid)
-        }
-        bounds.through_low = wp::vec2(wrt_value(cx_low) - slack0, wrt_value(cy_low) - slack0);
-        bounds.through_high = wp::vec2(wrt_value(cx_high) + slack0, wrt_value(cy_high) + slack0);
-    }
-    const float inverse_low[3] = {wrt_value(ix_low), wrt_value(iy_low), wrt_value(iz_low)};
-    const float inverse_high[3] = {wrt_value(ix_high), wrt_value(iy_high), wrt_value(iz_high)};
-    bounds.mixed_axes = 0;
-    for (int a = 0; a < 3; ++a) {
-        const bool backward = inverse_high[a] < 0.0f, mixed = (inverse_low[a] < 0.0f) & !backward;
-        const float none = WRT_NAN;
-        bounds.mixed_axes += mixed ? 1 : 0;
-        bounds.backward.c[a] = backward ? 1 : 0;
-        bounds.inverse_large.c[a] = mixed ? none : backward ? inverse_low[a] : inverse_high[a];
-        bounds.inverse_small.c[a] = mixed ? none : backward ? inverse_high[a] : inverse_low[a];
-        bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
-        bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
-        bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];
-        if (mixed) {
-            const float* inverse = a == 0 ? inverse_x : a == 1 ? inverse_y : inverse_z;
-            WRT_INTERVAL(forward); WRT_INTERVAL(backward);
-            WRT_FOR(P, k) {
-                const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), behind = valid & !ahead;
-                WRT_WIDEN(forward, inverse[k], ahead) WRT_WIDEN(backward, inverse[k], behind)
-            }
-            bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(backward_high);
-        }
-    }
 """
 
 
@@ -164,7 +97,7 @@ def load_packet(layout: PacketLayout) -> wp.Function:
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
 
-    @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare))
+    @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
     def load_packet_native(
         rays: RayBatch,
         first: int,

@@ -41,6 +41,7 @@ from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.lane_cells import enter_cell, split_cell
+from wrt.kernels.packet.layout import first_row
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
@@ -78,16 +79,17 @@ def leaf_by_ray(config: TraversalConfig) -> wp.Function:
         if wp.static(counting):
             work.leaves += 1
             work.triangles += kdtree.leaf_triangles(node)
+        row = first_row(packet)
         for k in range(wp.static(P)):
             if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
                 ray = load_ray(rays, begin + k)
                 slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
                 state = prepare(ray.origin, ray.direction)
                 best = Candidate()
-                best.t = load_float(packet, wp.static(t_at) + k)
-                best.primitive = wp.cast(load_float(packet, wp.static(primitive_at) + k), wp.int32)
-                best.u = load_float(packet, wp.static(u_at) + k)
-                best.v = load_float(packet, wp.static(v_at) + k)
+                best.t = load_float(packet, row + wp.static(t_at) + k)
+                best.primitive = wp.cast(load_float(packet, row + wp.static(primitive_at) + k), wp.int32)
+                best.u = load_float(packet, row + wp.static(u_at) + k)
+                best.v = load_float(packet, row + wp.static(v_at) + k)
                 block = int(kdtree.first_block(node))
                 rest = int(kdtree.leaf_triangles(node))
                 while rest > 0:
@@ -96,10 +98,10 @@ def leaf_by_ray(config: TraversalConfig) -> wp.Function:
                     rest -= wp.static(width)
                 if wp.static(any_hit):
                     best.t = wp.where(best.primitive < 0, best.t, -INFINITY)
-                store_float(packet, wp.static(t_at) + k, best.t)
-                store_float(packet, wp.static(primitive_at) + k, wp.cast(best.primitive, wp.float32))
-                store_float(packet, wp.static(u_at) + k, best.u)
-                store_float(packet, wp.static(v_at) + k, best.v)
+                store_float(packet, row + wp.static(t_at) + k, best.t)
+                store_float(packet, row + wp.static(primitive_at) + k, wp.cast(best.primitive, wp.float32))
+                store_float(packet, row + wp.static(u_at) + k, best.u)
+                store_float(packet, row + wp.static(v_at) + k, best.v)
 
     return test
 

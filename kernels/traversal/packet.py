@@ -9,9 +9,9 @@ Reshetov et al. 2005 for large packets). The rest of a level is dropped once its
 the rays' best hits.
 
 **Any rays.** Rays of a packet need not share an origin or signs. Where all three axes have both signs, boxes bound
-nothing worth having, and a packet whose rays have parted company (one in a hundred does, where neighbouring pixels see
-different surfaces) may meet half of the scene: it gives up after `PATIENCE` steps a ray. Such packets are taken apart and
-their rays go one by one (`single_bvh`).
+nothing worth having, and a packet whose rays have parted company (one in fifty does, where neighbouring pixels see
+different surfaces) may meet half of the scene: it gives up after `PATIENCE` steps a ray. Such packets part where their
+origins do (`wrt.kernels.packet.parting`); what does not stay together even then goes ray by ray (`single_bvh`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -44,8 +44,8 @@ MIXED_AXES = 2
 """Axes with both signs with which a packet is still walked together."""
 
 PATIENCE = 3
-"""Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone. (Shadow
-rays of bunny and dragon, 1 to 100 of these: least time at 3 to 6, 3 and 8 % less than at 1.)"""
+"""Steps a ray (nodes and leaves together) after which a packet gives up: by then its rays would be done alone. (Shadow rays of
+bunny, dragon and atrium: least time at 1.5 to 3, up to 3 % less than at 1.)"""
 
 
 @cache
@@ -62,8 +62,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 
     @wp.func
     def walk(
-        tree: WideNodes,
-        triangles: TriangleBlocks,
+        tree: wp.ref[WideNodes],
+        triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],

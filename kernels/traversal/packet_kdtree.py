@@ -18,7 +18,7 @@ as fast in the far view, 6.5 times in the near one, and some 0.8 times as fast a
 boxes. Shadow rays to a point light from the far view gain little (1.1): neighbours start on different surfaces.
 
 **Limits.** A triangle in several leaves is tested in each of them unless a mailbox remembers it. A packet whose rays have
-parted company gives up after `PATIENCE` steps a ray, and its rays go one by one.
+parted company gives up after `PATIENCE` steps a ray, and goes on in parts (`wrt.kernels.packet.parting`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -47,7 +47,7 @@ from wrt.kernels.triangle.records import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PATIENCE = 4
-"""Steps a ray (nodes and leaves together) after which a packet is taken apart: by then its rays would be done alone."""
+"""Steps a ray (nodes and leaves together) after which a packet gives up: by then its rays would be done alone."""
 
 MIXED_AXES = 2
 """Axes with both signs with which a packet still stays together: all but those whose rays go every way."""
@@ -65,8 +65,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 
     @wp.func
     def walk(
-        tree: KdNodes,
-        triangles: TriangleBlocks,
+        tree: wp.ref[KdNodes],
+        triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],

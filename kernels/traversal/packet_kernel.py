@@ -1,7 +1,8 @@
 """What packets have in common whatever the tree: the kernel around a walk, and the step through a leaf.
 
-An item of the kernel is a run of packets. Each is loaded, walked together, and stored; a packet that cannot stay together
-(directions with both signs along too many axes, or a walk that gave up) is taken apart, and its rays go one by one.
+An item of the kernel is a run of packets. Each is loaded, walked together, and stored. A packet that cannot stay together
+(directions with both signs along too many axes, or a walk that gave up) parts if its rays have origins of their own
+(`wrt.kernels.packet.parting`); what cannot be traced together then, or starts at one point, goes ray by ray.
 """
 
 from functools import cache
@@ -10,7 +11,7 @@ import warp as wp
 
 from wrt.kernels.lanes import count_bits
 from wrt.kernels.mailbox import MAILBOXES
-from wrt.kernels.packet import CULLINGS
+from wrt.kernels.packet import CULLINGS, parting
 from wrt.kernels.packet.block import test_block
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.counting import active_lanes, lanes_a_triangle
@@ -87,25 +88,28 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
-    """`wp.func(tree, triangles, rays, begin, end, hits, counters, work)`: the rays at the places begin .. end - 1, one by one.
+    """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: rays of the packet from `begin` on, one by one.
 
-    walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is what was done for them before, and then charged
-    to the first.
+    These are all of them, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`.
+    `work` is what was done for them before, and then charged to the first.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet
+    left_over = parting.goes_alone(packet_layout(config))
 
     @wp.func
     def trace(
-        tree: Tree,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
+        tree: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
         begin: int,
-        end: int,
-        hits: HitBatch,
+        packet: wp.array(dtype=float),
+        hits: wp.ref[HitBatch],
         counters: wp.array(dtype=Counters),
         work: wp.ref[Counters],
     ):
-        for place in range(begin, end):
+        for place in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
+            if not left_over(packet, place - begin):
+                continue
             i = ray_at(rays, place, wp.static(packet_rays))
             ray = load_ray(rays, i)
             best = start(ray.t_max)
@@ -115,6 +119,39 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
             if wp.static(counting):
                 counters[place] = work
                 work = Counters()
+
+    return trace
+
+
+@cache
+def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function) -> wp.Function:
+    """`wp.func(tree, below, triangles, packet, bounds, work) -> bool`: traces a packet, in parts if it cannot stay together.
+
+    False if rays are left over (`parting.goes_alone`). trace_together: the same for one that is not to part.
+    """
+    layout = packet_layout(config)
+    take, settle, count_alone = parting.take_part(layout), parting.settle_part(layout), parting.count_alone(layout)
+
+    @wp.func
+    def trace(
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        apart = bool(False)
+        parts = int(1)
+        number = int(0)
+        while number < parts:
+            if number > 0:
+                take(packet, bounds, number)
+            together = trace_together(tree, below, triangles, packet, bounds, work)
+            apart = apart or not together
+            parts += settle(packet, bounds, number, parts, together)
+            number += 1
+        return not apart or count_alone(packet) == 0
 
     return trace
 
@@ -138,35 +175,47 @@ def packet_step(
     layout = packet_layout(config)
     load, store = load_packet(layout), store_packet(layout, config.query == ANY)
     start_packet = CULLINGS[config.culling].start(layout)
-    alone = trace_alone(config, Tree, walk_ray)
-    counting, packet_rays = config.counters, config.packet
+
+    @wp.func
+    def trace_together(
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        together = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
+        if together and bounds.active > 0:
+            start_packet(tree.low, tree.high, packet, bounds)
+            together = walk_packet(below, triangles, packet, bounds, work)
+        return together
+
+    alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.shared_origin
+    trace = trace_parts(config, Tree, trace_together) if parts else trace_together
 
     @wp.func
     def step(
-        tree: Tree,
-        below: Tree,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
         begin: int,
         packet: wp.array(dtype=float),
-        hits: HitBatch,
+        hits: wp.ref[HitBatch],
         counters: wp.array(dtype=Counters),
         work: wp.ref[Counters],
     ):
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
-        together = bool(bounds.mixed_axes <= wp.static(mixed_axes))
-        if together and bounds.active > 0:
-            start_packet(tree.low, tree.high, packet, bounds)
-            together = walk_packet(below, triangles, packet, bounds, work)
-        if together:
+        together = trace(tree, below, triangles, packet, bounds, work)
+        if together or wp.static(parts):  # rays that are left over are stored again, one by one
             store(packet, rays, begin, hits)
-            if wp.static(counting):
-                counters[begin] = work
-                work = Counters()
-        else:
-            end = wp.min(begin + wp.static(packet_rays), rays.count)
-            alone(tree, triangles, rays, begin, end, hits, counters, work)
+        if not together:
+            alone(tree, triangles, rays, begin, packet, hits, counters, work)
+        elif wp.static(counting):
+            counters[begin] = work
+            work = Counters()
 
     return step
 

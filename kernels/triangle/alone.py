@@ -20,7 +20,7 @@ _FRUSTA = """
     const float *origin_x = nullptr, *origin_y = nullptr, *origin_z = nullptr;
     WRT_STATE
     float slope_x[P], slope_y[P], t[P];
-    int found[P], main_axes = 0;
+    int found[P], main_axis[P], main_axes = 0;
     const float ox = origin0[0], oy = origin0[1], oz = origin0[2];
     const float* d = (const float*)(directions.data + begin);
     WRT_FOR(P, k) {
@@ -31,7 +31,8 @@ _FRUSTA = """
         const float sx = (main_x ? y : main_y ? z : x) / major, sy = (main_x ? z : main_y ? x : y) / major;
         slope_x[k] = sx; slope_y[k] = sy; t[k] = INF; found[k] = -1;
         WRT_PREPARE
-        main_axes |= main_x ? 1 : main_y ? 2 : 4;
+        main_axis[k] = main_x ? 0 : main_y ? 1 : 2;
+        main_axes |= 1 << main_axis[k];
     }
     for (int id = 0; id < triangles; ++id) {
         const float* corner = &records.data[(size_t)(id / W) * (RECORD * W) + id % W];

@@ -310,12 +310,9 @@ CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
 """The forms by which a closed surface is crossed an even number of times."""
 
 PACKET = PacketForm(
-    state=("shear_z", "main_axis"),
+    state=("shear_z",),
     passes=3,
-    prepare="""
-        shear_z[k] = main_x ? ix : main_y ? iy : iz;
-        ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
-    """,
+    prepare="shear_z[k] = main_x ? ix : main_y ? iy : iz;",
     triangle="""
             const int z = pass, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
             const float ax = corner[x * W], ay = corner[y * W], az = corner[z * W];
@@ -328,8 +325,8 @@ PACKET = PacketForm(
             const int* axis = (const int*)main_axis;
     """,
     inside="""
-                int inside[W];
-                float area_a[W], area_b[W], area_c[W];
+                alignas(4 * W) int inside[W];
+                alignas(4 * W) float area_a[W], area_b[W], area_c[W];
                 int some = 0, edges = 0;
                 WRT_FOR_LANES(i) {
                     const int k = f + i;
