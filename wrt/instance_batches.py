@@ -28,7 +28,7 @@ from wrt.kernels.launch import get_num_threads, launch, specialise
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty, new_rays
 from wrt.plan import ANY, COUNT, Plan, stack_levels, traversal_config, way_of
-from wrt.tracing import new_hits, no_work, run
+from wrt.tracing import counter_rows, new_hits, no_work, run
 
 if TYPE_CHECKING:
     from wrt.instanced_scene import InstancedScene
@@ -80,7 +80,7 @@ def trace_packets(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBa
     grain = rays_per_item(config)
     size = -(-min(rays.count, BLOCK) // grain) * grain
     own, found = new_rays(size, scene.device), new_hits(size, query, scene.device)
-    work = no_work(way_of(plan).counters, scene.device.alias)
+    work = counter_rows(no_work(way_of(plan).counters, scene.device.alias))
     for begin in range(0, rays.count, BLOCK):
         inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits, work]
         items = -(-min(rays.count - begin, BLOCK) // grain)
@@ -110,7 +110,7 @@ class Rounds:
         self.kernel = specialise(make_stream_kernel, config)
         self.segment = max(SEGMENT, plan.stream)
         self.top, self.lower = scene.upper(), scene.lower(plan, rays)
-        self.work = no_work(way_of(plan).counters, self.device.alias)
+        self.work = counter_rows(no_work(way_of(plan).counters, self.device.alias))
         self.count = min(BLOCK, rays.count - begin)
         self.chunk = max(LEAST_CHUNK, -(-self.count // (CHUNKS_PER_THREAD * get_num_threads())))
         self.search = Search()

@@ -73,6 +73,16 @@ def no_work(kind: type, device: str) -> wp.array:
         return wp.zeros(1, dtype=kind, device=device)
 
 
+def counter_rows(work: wp.array) -> Any:
+    """The struct by which kernels get where to write counters."""
+    from wrt.kernels.traversal.leaf import CounterRows, Counters
+    from wrt.kernels.traversal.stream import StreamCounterRows
+
+    struct = CounterRows() if work.dtype is Counters else StreamCounterRows()
+    struct.rows = work
+    return struct
+
+
 def new_hits(count: int, query: str, device: wp.Device) -> HitBatch:
     """Memory for what the query asks."""
     hits = HitBatch()
@@ -158,11 +168,12 @@ def kernel_and_inputs(
 
     On two levels that is the one for rays that go one by one.
     """
+    counters = counter_rows(work)
     if scene.instances:
         from wrt.kernels.traversal.instances import make_kernel
 
         factory = partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
-        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, work]
+        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters]
     if plan.accelerator == "none":
         from wrt.kernels.traversal.brute import AllTriangles
 
@@ -170,7 +181,7 @@ def kernel_and_inputs(
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
         tree = walked_tree(plan, scene).struct()
-    return specialise(kernel_factory(plan, scene), config), [tree, scene.triangles(plan, rays), rays, hits, work]
+    return specialise(kernel_factory(plan, scene), config), [tree, scene.triangles(plan, rays), rays, hits, counters]
 
 
 def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:

@@ -8,7 +8,7 @@ from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.crossings import take_crossing
-from wrt.kernels.traversal.leaf import Counters, improves, start, store_best, triangle_step
+from wrt.kernels.traversal.leaf import CounterRows, improves, start, store_best, triangle_step
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -39,7 +39,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
@@ -63,6 +63,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 tested += 1
         store(hits, i, best)
         if wp.static(counting):
-            counters[i].triangles = tested
+            counters.rows[i].triangles = tested
 
     return wp.kernel(brute_force, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -55,7 +55,7 @@ from wrt.kernels.packet.cells import cross_plane, enter_box
 from wrt.kernels.packet.tile import bound_rays
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.packet_kdtree import MIXED_AXES, make_walk_packet
 from wrt.kernels.traversal.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.single import Cell, make_walk, step_guessing
@@ -258,7 +258,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         tile = (first + wp.tid()) * wp.static(large)
@@ -289,7 +289,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
                     for i in range(begin, wp.min(begin + wp.static(packet_rays), part_end)):
                         store(hits, i, start(0.0))
                     if wp.static(counting):
-                        counters[begin] = work
+                        counters.rows[begin] = work
                         work = Counters()
                 begin += wp.static(packet_rays)
             part += wp.static(small)

@@ -35,7 +35,7 @@ from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.key_walk import make_key_walk
-from wrt.kernels.traversal.leaf import Candidate, Counters, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.single_bvh import begin_search, leaf_search, make_leaf
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -147,7 +147,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
@@ -157,6 +157,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             best = walk(tree, triangles, ray, hits, i, work)
         store(hits, i, best)
         if wp.static(counting):
-            counters[i] = work
+            counters.rows[i] = work
 
     return wp.kernel(single_ray_fuzzy, module="unique", enable_backward=False, module_options={"fuse_fp": False})

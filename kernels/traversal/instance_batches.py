@@ -32,7 +32,7 @@ from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal import stream_bvh
 from wrt.kernels.traversal.config import ANY, CLOSEST, COUNT, TraversalConfig
 from wrt.kernels.traversal.instances import BvhPart, InstanceTree
-from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
 from wrt.kernels.traversal.stream_load import load_stream
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -215,7 +215,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
         parts: wp.array(dtype=BvhPart),
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=StreamCounters),
+        counters: StreamCounterRows,
     ):
         segment = segments[first + wp.tid()]
         part = parts[placements[segment[0]].geometry]

@@ -30,7 +30,7 @@ from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal import packet
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.instances import BvhPart, InstanceTree
-from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet_kernel import packet_layout, packet_step, rays_per_item
 from wrt.kernels.traversal.single_bvh import make_walk
 
@@ -174,7 +174,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         slot: int,
         found: HitBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
         work: wp.ref[Counters],
     ):
         placement = top.placements[instance]
@@ -208,7 +208,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         own: RayBatch,
         found: HitBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         room = wp.zeros(shape=(size,), dtype=float)
         number = wp.zeros(shape=(packet_rays,), dtype=int)

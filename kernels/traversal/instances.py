@@ -32,7 +32,7 @@ from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ALL, TraversalConfig
 from wrt.kernels.traversal.key_walk import make_key_walk
-from wrt.kernels.traversal.leaf import Candidate, Counters, improves, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
 from wrt.kernels.traversal.walk_table import WALKS
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -187,7 +187,7 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
         parts: wp.array(dtype=Part),
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
@@ -199,6 +199,6 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
                 hits.begins[i] = hits.begins[i] - (best.primitive + 1)
         store(hits, i, best)
         if wp.static(counting):
-            counters[i] = work
+            counters.rows[i] = work
 
     return wp.kernel(single_ray_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})

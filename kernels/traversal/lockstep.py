@@ -50,7 +50,7 @@ from wrt.kernels.kdtree import LEAF, KdNodes
 from wrt.kernels.lanes import count_bits, lowest_bit
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, enter, start, store_best
 from wrt.kernels.traversal.walks import FIELDS, ROWS, advance, board, compact, filled, pop, walks
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -161,7 +161,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         """Item: a run of consecutive rays."""
         upcoming = (first + wp.tid()) * wp.static(run)
@@ -191,7 +191,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 else:
                     store(hits, upcoming, best[lane])
                 if wp.static(counting):
-                    counters[upcoming] = Counters()
+                    counters.rows[upcoming] = Counters()
                 upcoming += 1
             # step
             if rows == wp.static(ROWS):
@@ -202,8 +202,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 while todo != wp.uint32(0):
                     lane = lowest_bit(todo)
                     todo &= todo - wp.uint32(1)
-                    counters[number[lane]].leaves += 1
-                    counters[number[lane]].triangles += group.word1[lane] >> 2
+                    counters.rows[number[lane]].leaves += 1
+                    counters.rows[number[lane]].triangles += group.word1[lane] >> 2
             # test
             test_leaves(triangles, group, states, slabs, t_min, best, arrived)
             # pop
@@ -215,6 +215,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 store(hits, number[lane], best[lane])
                 group.node[lane] = resting_place
                 if wp.static(counting):
-                    counters[number[lane]].nodes = group.nodes[lane]
+                    counters.rows[number[lane]].nodes = group.nodes[lane]
 
     return wp.kernel(lockstep_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})

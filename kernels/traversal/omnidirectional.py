@@ -46,7 +46,7 @@ from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step
 from wrt.kernels.traversal.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
@@ -127,7 +127,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         begin = (first + wp.tid()) * wp.static(P)
         packet = wp.zeros(shape=(size_of_packet,), dtype=float)
@@ -191,6 +191,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                     searching = enter(packet, bounds, low, high, cells) > 0
         store(packet, rays, begin, hits)
         if wp.static(counting):
-            counters[begin] = work
+            counters.rows[begin] = work
 
     return wp.kernel(omnidirectional, module="unique", enable_backward=False, module_options={"fuse_fp": False})

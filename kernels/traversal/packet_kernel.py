@@ -21,7 +21,7 @@ from wrt.kernels.packet.numbers import ray_at
 from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -104,7 +104,7 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
         begin: int,
         packet: wp.array(dtype=float),
         hits: wp.ref[HitBatch],
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
         work: wp.ref[Counters],
     ):
         for place in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
@@ -117,7 +117,7 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
                 best = walk_ray(tree, triangles, ray, hits, i, work)
             store(hits, i, best)
             if wp.static(counting):
-                counters[place] = work
+                counters.rows[place] = work
                 work = Counters()
 
     return trace
@@ -203,7 +203,7 @@ def packet_step(
         begin: int,
         packet: wp.array(dtype=float),
         hits: wp.ref[HitBatch],
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
         work: wp.ref[Counters],
     ):
         bounds = PacketBounds()
@@ -214,7 +214,7 @@ def packet_step(
         if not together:
             alone(tree, triangles, rays, begin, packet, hits, counters, work)
         elif wp.static(counting):
-            counters[begin] = work
+            counters.rows[begin] = work
             work = Counters()
 
     return step
@@ -234,7 +234,7 @@ def make_packet_kernel(
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         begin = (first + wp.tid()) * wp.static(run)

@@ -38,7 +38,7 @@ from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.leaf import CounterRows, Counters, block_step, enter, start, store_best
 from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -197,7 +197,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
@@ -207,6 +207,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             best = walk(tree, triangles, ray, hits, i, work)
         store(hits, i, best)
         if wp.static(counting):
-            counters[i] = work
+            counters.rows[i] = work
 
     return wp.kernel(single_ray_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -31,7 +31,7 @@ from wrt.kernels.memory import load_int
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.key_walk import make_key_walk
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, start, store_best
 from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
@@ -225,7 +225,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=Counters),
+        counters: CounterRows,
     ):
         i = first + wp.tid()
         ray = load_ray(rays, i)
@@ -235,6 +235,6 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             best = walk(tree, triangles, ray, hits, i, work)
         store(hits, i, best)
         if wp.static(counting):
-            counters[i] = work
+            counters.rows[i] = work
 
     return wp.kernel(single_ray_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})

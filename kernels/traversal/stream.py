@@ -77,6 +77,13 @@ class StreamCounters:
     """Those that held a triangle."""
 
 
+@wp.struct
+class StreamCounterRows:
+    """Where kernels write them: `wrt.kernels.traversal.leaf.CounterRows` says why it is a struct."""
+
+    rows: wp.array(dtype=StreamCounters)
+
+
 @wp.func
 def round_up(count: int):
     """Lanes of the vectors that a list of so many rays fills."""

@@ -38,7 +38,7 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, round_up, store_stream, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounterRows, StreamCounters, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, next_child
 from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import Pairs, pair_tester
@@ -149,7 +149,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=StreamCounters),
+        counters: StreamCounterRows,
     ):
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         words = wp.zeros(shape=(room,), dtype=int)
@@ -162,7 +162,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             trace(tree, triangles, stream, words, list_rays(stream, count, words), hits, begin, work)
             store(stream, begin, count, hits)
             if wp.static(counting):
-                counters[begin] = work
+                counters.rows[begin] = work
             begin += wp.static(size)
 
     return wp.kernel(stream_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})

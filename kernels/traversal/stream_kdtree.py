@@ -38,7 +38,7 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.stream import LIST_LANES, StreamCounters, round_up, store_stream, stream_ray
+from wrt.kernels.traversal.stream import LIST_LANES, StreamCounterRows, StreamCounters, round_up, store_stream, stream_ray
 from wrt.kernels.traversal.stream_lanes import filter_hits, filter_plane
 from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import PAIRS, Pairs, pair_tester
@@ -231,7 +231,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         triangles: TriangleBlocks,
         rays: RayBatch,
         hits: HitBatch,
-        counters: wp.array(dtype=StreamCounters),
+        counters: StreamCounterRows,
     ):
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
@@ -276,7 +276,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 octant += wp.where(done == last, 1, 0)
             store(stream, begin, count, hits)
             if wp.static(counting):
-                counters[begin] = work
+                counters.rows[begin] = work
             begin += wp.static(size)
 
     return wp.kernel(stream_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})

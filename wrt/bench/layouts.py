@@ -59,12 +59,13 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> HitBatch
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single import make_kernel
-    from wrt.tracing import new_hits, no_work, traversal_config
+    from wrt.tracing import counter_rows, new_hits, no_work, traversal_config
 
     plan = make_plan(scene, rays, "single", "auto")
     config = replace(traversal_config(plan, scene, CLOSEST, False), pairs=True)
     hits = new_hits(rays.count, CLOSEST, scene.device)
-    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits, no_work(Counters, scene.device.alias)]
+    counters = counter_rows(no_work(Counters, scene.device.alias))
+    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits, counters]
     launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
     return hits
 
