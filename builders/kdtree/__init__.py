@@ -81,7 +81,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             clips=True,
             start=lazy.start,
         ),
-        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build),
+        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True),
         KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
         KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True),
         KdTreeBuilder(

@@ -42,73 +42,74 @@ PAD = 2.0**-14
 """By how much cells and boxes are enlarged, as a share of the scene's largest extent."""
 
 
-_CLIP = f"""
-    const auto clip = [&](float* box) {{
-        int bits;
-        memcpy(&bits, box + 3, 4);
-        const auto face = lists.faces.data[bits - {ID_OFFSET}];
+CLIP = """
+    const auto clip = [&](float* box, int triangle) {
+        const auto face = lists.faces.data[triangle];
         double polygon[2][10][3];  // a plane adds a corner at most
         int corners = 3, current = 0;
         for (int i = 0; i < 3; ++i)
             for (int axis = 0; axis < 3; ++axis) polygon[0][i][axis] = lists.vertices.data[face.c[i]].c[axis];
-        for (int plane = 0; plane < 6; ++plane) {{
+        for (int plane = 0; plane < 6; ++plane) {
             const int axis = plane >> 1;
             const double sign = plane & 1 ? -1.0 : 1.0;
             const double position = plane & 1 ? high.c[axis] + pad : low.c[axis] - pad;
             const auto* from = polygon[current];
             auto* to = polygon[1 - current];
             int left = 0;
-            for (int i = 0; i < corners; ++i) {{
+            for (int i = 0; i < corners; ++i) {
                 const double* a = from[i];
                 const double* b = from[i + 1 < corners ? i + 1 : 0];
                 const double from_a = sign * (a[axis] - position), from_b = sign * (b[axis] - position);
                 if (from_a >= 0.0) memcpy(to[left++], a, sizeof(polygon[0][0]));
-                if ((from_a >= 0.0) != (from_b >= 0.0)) {{
+                if ((from_a >= 0.0) != (from_b >= 0.0)) {
                     const double s = from_a / (from_a - from_b);
                     for (int j = 0; j < 3; ++j) to[left][j] = a[j] + s * (b[j] - a[j]);
                     to[left++][axis] = position;
-                }}
-            }}
+                }
+            }
             corners = left;
             current = 1 - current;
-        }}
-        for (int axis = 0; axis < 3; ++axis) {{
+        }
+        for (int axis = 0; axis < 3; ++axis) {
             double least = INFINITY, most = -INFINITY;
-            for (int i = 0; i < corners; ++i) {{
+            for (int i = 0; i < corners; ++i) {
                 const double x = polygon[current][i][axis];
                 least = x < least ? x : least;
                 most = x > most ? x : most;
-            }}
+            }
             const float a = (float)(least - pad), b = -(float)(most + pad);
             box[axis] = a > box[axis] ? a : box[axis];
             box[4 + axis] = b > box[4 + axis] ? b : box[4 + axis];
-        }}
+        }
         return corners > 0;
-    }};
+    };
 """
-"""Shrinks the box of a reference to the part of its triangle in the cell (low, high); false if there is none."""
+"""Head of a native function of lists (of which it needs `vertices` and `faces`), low, high and pad: clip shrinks the box of a
+reference to the part of its triangle in the cell (low, high); false if there is none."""
 
 
 @wp.func_native(
     HEAD
-    + _CLIP
-    + """
+    + CLIP
+    + f"""
     float* from = lists.reference.data + (size_t)begin * 8;
     float* to = from;
     float least[W];
     WRT_FOR_LANES(j) least[j] = INFINITY;
-    for (int i = 0; i < count; ++i, from += 8) {
+    for (int i = 0; i < count; ++i, from += 8) {{
         const bool inside = beyond_high ? -from[4 + axis] <= high.c[axis] : from[axis] >= low.c[axis];
+        int bits;
+        memcpy(&bits, from + 3, 4);
         if (to != from) memcpy(to, from, 8 * sizeof(float));
-        if (inside || clip(to)) {
+        if (inside || clip(to, bits - {ID_OFFSET})) {{
             WRT_FOR_LANES(j) least[j] = to[j] < least[j] ? to[j] : least[j];
             to += 8;
-        }
-    }
-    for (int j = 0; j < 3; ++j) {
+        }}
+    }}
+    for (int j = 0; j < 3; ++j) {{
         inner_low.c[j] = least[j];
         inner_high.c[j] = -least[4 + j];
-    }
+    }}
     return (int)((to - lists.reference.data) / 8) - begin;
 """
 )

@@ -33,6 +33,18 @@ class EventLists:
     """Ids of a task's triangles, ascending."""
     side: wp.array(dtype=wp.uint8)
     """Scratch of the classify phase, one per triangle of a task: 1 left, 2 right, 3 both."""
+    vertices: wp.array(dtype=wp.vec3)
+    """The mesh, for builds that clip (`clipped_events`), as is what follows."""
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """By how much cells and boxes are enlarged when they are clipped."""
+    number: wp.array(dtype=int)
+    """Scratch, one per triangle of a task: which of the node's straddlers it is."""
+    straddler: wp.array(dtype=float)
+    """Scratch, 16 per triangle: a node's straddlers as references (8 each), and behind them what is left of them in a child.
+    Their id is the index of the triangle within the task."""
+    fresh: wp.array(dtype=wp.vec2i)
+    """Scratch, 4 per triangle: new events along one axis, and room to sort them."""
 
 
 @wp.func

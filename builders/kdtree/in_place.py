@@ -26,6 +26,7 @@ import warp as wp
 
 from wrt.builders.common import KdTree, Phases, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
+from wrt.builders.kdtree import clipped_events
 from wrt.builders.kdtree import fill as fill_phase
 from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
@@ -34,9 +35,9 @@ from wrt.builders.kdtree.event_lists import EVENTS, EventLists
 from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
-from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import get_num_threads, launch, load
+from wrt.kernels.launch import get_num_threads, launch, load, specialise
 
 TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
@@ -53,7 +54,7 @@ EVEN = 2
 TRIANGLES = 1 << 16
 """Triangles whose classification is worth a second thread."""
 
-KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, make_build_subtrees(EVENTS), copy_subtrees)
+KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module: compiling them is no phase of the build."""
 
 
@@ -65,7 +66,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
     """Builds the tree; levels are split together until there are so many tasks."""
     builder = InPlaceBuilder(triangles, config)
-    load(KERNELS, builder.device)
+    load((*KERNELS, specialise(make_build_subtrees, builder.method)), builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
@@ -75,7 +76,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
         with builder.phase("fill"):
             room, lists, frames = builder.fill(events, membership, spare)
         with builder.phase("subtrees"):
-            results = build_subtrees(EVENTS, triangles, config, room, frames, lists)
+            results = build_subtrees(builder.method, triangles, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
@@ -96,6 +97,7 @@ class InPlaceBuilder:
         self.cost: SplitCost = config.cost.struct()
         self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.width = config.cost.width
+        self.method: Method = clipped_events.CLIPPED_EVENTS if config.split_clipping else EVENTS
         self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""
@@ -162,6 +164,8 @@ class InPlaceBuilder:
         lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=self.device)
         lists.triangle = wp.empty(room.triangles, dtype=int, device=self.device)
         lists.side = wp.empty(room.triangles, dtype=wp.uint8, device=self.device)
+        if self.method is not EVENTS:
+            clipped_events.prepare(lists, self.triangles)
         frames = wp.empty(len(room.tasks), dtype=Frame, device=self.device)
         self.run(fill_phase.make_roots, len(room.tasks), self.live, frames, chunk=64)
         self.copy_to_tasks(events, membership, room.tasks, lists, frames)
