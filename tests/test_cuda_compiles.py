@@ -18,6 +18,7 @@ from wrt.builders.bvh.levels import make_search_planes
 from wrt.builders.bvh.projected import PROJECTED
 from wrt.builders.bvh.subtrees import make_build_subtrees as make_bvh_subtrees
 from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, exact_planes, medians
+from wrt.builders.kdtree.clipped_events import CLIPPED_EVENTS
 from wrt.builders.kdtree.event_lists import EVENTS
 from wrt.builders.kdtree.reference_lists import scanning
 from wrt.builders.kdtree.subtrees import make_build_subtrees
@@ -44,7 +45,12 @@ KDTREE_SEARCHES = (
     between_medians.search,
     adaptive_sampling.search,
 )
-KDTREE_METHODS = (EVENTS, *(scanning(search) for search in KDTREE_SEARCHES), scanning(binned.search, clipping=True))
+KDTREE_METHODS = (
+    EVENTS,
+    CLIPPED_EVENTS,
+    *(scanning(search) for search in KDTREE_SEARCHES),
+    scanning(binned.search, clipping=True),
+)
 
 
 def modules_with_kernels() -> list[str]:

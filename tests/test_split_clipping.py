@@ -5,23 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import SCENES
-from test_kdtree_builders import build, leaf_references
+from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
-from wrt.builders.kdtree import binned
+from wrt.builders.kdtree import binned, in_place, streaming
 from wrt.builders.kdtree.clipping import PAD
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 from wrt.kernels.launch import use_threads
 
 
-def meets(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
-    """Whether a triangle has a point in a box, both closed: by clipping in float64, written for this test alone."""
+def part_in(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(N, 3) the corners of a triangle's part in a box, both closed: by clipping in float64, written for these tests alone."""
     polygon = corners.astype(np.float64)
     for axis in range(3):
         for sign, bound in ((1.0, low[axis]), (-1.0, high[axis])):
             if len(polygon) == 0:
-                return False
+                return polygon
             inside = sign * (polygon[:, axis] - bound) >= 0.0
             following, after = np.roll(polygon, -1, axis=0), np.roll(inside, -1)
             clipped = []
@@ -32,10 +32,15 @@ def meets(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
                     share = (bound - a[axis]) / (b[axis] - a[axis])
                     clipped.append(a + share * (b - a))
             polygon = np.array(clipped).reshape(-1, 3)
-    return len(polygon) > 0
+    return polygon
 
 
-@pytest.mark.parametrize("builder", ["binned", "naive"])
+def meets(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> bool:
+    """Whether a triangle has a point in a box."""
+    return len(part_in(corners, low, high)) > 0
+
+
+@pytest.mark.parametrize("builder", ["binned", "sweep"])
 @pytest.mark.parametrize("name", ["random_triangles", "degenerate"])
 def test_leaves_list_what_they_meet(builder, name):
     """Every triangle that meets the inside of a leaf, and none that is further away than what cells are enlarged by."""
@@ -59,9 +64,35 @@ def test_leaves_list_what_they_meet(builder, name):
     assert box_only > 20  # boxes alone would have listed them
 
 
-def test_no_hit_is_lost(scene_mesh):
+def test_planes_end_what_is_left_of_triangles():
+    """Every plane is at an end of the part of a triangle in the node's cell, or as far beyond as boxes are enlarged."""
+    mesh = SCENES["random_triangles"]()
+    corners = mesh.vertices.astype(np.float32)[mesh.faces]
+    size = float((corners.max((0, 1)) - corners.min((0, 1))).max())
+    tree, _ = build(mesh, "sweep", split_clipping=True, width=1, block_cost=1.5)
+    flat, (leaf, triangle) = unpack(tree), leaf_references(tree)
+    whole, nodes = 0, np.flatnonzero(~flat.is_leaf)[::60]
+    for node in nodes:
+        end = node + 1  # of its subtree, which is in depth-first order
+        while end < len(flat.depth) and flat.depth[end] > flat.depth[node]:
+            end += 1
+        axis, position = flat.axis[node], float(flat.position[node])
+        distance, of_boxes = np.inf, np.inf
+        for i in np.unique(triangle[(leaf >= node) & (leaf < end)]):
+            part = part_in(corners[i], flat.low[node] - PAD * size, flat.high[node] + PAD * size)
+            if len(part):
+                ends = part[:, axis].min(), part[:, axis].max()
+                distance = min(distance, *(abs(abs(position - at) - pad) for at in ends for pad in (0.0, PAD * size)))
+                of_boxes = min(of_boxes, np.abs(corners[i][:, axis] - position).min())
+        assert distance < 1e-6 * size
+        whole += of_boxes < 1e-6 * size
+    assert 10 < whole < 0.8 * len(nodes)  # the others are no planes of whole boxes
+
+
+@pytest.mark.parametrize("builder", ["binned", "sweep"])
+def test_no_hit_is_lost(scene_mesh, builder):
     """Closest hits and all hits, as with a tree of whole boxes, of rays from inside, from far outside, and at vertices."""
-    scene = wrt.Scene(scene_mesh, wrt.KdTree(builder="binned", split_clipping=True), device="cpu")
+    scene = wrt.Scene(scene_mesh, wrt.KdTree(builder=builder, split_clipping=True), device="cpu")
     judge = wrt.Scene(scene_mesh, wrt.KdTree(builder="binned"), device="cpu")
     rng = np.random.default_rng(5)
     low, high = scene_mesh.vertices.min(axis=0), scene_mesh.vertices.max(axis=0)
@@ -81,22 +112,75 @@ def test_no_hit_is_lost(scene_mesh):
     np.testing.assert_array_equal(hits.t[:200], brute.t)
 
 
-def test_the_tree_is_cheaper_for_any_number_of_threads(monkeypatch):
+@pytest.mark.parametrize(
+    ("builder", "module", "threshold"),
+    [("binned", binned, "CLIPPED_LARGE"), ("in_place", in_place, "CLIPPED_TRIANGLES"), ("streaming", streaming, "EXACT")],
+)
+def test_the_tree_is_cheaper_for_any_number_of_threads(builder, module, threshold, monkeypatch):
     """Fewer references and a lower cost; where levels are split by several threads, the tree is the same too."""
     mesh = scenes.build("random_triangles", count=2000, size=0.3, seed=6)
-    monkeypatch.setattr(binned, "CLIPPED_LARGE", 700)
+    monkeypatch.setattr(module, threshold, 700)
     trees = []
     for threads in (1, 3):
         with use_threads(threads):
-            trees.append(build(mesh, "binned", split_clipping=True)[0])
+            trees.append(build(mesh, builder, split_clipping=True)[0])
     np.testing.assert_array_equal(trees[0].nodes.numpy(), trees[1].nodes.numpy())
     np.testing.assert_array_equal(trees[0].primitive.numpy(), trees[1].primitive.numpy())
-    plain, config = build(mesh, "binned")
+    plain, config = build(mesh, builder)
     costs = [kdtree_statistics(tree, mesh.triangle_count, config.cost) for tree in (trees[0], plain)]
     assert costs[0].references < 0.95 * costs[1].references
     assert costs[0].sah_cost < 0.97 * costs[1].sah_cost
 
 
+EXACT_CASES = SCENES | {name: lambda name=name: hard_meshes()[name] for name in ("identical", "coplanar", "needles")}
+
+
+@pytest.mark.parametrize("options", [{}, {"width": 1, "block_cost": 1.5}], ids=["lanes", "one"])
+@pytest.mark.parametrize("name", [name for name in EXACT_CASES if name not in ("stadium", "atrium", "wood")])
+def test_merged_events_make_the_naive_tree(name, options):
+    """Lists that are merged and lists that are scanned give the same nodes to the bit, and the same leaves."""
+    mesh = EXACT_CASES[name]()
+    tree, judge = (build(mesh, builder, split_clipping=True, **options)[0] for builder in ("sweep", "naive"))
+    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
+    np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+
+
+@pytest.mark.parametrize(("size", "share"), [(0.1, 0.96), (0.3, 0.55), (0.5, 0.35)])
+def test_soups_get_cheaper_trees(size, share):
+    """Triangles from a tenth of the scene's size up to half of it: in lanes, and one at a time, where trees are deep."""
+    mesh = scenes.build("random_triangles", count=1000, size=size, seed=1)
+    for options, most in (({}, 1.0), ({"width": 1, "block_cost": 1.5}, share)):
+        (clipped, config), (plain, _) = (build(mesh, "sweep", split_clipping=clip, **options) for clip in (True, False))
+        cost, judge = (kdtree_statistics(tree, mesh.triangle_count, config.cost).sah_cost for tree in (clipped, plain))
+        assert cost < most * judge
+
+
+@pytest.mark.parametrize("name", ["one huge, many tiny", "across each other", "needles", "identical"])
+def test_hard_meshes_in_bounded_memory(name):
+    """The same hits as by brute force; and where most triangles straddle most planes, references are bounded too."""
+    mesh = hard_meshes()[name]
+    rng = np.random.default_rng(8)
+    scene = wrt.Scene(mesh, wrt.KdTree(builder="sweep", split_clipping=True, width=8), device="cpu")
+    assert leaf_references(scene.tree).shape[1] <= 64 * mesh.triangle_count
+    corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, 300)]]
+    targets = (rng.dirichlet([1, 1, 1], 300)[:, :, None] * corners).sum(axis=1)
+    origins = targets + rng.normal(size=(300, 3))
+    hits, brute = (scene.intersect(origins, targets - origins, traversal=way) for way in ("single", "brute"))
+    np.testing.assert_array_equal(hits.t, brute.t)
+    np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id)
+
+
+@pytest.mark.parametrize(("builder", "module", "spare"), [("sweep", in_place, 0.01), ("streaming", streaming, 0.4)])
+def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
+    """A task leaves room for new events in its share; where that is too small, the build starts over, to the same tree."""
+    mesh = scenes.build("random_triangles", count=1500, size=0.5, seed=9)
+    reference, _ = build(mesh, builder, split_clipping=True)
+    monkeypatch.setattr(module, "SPARE_ROOM", spare)
+    tree, _ = build(mesh, builder, split_clipping=True)
+    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+    np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
 def test_builders_that_do_not_clip_say_so():
-    with pytest.raises(ValueError, match=r"'in_place' does not clip; choose from binned"):
-        wrt.KdTree(split_clipping=True)
+    with pytest.raises(ValueError, match=r"'sorting_sweep' does not clip; choose from in_place, binned"):
+        wrt.KdTree(builder="sorting_sweep", split_clipping=True)

@@ -59,7 +59,7 @@ FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build),
+        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build, clips=True),
         KdTreeBuilder(
             "binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build, clips=True
         ),
@@ -67,6 +67,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
             streaming.build,
+            clips=True,
         ),
         KdTreeBuilder(
             "adaptive_sampling",

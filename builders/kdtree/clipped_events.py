@@ -7,8 +7,8 @@ no longer holds all events of a child. To sort every child's list anew would cos
 together (axis by axis: no box of a reference is kept anywhere else). Each straddler is clipped to both cells (`clipping`); the
 events of what is left are sorted by themselves and merged into the child's lists, from the back, so that a list grows in place.
 
-**Complexity.** A plane straddles some sqrt(N) of the N triangles of a surface: their sort is lost in the O(N) of the node. Where
-it straddles most of them (long triangles across each other), it is a sort a level, O(N log^2 N).
+**Complexity.** A plane straddles some sqrt(N) of the N triangles of a surface: their sort is lost in the O(N) of the node.
+Where it straddles most of them (long triangles across each other), it is a sort a level, O(N log^2 N).
 
 **What we changed.** Nothing is sorted among triangles at the same position: which of equal events comes first decides neither
 plane nor side.
@@ -25,9 +25,10 @@ import warp as wp
 
 from wrt.builders.cost import Split
 from wrt.builders.kdtree.clipping import CLIP, PAD
-from wrt.builders.kdtree.event_lists import EventLists, classify, emit_leaf, search
+from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.event_lists import EVENTS, EventLists, classify, emit_leaf, search
 from wrt.builders.kdtree.events import END, PLANAR, START
-from wrt.builders.kdtree.subtrees import Frame, Method, Task
+from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, Task
 from wrt.builders.references import ID_OFFSET
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.memory import load_byte, load_int, load_pair, store_int, store_pair
@@ -219,14 +220,31 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
     add_straddlers(lists, task.triangles_first, straddlers, right)
 
 
-def prepare(lists: EventLists, triangles: TriangleBoxes) -> None:
-    """Gives lists, which know their triangles already, what clipping needs: the mesh, and room."""
-    device, count = lists.triangle.device, len(lists.triangle)
-    lists.vertices, lists.faces = triangles.vertices, triangles.faces
-    lists.pad = PAD * triangles.size
-    lists.number = wp.empty(count, dtype=int, device=device)
-    lists.straddler = wp.empty(16 * count, dtype=float, device=device)
-    lists.fresh = wp.empty(4 * count, dtype=wp.vec2i, device=device)
-
-
 CLIPPED_EVENTS = Method(EventLists, search, divide, emit_leaf)
+
+
+def events_method(config: KdTreeConfig) -> Method:
+    """The method of a builder that keeps sorted events."""
+    return CLIPPED_EVENTS if config.split_clipping else EVENTS
+
+
+def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:
+    """The lists of all tasks, as yet empty, and what clipping needs, if it is asked for: the mesh, and room."""
+    device, count = triangles.boxes.low.device, room.triangles
+    lists = EventLists()
+    lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=device)
+    lists.triangle = wp.empty(count, dtype=int, device=device)
+    lists.side = wp.empty(count, dtype=wp.uint8, device=device)
+    if config.split_clipping:
+        lists.vertices, lists.faces = triangles.vertices, triangles.faces
+        lists.pad = PAD * triangles.size
+        lists.number = wp.empty(count, dtype=int, device=device)
+        lists.straddler = wp.empty(16 * count, dtype=float, device=device)
+        lists.fresh = wp.empty(4 * count, dtype=wp.vec2i, device=device)
+    return lists
+
+
+def arrays_of(lists: EventLists) -> list[wp.array]:
+    """What is reserved for the lists and the work on them."""
+    reserved = (lists.event, lists.triangle, lists.side, lists.number, lists.straddler, lists.fresh)
+    return [array for array in reserved if array is not None]

@@ -3,7 +3,7 @@
 
 A node has a list an axis. Search sweeps the three of them, 16 events at a time where it can (`least_plane`); classify marks
 every triangle from the list of the split axis; partition splits each list between the children in one pass. A part of a sorted
-list is sorted, and boxes are not clipped to nodes, so nothing has to be merged or sorted again.
+list is sorted, so nothing has to be merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).

@@ -2,7 +2,7 @@
 
 A box that is flat along an axis gives one planar event there, any other a start and an end. Events are sorted by
 position; at equal positions ends come first, then planar ones, then starts, and among these the smaller triangle id
-(Wald and Havran 2006). Boxes are not clipped to nodes, so a part of a sorted list is a sorted list.
+(Wald and Havran 2006). A part of a sorted list is a sorted list: nodes need no sort, but where they clip (`clipped_events`).
 """
 
 import numpy as np

@@ -13,7 +13,8 @@ in depth-first order (`assembly`). Exact SAH everywhere: every plane at which a 
 **What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until it has several
 times as many, so that tasks can be shared out evenly. Sweeps start from the counts of the chunks before them, as in the
 same paper's nested algorithm, instead of from a shared counter. The split that a node gets does not depend on the phase in
-which it is built: the tree is the same for any number of threads, chunks and tasks.
+which it is built: the tree is the same for any number of threads, chunks and tasks. Levels do not clip
+triangles, tasks do (`clipped_events`): then the size of the mesh decides where they begin.
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -26,21 +27,24 @@ import warp as wp
 
 from wrt.builders.common import KdTree, Phases, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree import clipped_events
 from wrt.builders.kdtree import fill as fill_phase
 from wrt.builders.kdtree import levels as level_phase
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.clipped_events import arrays_of, events_method, lists_for
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.event_lists import EVENTS, EventLists
+from wrt.builders.kdtree.event_lists import EventLists
 from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
-from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load, specialise
 
 TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
+
+CLIPPED_TRIANGLES = 1 << 12
+"""Triangles per live node at which it does where they are clipped, which only tasks do: for any number of threads."""
 
 MAX_LEVELS = 12
 """Levels after which the build goes over to subtrees in any case."""
@@ -60,6 +64,8 @@ KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
+    if config.split_clipping:  # which levels clip is not to depend on the threads
+        return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
     return build_in_place(triangles, config, TASKS_PER_THREAD * get_num_threads())
 
 
@@ -83,7 +89,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
     with builder.phase("assemble"):
         nodes, primitive = assemble(builder.levels[:-1], room, results, config.cost.width)
     boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
-    work = [lists.event, lists.triangle, lists.side, room.parts.nodes, room.parts.primitive]
+    work = [*arrays_of(lists), room.parts.nodes, room.parts.primitive]
     builder.phase.stats.reserve(*boxes, *work, nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
 
@@ -93,11 +99,12 @@ class InPlaceBuilder:
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig) -> None:
         self.triangles = triangles
+        self.config = config
         self.device = triangles.boxes.low.device
         self.cost: SplitCost = config.cost.struct()
         self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.width = config.cost.width
-        self.method: Method = clipped_events.CLIPPED_EVENTS if config.split_clipping else EVENTS
+        self.method = events_method(config)
         self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""
@@ -160,12 +167,7 @@ class InPlaceBuilder:
     def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
         """Makes one task of each live node: its triangles, its events, and room to work in; and the roots of the tasks."""
         room = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
-        lists = EventLists()
-        lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=self.device)
-        lists.triangle = wp.empty(room.triangles, dtype=int, device=self.device)
-        lists.side = wp.empty(room.triangles, dtype=wp.uint8, device=self.device)
-        if self.method is not EVENTS:
-            clipped_events.prepare(lists, self.triangles)
+        lists = lists_for(room, self.triangles, self.config)
         frames = wp.empty(len(room.tasks), dtype=Frame, device=self.device)
         self.run(fill_phase.make_roots, len(room.tasks), self.live, frames, chunk=64)
         self.copy_to_tasks(events, membership, room.tasks, lists, frames)

@@ -24,8 +24,9 @@ import warp as wp
 
 from wrt.builders.common import KdTree, Phases
 from wrt.builders.kdtree.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.clipped_events import arrays_of, events_method, lists_for
 from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.event_lists import EVENTS, EventLists
+from wrt.builders.kdtree.event_lists import EventLists
 from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.kdtree.task_events import list_task_events
@@ -45,33 +46,33 @@ SPARE_ROOM = 1.5
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
-    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, EVENTS)), phase.device)
+    method = events_method(config)
+    load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
     spare = SPARE_ROOM
     while True:
         with phase("sort"):
-            room, lists, frames = list_events(top, config.cost.width, spare)
+            room, lists, frames = list_events(top, triangles, config, spare)
         with phase("subtrees"):
-            results = build_subtrees(EVENTS, triangles, config, room, frames, lists)
+            results = build_subtrees(method, triangles, config, room, frames, lists)
         if not results.numpy()["overflow"].any():
             break
         spare *= 2.0
     with phase("assemble"):
         nodes, primitive = assemble(top.levels[:-1], room, results, config.cost.width)
-    work = [top.references, lists.event, lists.triangle, lists.side, room.parts.nodes, room.parts.primitive]
+    work = [top.references, *arrays_of(lists), room.parts.nodes, room.parts.primitive]
     phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
 
 
-def list_events(top: TopLevels, width: int, spare: float) -> tuple[Reservation, EventLists, wp.array]:
+def list_events(
+    top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
+) -> tuple[Reservation, EventLists, wp.array]:
     """Makes one task of each node of the last level: its share, its sorted events, and the roots of the tasks."""
     device, roots = top.references.device, top.levels[-1]["frame"]
-    room = Reservation(roots["triangles"], 6, spare, width, device)
-    lists = EventLists()
-    lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=device)
-    lists.triangle = wp.empty(room.triangles, dtype=int, device=device)
-    lists.side = wp.empty(room.triangles, dtype=wp.uint8, device=device)
+    room = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
+    lists = lists_for(room, triangles, config)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     frames = wp.array(roots, dtype=Frame, device=device)
     launch(list_task_events, len(roots), [top.references, source, room.tasks, frames, lists], device=device, chunk=1)

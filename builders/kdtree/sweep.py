@@ -3,11 +3,11 @@
 **Problem.** Sorting the events of every node again costs a factor of log N.
 
 **Algorithm.** Sort once; per node sweep over the lists of the three axes, classify the triangles from the list of the split
-axis, and split the lists between the children, in order (`event_lists`). This is the in-place build with a single task and
-no levels above it, on one thread: what every other build is measured against.
+axis, and split the lists between the children, in order (`event_lists`). Where triangles are clipped to cells, the new
+events of those that straddle the plane are sorted and merged in (`clipped_events`). This is the in-place build with a single
+task and no levels above it, on one thread: what every other build is measured against.
 
-**What we changed.** The paper clips triangles that straddle a plane, and so has to sort the new events of these and merge them
-in. Boxes are not clipped here, so a split list is sorted as it is.
+**What we changed.** The paper always clips. Without, a split list is sorted as it is, and a node costs half.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
