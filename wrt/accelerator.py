@@ -37,9 +37,9 @@ class KdTree:
         mailbox: whether the cost is that of rays with a mailbox, which test what lies in several leaves once.
         axis: "longest" or "round_robin": which axis the builders `spatial_median` and `object_median` split; the others
             try all three.
-        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides: fewer references and
-            mostly a cheaper tree, for a slower build; all builders do but `sorting_sweep`. Counts and inside tests are then
-            exact for rays that start within some 20 sizes of the scene from it.
+        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides: mostly fewer references
+            and a cheaper tree, for a slower build; all builders can but `sorting_sweep`. Counts and inside tests are then exact
+            for rays that start within some 20 sizes of the scene from it.
 
     Raises:
         ValueError: unknown builder, axis or termination, a value out of its range, or a builder that does not clip.

@@ -10,11 +10,16 @@ events of what is left are sorted by themselves and merged into the child's list
 **Complexity.** A plane straddles some sqrt(N) of the N triangles of a surface: their sort is lost in the O(N) of the node.
 Where it straddles most of them (long triangles across each other), it is a sort a level, O(N log^2 N).
 
-**What we changed.** Nothing is sorted among triangles at the same position: which of equal events comes first decides neither
-plane nor side.
+**Room.** A clipped triangle has at most as many events on an axis as it had before: the child that is compacted in place finds
+room for them in its own list, and the appended one leaves as much as straddlers gave up.
 
-A child's share of the lists: a clipped triangle has at most as many events on an axis as it had before, so the child that is
-compacted in place finds the room in its own list, and the one that is appended leaves as much room as straddlers gave up.
+**What we changed.** Events of one kind at one position are in no order: neither planes nor sides depend on it.
+
+**Measured** (one core of a Zen 5; `sweep` with clipping against that without, random rays): a soup of long triangles, 4,000:
+0.77 of the cost, 0.76 (lockstep) and 0.83 (single) of the time of rays; with one triangle a block 0.3 of the cost, 0.53 and
+0.64 of the time; the build takes 3.7 times as long. Bunny: 0.96 of the cost, 0.95 and 0.97 of the time; one a block: 0.87, 0.9
+and 0.84. Atrium: 1.02 of cost and times; one a block: 0.9, 0.95 and 1.01. Builds take 1.5 to 2 times as long, from 17,000 to
+200,000 triangles.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
@@ -187,11 +192,13 @@ def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: 
     """Clips the straddlers to a child's cell and merges what is left of them into its lists."""
     kept = clip_straddlers(lists, sides_first, straddlers, lists.pad, child.low, child.high)
     child.triangles += kept
-    for axis in range(3):
+    axis = int(0)
+    while axis < 3:  # a loop that Warp does not unroll: it would only take longer to compile
         count = list_fresh(lists, sides_first, straddlers, kept, axis)
         fresh = sort_fresh(lists, 4 * sides_first, count)
         merge_fresh(lists, fresh, count, child.first[axis], child.count[axis])
         child.count[axis] += count
+        axis += 1
 
 
 @wp.func

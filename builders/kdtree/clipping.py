@@ -5,7 +5,8 @@ that they do not meet, and the planes tried are those of boxes, not of what is l
 
 **Algorithm.** Where partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and
 Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov et
-al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes.
+al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes. Here lists are scanned; sorted
+events are divided in `clipped_events`, by the same clip, into the same tree.
 
 **No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that
 it comes so near. A hit lies off its triangle by less than the slack by which a traversal widens cells (`wrt.kernels.boxes`),
@@ -19,7 +20,8 @@ triangle all the same: the pad is 64 times the slack of a ray from inside the sc
 stadium, wood: 0.98 to 0.99 of the cost, 0.93 to 0.98 of the references, 0.89 to 0.98 of the time of single rays. The build
 takes 2 to 3 times as long.
 
-**Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below.
+**Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below. The
+choice of planes is greedy: smaller boxes make single splits cheaper, and nearly always, not always, the tree.
 
 References:
     I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.

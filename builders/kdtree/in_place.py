@@ -13,8 +13,8 @@ in depth-first order (`assembly`). Exact SAH everywhere: every plane at which a 
 **What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until it has several
 times as many, so that tasks can be shared out evenly. Sweeps start from the counts of the chunks before them, as in the
 same paper's nested algorithm, instead of from a shared counter. The split that a node gets does not depend on the phase in
-which it is built: the tree is the same for any number of threads, chunks and tasks. Levels do not clip
-triangles, tasks do (`clipped_events`): then the size of the mesh decides where they begin.
+which it is built: the tree is the same for any number of threads, chunks and tasks. Only tasks clip triangles
+(`clipped_events`); where that is asked for, the size of the mesh alone decides at which level they begin.
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -44,7 +44,7 @@ TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
 
 CLIPPED_TRIANGLES = 1 << 12
-"""Triangles per live node at which it does where they are clipped, which only tasks do: for any number of threads."""
+"""Triangles of the mesh per live node at which a build that clips does so, for any number of threads: only tasks clip."""
 
 MAX_LEVELS = 12
 """Levels after which the build goes over to subtrees in any case."""

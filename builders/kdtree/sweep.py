@@ -7,7 +7,8 @@ axis, and split the lists between the children, in order (`event_lists`). Where 
 events of those that straddle the plane are sorted and merged in (`clipped_events`). This is the in-place build with a single
 task and no levels above it, on one thread: what every other build is measured against.
 
-**What we changed.** The paper always clips. Without, a split list is sorted as it is, and a node costs half.
+**What we changed.** The paper always clips; here that is an option. Without it a split list is sorted as it is, and the
+build of a surface takes 0.5 to 0.7 of the time.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
