@@ -146,10 +146,18 @@ def no_split():
     return split
 
 
-@wp.func
-def leaf_cost(cost: SplitCost, triangles: int):
+LEAF_COST = """
+    const auto leaf_price = [&](int triangles) {
+        return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
+    };
+"""
+"""Head of a native function of a `SplitCost` named cost: leaf_price is `leaf_cost`."""
+
+
+@wp.func_native(LEAF_COST + "return leaf_price(triangles);")
+def leaf_cost(cost: SplitCost, triangles: int) -> float:
     """Cost of a leaf."""
-    return cost.block * float((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits)
+    ...
 
 
 @wp.func
@@ -172,10 +180,9 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
     return frame
 
 
-PLANE_COST = """
-    const auto leaf_price = [&](int triangles) {
-        return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
-    };
+PLANE_COST = (
+    LEAF_COST
+    + """
     const auto plane_price = [&](float position, int left, int right) {
         const float area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area;
         const float area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area;
@@ -183,6 +190,7 @@ PLANE_COST = """
         return left == 0 || right == 0 ? price * cost.empty_factor : price;
     };
 """
+)
 """Head of a native function of a `SplitCost` named cost and an `AxisFrame` named frame: plane_price is `plane_cost`."""
 
 

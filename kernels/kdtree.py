@@ -89,6 +89,24 @@ def right_child(node: wp.vec2i):
 
 
 @wp.func
+def child_low(low: wp.vec3, axis: int, position: float, is_right: bool):
+    """Lower corner of a child's cell: that of its parent's, but for the right child along the axis of the plane."""
+    result = wp.vec3(low)
+    if is_right:
+        result[axis] = position
+    return result
+
+
+@wp.func
+def child_high(high: wp.vec3, axis: int, position: float, is_right: bool):
+    """Upper corner of a child's cell."""
+    result = wp.vec3(high)
+    if not is_right:
+        result[axis] = position
+    return result
+
+
+@wp.func
 def first_block(node: wp.vec2i):
     """Index of a leaf's first triangle block."""
     return node[0]

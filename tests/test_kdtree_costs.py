@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import warp as wp
 from test_kdtree_builders import build
 
 import wrt
 from wrt.builders.common import StopRules
-from wrt.builders.cost import SurfaceAreaCost
+from wrt.builders.cost import SplitCost, SurfaceAreaCost, axis_frame, plane_cost
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree.levels import may_win
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 
 MEDIANS = ("spatial_median", "object_median", "between_medians")
@@ -120,3 +122,49 @@ def test_mailboxes_pay_for_straddlers():
 def test_bad_configurations(make):
     with pytest.raises(ValueError, match=r"must|choose from"):
         make()
+
+
+@wp.kernel(enable_backward=False, module_options={"fuse_fp": False}, module="unique")
+def ask_for_chunks(
+    cost: SplitCost,
+    high: wp.array(dtype=wp.vec3),
+    share: wp.array(dtype=wp.vec3),
+    counts: wp.array2d(dtype=int),
+    reached: wp.array2d(dtype=float),
+    answers: wp.array2d(dtype=bool),
+):
+    """Item: a node from (0, 0, 0) to `high`, a plane of it, and a chunk around that: share[0] .. share[2] of the axis.
+
+    counts: triangles of the node, left and right of the plane, before and behind the chunk."""
+    i = wp.tid()
+    axis = i % 3
+    at = share[i] * high[i][axis]
+    along = axis_frame(cost, axis, wp.vec3(), high[i], counts[i, 0])
+    price = plane_cost(cost, along, at[1], counts[i, 1], counts[i, 2])
+    for other in range(3):
+        reached[other, i] = price
+    answers[i, 0] = may_win(cost, along, at[0], at[2], counts[i, 3], counts[i, 4], i, reached)
+    answers[i, 1] = may_win(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, reached)
+    reached[axis, i] = price * 0.999
+    answers[i, 2] = may_win(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, reached)
+
+
+@pytest.mark.parametrize("mailbox", [False, True])
+def test_chunks_without_hope_are_those_that_cost_more(mailbox):
+    """A chunk with a plane that is as cheap as the cheapest known is searched; of a single plane, the bound is its cost."""
+    count, rng = 20_000, np.random.default_rng(5)
+    high = np.float32(10 ** rng.uniform(-2, 2, (count, 3)))
+    share = np.sort(np.float32(rng.uniform(0.01, 0.99, (count, 3))), axis=1)
+    left, right = rng.integers(0, 40, (2, count)) * rng.integers(0, 500, (2, count))
+    fewer = rng.uniform(0, 1, (2, count)) * rng.integers(0, 2, (2, count))
+    total = np.maximum(left, right) + rng.integers(0, 100, count)
+    counts = np.stack([total, left, right, left - fewer[0] * left, right - fewer[1] * right], axis=1).astype(np.int32)
+    cost = SurfaceAreaCost(width=16, mailbox=mailbox).struct()
+    answers = wp.empty((count, 3), dtype=bool, device="cpu")
+    reached = wp.empty((3, count), dtype=float, device="cpu")
+    inputs = [wp.array(a, dtype=wp.vec3, device="cpu") for a in (high, share)] + [wp.array(counts, dtype=int, device="cpu")]
+    wp.launch(ask_for_chunks, count, [cost, *inputs, reached, answers], device="cpu")
+    around, alone, dearer = answers.numpy().T
+    assert around.all()
+    assert alone.all()
+    assert not dearer[left + right > 0].any()

@@ -86,6 +86,9 @@ NOWHERE = wp.constant(-1)
 SLOTS = wp.constant(2048)
 """Of a table of triangles, which is never more than half full."""
 
+GOLDEN = wp.constant(wp.uint32(2654435769))
+"""2^32 over the golden ratio."""
+
 
 @wp.struct
 class Cells:
@@ -204,7 +207,7 @@ def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, refe
 def is_new(table: wp.array(dtype=int), triangle: int):
     """Whether a triangle is not in the table yet, whose free slots are 0; it is put there."""
     number = triangle + 1
-    slot = int((wp.uint32(number) * wp.uint32(2654435769)) >> wp.uint32(21))  # Fibonacci hashing
+    slot = int((wp.uint32(number) * GOLDEN) >> wp.uint32(21))  # Fibonacci hashing
     while table[slot] != 0 and table[slot] != number:
         slot = (slot + 1) & (SLOTS - 1)
     fresh = table[slot] == 0

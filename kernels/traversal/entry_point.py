@@ -47,7 +47,7 @@ from functools import cache, partial
 import warp as wp
 
 from wrt.kernels import kdtree
-from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.memory import load_float, load_int
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
@@ -180,10 +180,8 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
                 crossing = cross_plane(bounds, axis, position, cell.entry, cell.leave)
                 right = kdtree.right_child(node)
                 step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
-                if cell.node == right:
-                    low[axis] = position
-                else:
-                    high[axis] = position
+                low = child_low(low, axis, position, cell.node == right)
+                high = child_high(high, axis, position, cell.node == right)
                 if wp.static(counting):
                     work.nodes += 1
             else:
@@ -196,13 +194,11 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
                     cell.node = load_int(stack_node, size)
                     cell.entry = load_float(stack_entry, size)
                     cell.leave = load_float(stack_leave, size)
-                    low = fork_low[size]
-                    high = fork_high[size]
                     above = kdtree.load_node(tree.nodes, forks[size])
-                    if cell.node == kdtree.right_child(above):
-                        low[kdtree.split_axis(above)] = kdtree.split_position(above)
-                    else:
-                        high[kdtree.split_axis(above)] = kdtree.split_position(above)
+                    axis = kdtree.split_axis(above)
+                    on_right = cell.node == kdtree.right_child(above)
+                    low = child_low(fork_low[size], axis, kdtree.split_position(above), on_right)
+                    high = child_high(fork_high[size], axis, kdtree.split_position(above), on_right)
         if reached:
             tree.root = cell.node
             tree.low = low

@@ -36,7 +36,7 @@ import warp as wp
 
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import INFINITY, ray_slabs, reach
-from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
 from wrt.kernels.packet.bounds import PacketBounds
@@ -158,19 +158,11 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 go_right = (sides & 1) != 0
                 if (sides & 2) != 0:
                     store_int(stack_node, size, wp.where(go_right, at + 1, right))
-                    other_low = wp.vec3(low)
-                    other_high = wp.vec3(high)
-                    if go_right:
-                        other_high[axis] = position
-                    else:
-                        other_low[axis] = position
-                    stack_low[size] = other_low
-                    stack_high[size] = other_high
+                    stack_low[size] = child_low(low, axis, position, not go_right)
+                    stack_high[size] = child_high(high, axis, position, not go_right)
                     size += 1
-                if go_right:
-                    low[axis] = position
-                else:
-                    high[axis] = position
+                low = child_low(low, axis, position, go_right)
+                high = child_high(high, axis, position, go_right)
                 at = wp.where(go_right, right, at + 1)
             else:
                 count = kdtree.leaf_triangles(node)
