@@ -1,15 +1,19 @@
-"""Memory for results is used again, but never while somebody holds it."""
+"""Memory for results and records is used again, but never while somebody holds it."""
 
 from __future__ import annotations
 
 import gc
+import mmap
+import re
+from pathlib import Path
 
 import numpy as np
+import pytest
 import warp as wp
 
 import wrt
 from wrt import memory
-from wrt.memory import GRAIN, BlockPool
+from wrt.memory import GRAIN, BlockPool, large_pages
 
 COUNT = 1 << 20
 
@@ -67,3 +71,57 @@ def test_hits_stay_as_they_are():
         del hits
     for array, copy in zip(held, expected, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+@pytest.mark.skipif(not hasattr(mmap, "MADV_HUGEPAGE"), reason="only Linux is asked for large pages")
+def test_blocks_ask_for_large_pages():
+    block = large_pages(GRAIN)
+    address = block.ctypes.data
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        if bounds := re.match(r"([0-9a-f]+)-([0-9a-f]+) ", line):
+            inside = int(bounds[1], 16) <= address < int(bounds[2], 16)
+        elif inside and line.startswith("VmFlags:"):
+            assert "hg" in line.split() or not Path("/sys/kernel/mm/transparent_hugepage").exists()
+            return
+    raise AssertionError("the block is in no mapping")
+
+
+@pytest.mark.parametrize("advice", [None, -1])
+def test_blocks_do_without_large_pages(monkeypatch, advice):
+    """A system that does not know them, and one that refuses."""
+    if advice is None:
+        monkeypatch.delattr(mmap, "MADV_HUGEPAGE", raising=False)
+    else:
+        monkeypatch.setattr(mmap, "MADV_HUGEPAGE", advice, raising=False)
+    block = large_pages(2 * GRAIN)
+    block[:] = 3
+    assert block.nbytes == 2 * GRAIN
+    assert (block == 3).all()
+
+
+@pytest.mark.skipif(not hasattr(mmap, "MADV_HUGEPAGE"), reason="elsewhere blocks begin where NumPy likes")
+def test_blocks_begin_at_different_lines_of_the_cache():
+    blocks = [large_pages(GRAIN) for _ in range(16)]
+    begins = {block.ctypes.data % 4096 for block in blocks}
+    assert len(begins) == 16
+    assert all(begin % 64 == 0 for begin in begins)
+
+
+def test_records_share_memory_only_one_after_the_other(monkeypatch):
+    """Those of a scene are in such a block, which waits for the next scene when nobody holds them."""
+    monkeypatch.setattr(memory, "LEAST_BYTES", 1)
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene, larger = wrt.Scene(mesh, device="cpu"), wrt.Scene(wrt.TriangleMesh(2.0 * mesh.vertices, mesh.faces), device="cpu")
+    plan = scene.explain([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
+    memory.release()
+    held = scene.triangles(plan, None).records.numpy()
+    address, kept = held.ctypes.data, held.copy()
+    del scene
+    gc.collect()
+    assert memory._pool.waiting_bytes == 0, "the view holds them"
+    assert larger.triangles(plan, None).records.ptr != address
+    np.testing.assert_array_equal(held, kept)
+    del held
+    gc.collect()
+    assert memory._pool.waiting_bytes == GRAIN
+    assert wrt.Scene(mesh, device="cpu").triangles(plan, None).records.ptr == address

@@ -1,14 +1,23 @@
-"""Memory for results: on the CPU, large blocks are used again.
+"""Memory for results and triangle records: on the CPU, large blocks lie in large pages and are used again.
 
 The first touch of fresh memory costs a page fault every 4 KB, in the kernel and mostly one thread at a time: for a million
 coherent rays, whose hits take 16 MB, a tenth of the time (measured: 1 of 12 ns a ray). So blocks of arrays that nobody holds
 any longer, and no view of them, are kept for the next query, up to a bound.
+
+Rays that meet triangles anywhere read a few lines of the cache here and there in the records, each of them in another page,
+and a processor that does not have that page's address at hand looks it up first. A page of 2 MB has one address where 4 KB have
+512, so blocks ask for such pages; Linux gives them to those who ask. (Measured on one thread of a Zen 4, meshes of 0.8 and 3.2
+million triangles, whose records take 34 and 136 MB: random, ambient and shadow rays 0.93 and 0.88 of the time, camera rays the
+same. The tree in such pages as well gained nothing: it is a tenth as large, and most rays see the same few nodes of it.)
 """
 
 from __future__ import annotations
 
+import mmap
 import threading
 from collections import OrderedDict
+from contextlib import suppress
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -24,6 +33,23 @@ GRAIN = 1 << 21
 
 KEPT_BYTES = 1 << 28
 """Most memory that is kept for later; the blocks unused for longest go first."""
+
+STAGGER = 4096 + 256
+"""Bytes by which a block begins later in its first page than the one before, 16 in turn. Arrays that a kernel reads and writes
+at the same index would otherwise share the same few lines of the cache (measured: camera rays took 1.26 times as long)."""
+
+_begins = cycle(range(0, 16 * STAGGER, STAGGER))
+
+
+def large_pages(size: int) -> np.ndarray:
+    """(size,) fresh bytes in large pages, if the operating system has any to give; `size` is a multiple of `GRAIN`."""
+    if not hasattr(mmap, "MADV_HUGEPAGE"):
+        return np.empty(size, dtype=np.uint8)
+    space = mmap.mmap(-1, size + GRAIN, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    with suppress(OSError):  # a Linux that has only small ones
+        space.madvise(mmap.MADV_HUGEPAGE)
+    begin = next(_begins)
+    return np.frombuffer(space, dtype=np.uint8)[begin : begin + size]
 
 
 class BlockPool:
@@ -48,7 +74,7 @@ class BlockPool:
             fitting = [(block.nbytes, key) for key, block in self._waiting.items() if size <= block.nbytes <= 2 * size]
             if fitting:
                 return self._waiting.pop(min(fitting)[1])
-        return np.empty(size, dtype=np.uint8)
+        return large_pages(size)
 
     def give_back(self, block: np.ndarray) -> None:
         """Keeps a block that nobody uses any longer."""
@@ -96,5 +122,5 @@ def new_rays(count: int, device: wp.Device) -> RayBatch:
 
 
 def release() -> None:
-    """Frees the memory that is kept for later results."""
+    """Frees the memory that is kept for later results and records."""
     _pool.release()

@@ -17,6 +17,7 @@ from wrt.geometry import PlacedMeshes, as_meshes, check_index, moved_mesh, place
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import as_device, check_num_threads, use_threads
+from wrt.memory import empty
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
@@ -385,7 +386,8 @@ class Scene(Queries):
                 ids[:count] = np.arange(count)
                 primitive = wp.array(ids, dtype=int, device=self.device)
             mesh = self.device_mesh
-            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, origin or (0.0, 0.0, 0.0), blocks)
+            point = origin or (0.0, 0.0, 0.0)
+            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, point, blocks, empty)
             known[tree, record] = origin, blocks
         return blocks
 

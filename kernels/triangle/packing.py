@@ -1,5 +1,6 @@
 """From a mesh and a list of triangle ids to the blocks that a triangle test reads."""
 
+from collections.abc import Callable
 from functools import cache
 
 import warp as wp
@@ -56,6 +57,7 @@ def pack_blocks(
     width: int,
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
     earlier: "TriangleBlocks | None" = None,
+    allocate: Callable[..., wp.array] = wp.empty,
 ) -> TriangleBlocks:
     """Packs triangles into blocks.
 
@@ -67,6 +69,7 @@ def pack_blocks(
         width: triangles a block.
         origin: where all rays start, relative to the scene's centre, for a record that depends on it.
         earlier: blocks of the same kind made of the first of these ids: they are copied, not made again.
+        allocate: what makes the array of records, called as `wp.empty` is.
 
     Raises:
         RuntimeError: a graph is being captured on the device.
@@ -75,7 +78,7 @@ def pack_blocks(
     blocks.primitive = primitive
     done = 0 if earlier is None else len(earlier.primitive)
     with kept(device):
-        blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=device)
+        blocks.records = allocate(len(primitive) * record.components, dtype=float, device=device)
         if done:
             wp.copy(blocks.records, earlier.records)
         if done < len(primitive):
