@@ -14,6 +14,10 @@ and W words of `child`:
 Node 0 is the root; its box is `low`, `high`. A child's box is the exact union of its triangles' boxes, so that by the
 consistency rule (`wrt.kernels.boxes`) no ray reaches a triangle before it reaches the boxes around it.
 
+The order in memory does not matter to rays: nodes and their blocks depth first, or in van Emde Boas's order, took 0.95 to 1.06
+of the time (random and ambient rays in streams, 0.2 to 3.2 million triangles): within a level they lie
+like that anyway. Why boxes are not stored in fewer bytes is told in `wrt.kernels.box_lanes`.
+
 References:
     I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
         IEEE Symposium on Interactive Ray Tracing 2008.
