@@ -132,9 +132,8 @@ def launch(
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
         return
-    # threads that record launches side by side, while a graph is captured, lose some
-    bounds = [0, count] if device.is_capturing else cut(count, chunk=chunk, longest=longest, chunks_per_thread=chunks_per_thread)
-    if len(bounds) == 2:
+    bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=chunks_per_thread)
+    if len(bounds) == 2 or device.is_capturing:  # threads that record launches side by side lose some
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
     else:
         Repeated(kernel, inputs, device).launch(bounds)

@@ -114,7 +114,7 @@ def trace_few(scene: Scene, rays: Rays, query: str) -> Any:
     shape = common_shape(*given)
     if not 0 < math.prod(shape) <= FEW_RAYS:
         return None
-    desk, desks = take(scene, query, lambda: Desk(scene, query), lambda ready: ready.suits(scene))
+    desk, desks = take(scene, query, lambda: Desk(scene, query))
     answers = desk.trace(given, shape)
     desks.append(desk)
     if query != CLOSEST:

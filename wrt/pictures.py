@@ -59,15 +59,25 @@ def picture_columns(shape: tuple[int, ...], batch: RayBatch) -> int:
         return 0
     directions = batch.directions.numpy()
     with np.errstate(all="ignore"):
-        steps = _steps(directions[: LONGEST_ROW + 1])
-        columns = int(np.argmax(steps > JUMP * steps[0])) + 1
-        rows, rest = divmod(batch.count, columns)
-        if rest or min(rows, columns) < LEAST_ROWS:
+        limit = JUMP * np.abs(directions[1] - directions[0]).max()
+        columns = _first_row(directions, limit)
+        if columns < LEAST_ROWS or batch.count % columns or batch.count < LEAST_ROWS * columns:
             return 0
-        return columns if (_steps(directions[::columns]) < JUMP * steps[0]).all() else 0
+        return columns if (_changes(directions[::columns]) < limit).all() else 0
 
 
-def _steps(vectors: np.ndarray) -> np.ndarray:
-    """Largest change of a component from each vector to the next; component by component, as NumPy is slow on rows of three."""
-    x, y, z = (np.abs(np.diff(vectors[:, axis])) for axis in range(3))
-    return np.maximum(np.maximum(x, y), z)
+def _first_row(directions: np.ndarray, limit: float) -> int:
+    """Directions before the first that differs from the one before by more than the limit; 0 if there are too many."""
+    for length in (LONGEST_ROW // 4, LONGEST_ROW):  # most rows are short
+        jumps = _changes(directions[: length + 1]) > limit
+        first = int(jumps.argmax())
+        if jumps[first]:
+            return first // 3 + 1
+    return 0
+
+
+def _changes(vectors: np.ndarray) -> np.ndarray:
+    """Changes of each component from each vector to the next, one after the other: NumPy is slow on rows of three."""
+    flat = np.ascontiguousarray(vectors).reshape(-1)
+    changes = flat[3:] - flat[:-3]
+    return np.abs(changes, out=changes)

@@ -227,19 +227,36 @@ def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
     count = len(batch.directions)
     if device.is_cuda or count < 2 * SAMPLE_PAIRS:
         return True, False
-    first = np.linspace(0, count - 2, SAMPLE_PAIRS).astype(int)
-    directions = batch.directions.numpy()
-    one, other = directions[first].astype(np.float64), directions[first + 1].astype(np.float64)
+    where = _sampled_pairs(count)
+    one, other = _sampled(batch.directions, where)
     with np.errstate(all="ignore"):
-        cosine = (one * other).sum(axis=1) / np.sqrt((one * one).sum(axis=1) * (other * other).sum(axis=1))
-        alike = cosine > 0.966
-        near = np.ones(SAMPLE_PAIRS, dtype=bool)
-        if len(batch.origins) == count:
-            origins = batch.origins.numpy()
-            here, spread = origins[first].astype(np.float64), origins[first[::-1]].astype(np.float64)
-            step = np.abs(origins[first + 1] - here).sum(axis=1)
-            near = step <= 0.1 * np.median(np.abs(spread - here).sum(axis=1))
-    return bool((alike & near).mean() > 0.5), bool(near.mean() <= 0.5)
+        lengths = np.einsum("ij,ij->i", one, one) * np.einsum("ij,ij->i", other, other)
+        alike = np.einsum("ij,ij->i", one, other) / np.sqrt(lengths) > 0.966
+        if len(batch.origins) != count:
+            return bool(2 * np.count_nonzero(alike) > SAMPLE_PAIRS), False
+        here, there = _sampled(batch.origins, where)
+        steps, gaps = np.abs(there - here).sum(axis=1), np.abs(here[::-1] - here).sum(axis=1)
+        near = steps <= 0.1 * _median(gaps)
+    return bool(2 * np.count_nonzero(alike & near) > SAMPLE_PAIRS), bool(2 * np.count_nonzero(near) <= SAMPLE_PAIRS)
+
+
+@lru_cache(maxsize=64)
+def _sampled_pairs(count: int) -> np.ndarray:
+    """Numbers of the first rays of the sampled pairs, then of the second ones."""
+    first = np.linspace(0, count - 2, SAMPLE_PAIRS).astype(int)
+    return np.concatenate([first, first + 1])
+
+
+def _sampled(vectors: wp.array, where: np.ndarray) -> np.ndarray:
+    """(2, SAMPLE_PAIRS, 3) float64: the vectors of the pairs."""
+    return vectors.numpy().take(where, axis=0).astype(np.float64).reshape(2, SAMPLE_PAIRS, 3)
+
+
+def _median(values: np.ndarray) -> float:
+    """That of an even number of values, NaN if any is; `numpy.median` takes as long as all else here."""
+    ordered = np.sort(values)  # NaN last
+    half = len(ordered) // 2
+    return ordered[-1] if np.isnan(ordered[-1]) else 0.5 * (ordered[half - 1] + ordered[half])
 
 
 def leading_shape(values: Array) -> tuple[int, ...]:

@@ -155,7 +155,7 @@ def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
     if arrays.count == 0 or (device.is_cpu and arrays.count > FEW_RAYS):
         return None
     key = query, arrays.layout
-    recording, waiting = take(scene, key, lambda: Recording(scene, *key), lambda ready: ready.suits(scene))
+    recording, waiting = take(scene, key, lambda: Recording(scene, *key))
     answer = recording.trace(arrays)
     waiting.append(recording)
     if query != CLOSEST:

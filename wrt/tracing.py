@@ -145,11 +145,7 @@ def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: 
     """Launches the traversal for the tree as it stands."""
     device = scene.device
     if device.is_cpu and not (counters or device.is_capturing):
-
-        def suits(ready: ReadyKernel) -> bool:
-            return ready.suits(scene, rays)
-
-        ready, waiting = take(scene, (query, plan), lambda: ReadyKernel(scene, plan, query, rays), suits)
+        ready, waiting = take(scene, (query, plan), lambda: ReadyKernel(scene, plan, query, rays), rays)
         ready.trace(scene, rays, hits)
         waiting.append(ready)
         return
