@@ -142,7 +142,8 @@ def launch(
 class Repeated:
     """A kernel with its arguments packed, which one caller at a time runs on the CPU, as often as it wants.
 
-    Each thread repeats a recorded launch of its own.
+    Each thread repeats a recorded launch of its own. All share the packed form of the structs among the inputs: what is
+    written there holds for the next run.
 
     Args:
         kernel, inputs, device: as of `launch`.
@@ -150,14 +151,7 @@ class Repeated:
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
         self.kernel, self.inputs, self.device = kernel, inputs, device
-        self._bound: dict[int, Any] = {}
         self._free: deque[wp.Launch] = deque()
-
-    def bind(self, index: int, struct: Any) -> None:
-        """Another struct in the place of that of the index (0 is the first item); the caller keeps its arrays alive."""
-        self._bound[index] = value = struct.__ctype__()
-        for part in self._free:
-            part.set_param_at_index_from_ctype(index, value)
 
     def launch(self, bounds: Sequence[int]) -> None:
         """Runs the kernel for the items of chunks that lie between these numbers (`cut`)."""
@@ -177,10 +171,7 @@ class Repeated:
         try:
             return self._free.pop()
         except IndexError:
-            part = record(self.kernel, self.inputs, self.device)
-        for index, value in self._bound.items():
-            part.set_param_at_index_from_ctype(index, value)
-        return part
+            return record(self.kernel, self.inputs, self.device)
 
 
 def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:

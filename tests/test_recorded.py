@@ -270,7 +270,7 @@ def test_layout(scene):
 
 
 def test_plans_that_another_thread_clears(monkeypatch):
-    """The plans of a scene on CUDA may go between any two steps of a thread that looks for its own: once a KeyError."""
+    """The plans of a scene may go between any two steps of a thread that looks for its own: once a KeyError."""
 
     class Cleared(dict):
         def __contains__(self, key: object) -> bool:
@@ -281,6 +281,7 @@ def test_plans_that_another_thread_clears(monkeypatch):
     monkeypatch.setattr(planning, "choose_plan", lambda *args: "chosen")
     scene = SimpleNamespace(device=SimpleNamespace(is_cuda=True), plans=Cleared())
     for shape in [(n,) for n in range(2 * planning.MOST_PLANS)] * 2:
-        rays = SimpleNamespace(shape=shape, batch=SimpleNamespace(origin_stride=1))
+        found = {"coherent": True, "scattered": False, "columns": 0}
+        rays = SimpleNamespace(shape=shape, laid_out=SimpleNamespace(origin_stride=1), **found)
         assert planning.make_plan(scene, rays, "auto", "auto") == "chosen"
         assert len(scene.plans) <= planning.MOST_PLANS

@@ -12,17 +12,14 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
 
 
-def take(scene: Scene, key: Hashable, make: Callable[[], Any], *given: Any) -> tuple[Any, deque[Any]]:
-    """What is kept under a key, for the caller alone, and where to put it back.
-
-    Made if nothing is free that suits the scene as it is now, and what is given.
-    """
+def take(scene: Scene, key: Hashable, make: Callable[[], Any]) -> tuple[Any, deque[Any]]:
+    """What is kept under a key, for the caller alone, and where to put it back; made if nothing is free that still suits."""
     waiting = scene.desks.setdefault(key, deque())
     try:
         ready = waiting.pop()
     except IndexError:
         ready = None
-    if ready is None or not ready.suits(scene, *given):
+    if ready is None or not ready.suits(scene):
         with use_threads(scene.num_threads):
             ready = make()
     return ready, waiting

@@ -109,12 +109,10 @@ class Recording:
 
         Only here are the launch's addresses those of memory that is there.
         """
-        arguments, count = self.rays, rays.count
-        arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
-        arguments.t_min, arguments.t_max = rays.t_min.__ctype__(), rays.t_max.__ctype__()
+        count = rays.count
+        rays.write_to(self.rays)
         resized, self.count = count != self.count, count
         if resized:
-            arguments.count = count
             self.launch.set_dim(count)
         answer = self._closest(count, resized) if self.query == CLOSEST else self._numbers(count)
         self.launch.launch()

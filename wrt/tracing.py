@@ -1,7 +1,5 @@
 """Carrying out a plan: memory for the hits, the kernel and its inputs, rays in another order where the plan says so.
-
-More threads shorten the kernel but not what Python does around it: of a view of a million rays, that was a tenth. So a scene
-keeps, for each plan that it carried out on the CPU, the kernel with the arguments that the next call has again, packed.
+Most calls on the CPU find all that ready (`wrt.ready`).
 """
 
 from __future__ import annotations
@@ -11,26 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.desks import take
-from wrt.kernels.launch import (
-    CHUNKS_PER_THREAD,
-    MAX_CHUNK,
-    Repeated,
-    cut,
-    get_num_threads,
-    kept,
-    launch,
-    load,
-    specialise,
-)
-from wrt.kernels.rays import HitBatch, RayBatch
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, kept, launch, specialise
+from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
 from wrt.wide_trees import saved, walked_tree
 
 if TYPE_CHECKING:
+    from wrt.kernels.rays import RayBatch
     from wrt.kernels.traversal.config import TraversalConfig
     from wrt.rays import RayBuffers
+    from wrt.ready import HitArrays
     from wrt.scene import Scene
 
 BRUTE_FORCE_TESTS = 10_000_000
@@ -48,10 +37,17 @@ RAYS, HITS = 3, 4
 
 def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
-) -> tuple[HitBatch, wp.array | None]:
+) -> tuple[HitBatch | HitArrays, wp.array | None]:
     """Results of any query but "all", and each ray's work if it is to be counted."""
-    plan, rays = plan_for(plan, query), buffers.batch
-    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
+    plan = plan_for(plan, query)
+    columns = buffers.columns if plan.reorder == "tiles" else 0
+    if not counters and scene.device.is_cpu:
+        from wrt.ready import can_be_ready, trace_ready
+
+        if can_be_ready(scene, plan, buffers):
+            return trace_ready(scene, plan, buffers.laid_out, query, columns), None
+    rays = buffers.batch
+    rays.columns = columns
     if scene.local_trees is not None and plan.accelerator != "none" and query in (CLOSEST, ANY):
         from wrt.local_trees import trace_by_area
 
@@ -143,56 +139,21 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
 
 def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
     """Launches the traversal for the tree as it stands."""
-    device = scene.device
-    if device.is_cpu and not (counters or device.is_capturing):
-        ready, waiting = take(scene, (query, plan), lambda: ReadyKernel(scene, plan, query, rays), rays)
-        ready.trace(scene, rays, hits)
-        waiting.append(ready)
-        return
     config = traversal_config(plan, scene, query, counters)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
-    items, chunks = divide(scene, plan, config, rays)
-    launch(kernel, items, inputs, device=device, **chunks)
+    rays.run, items, chunks = divide(scene, plan, config, rays.count)
+    launch(kernel, items, inputs, device=scene.device, **chunks)
 
 
-class ReadyKernel:
-    """The kernel that carries out a plan on the CPU, with all its arguments but the rays and the hits.
-
-    Args:
-        query: any.
-        rays: some that the plan suits.
-    """
-
-    def __init__(self, scene: Scene, plan: Plan, query: str, rays: RayBatch) -> None:
-        self.plan, self.config = plan, traversal_config(plan, scene, query, False)
-        work = no_work(way_of(plan).counters, scene.device.alias)
-        kernel, (tree, blocks, _, _, counters) = kernel_and_inputs(scene, plan, self.config, rays, HitBatch(), work)
-        load([kernel], scene.device)
-        self.tree, self.blocks = walked_tree(plan, scene), blocks
-        self.launches = Repeated(kernel, [tree, blocks, RayBatch(), HitBatch(), counters], scene.device)
-
-    def suits(self, scene: Scene, rays: RayBatch) -> bool:
-        """Whether the scene still has what this was made for, and has it for these rays."""
-        return self.tree is walked_tree(self.plan, scene) and self.blocks is scene.triangles(self.plan, rays)
-
-    def trace(self, scene: Scene, rays: RayBatch, hits: HitBatch) -> None:
-        """Writes the hits of rays."""
-        items, chunks = divide(scene, self.plan, self.config, rays)
-        self.launches.bind(RAYS, rays)
-        self.launches.bind(HITS, hits)
-        self.launches.launch(cut(items, **chunks))
-
-
-def divide(scene: Scene, plan: Plan, config: TraversalConfig, rays: RayBatch) -> tuple[int, dict[str, int]]:
-    """Items of rays for a plan's kernel, and their chunks, as `launch` takes them; streams are told how long an item is."""
-    way = way_of(plan)
+def divide(scene: Scene, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, dict[str, int]]:
+    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks, as `launch` takes them."""
+    way, grain = way_of(plan), way_of(plan).rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
-    grain = way.rays_per_item(config)
     if way.streams:
-        grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
+        grain *= streams_in_a_row(count, grain, scene.device)
     chunks_per_thread = 2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
     chunks = {"chunk": max(1, 1024 // grain), "longest": max(1, longest // grain), "chunks_per_thread": chunks_per_thread}
-    return -(-rays.count // grain), chunks
+    return grain, -(-count // grain), chunks
 
 
 def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
