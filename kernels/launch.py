@@ -3,12 +3,19 @@
 Warp runs a CPU kernel on the calling thread, but lets go of the interpreter lock while it does. So the items are cut
 into contiguous chunks, some eight a thread (the chunks of a ray batch differ in cost: smaller ones balance the load),
 and the caller and its helpers take chunks from one queue until it is empty. The caller works too, so that a call from
-inside another call's chunk cannot wait for itself, and small batches never leave the calling thread.
+inside another call's chunk cannot wait for itself, and small batches never leave the calling thread. Towards the end
+chunks get smaller (Polychronopoulos and Kuck), down to a quarter, so that threads end together.
+
+Arguments are packed once a thread, not once a chunk: a thread repeats its recorded launch, with another first item.
 
 Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
 What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
 
 While a graph is captured on the CPU, all items are one launch.
+
+References:
+    C. D. Polychronopoulos and D. J. Kuck. Guided Self-Scheduling: A Practical Scheduling Scheme for Parallel
+    Supercomputers. IEEE Transactions on Computers C-36(12), 1987.
 """
 
 import os
@@ -27,6 +34,9 @@ Config = TypeVar("Config")
 CHUNKS_PER_THREAD = 8
 MAX_CHUNK = 1 << 16
 """Items that a launch has at most, if they are rays or triangles: about a hundredth of a second's work."""
+
+SMALLEST_SHARE = 4
+"""The last chunks are this many times smaller than the first ones."""
 
 MAX_THREADS = 1024
 
@@ -113,8 +123,8 @@ def launch(
         chunk: on the CPU, the least number of items that is worth a launch of its own.
         longest: on the CPU, the greatest number of items in a launch; lower it for items that take long, because a Ctrl-C
             waits for the launches under way.
-        chunks_per_thread: on the CPU; lower it for items that all cost the same, because a launch costs some 20 us when
-            threads compete for the interpreter, and raise it for few, long and uneven items.
+        chunks_per_thread: on the CPU, of the size with which they begin; lower it for items that all cost the same, whose
+            chunks are then of one size, and raise it for few, long and uneven items.
     """
     if count <= 0:
         return
@@ -122,15 +132,46 @@ def launch(
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
         return
-    size = min(_chunk_size(count, chunk, chunks_per_thread), longest)
-    if device.is_capturing:
-        size = count  # threads that record launches side by side lose some
+    bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=chunks_per_thread)
+    if len(bounds) == 2 or device.is_capturing:  # threads that record launches side by side lose some
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+    else:
+        Repeated(kernel, inputs, device).launch(bounds)
 
-    def run(number: int) -> None:
-        first = number * size
-        wp.launch(kernel, dim=min(size, count - first), inputs=[first, *inputs], device=device)
 
-    run_tasks(run, -(-count // size))
+class Repeated:
+    """A kernel with its arguments packed, which one caller at a time runs on the CPU, as often as it wants.
+
+    Each thread repeats a recorded launch of its own. All share the packed form of the structs among the inputs: what is
+    written there holds for the next run.
+
+    Args:
+        kernel, inputs, device: as of `launch`.
+    """
+
+    def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
+        self.kernel, self.inputs, self.device = kernel, inputs, device
+        self._free: deque[wp.Launch] = deque()
+
+    def launch(self, bounds: Sequence[int]) -> None:
+        """Runs the kernel for the items of chunks that lie between these numbers (`cut`)."""
+
+        def run(number: int) -> None:
+            first, end = bounds[number : number + 2]
+            part = self._take()
+            part.set_param_at_index_from_ctype(0, first)
+            part.set_dim(end - first)
+            part.launch()
+            self._free.append(part)
+
+        run_tasks(run, len(bounds) - 1)
+
+    def _take(self) -> wp.Launch:
+        """A recorded launch that no other thread has."""
+        try:
+            return self._free.pop()
+        except IndexError:
+            return record(self.kernel, self.inputs, self.device)
 
 
 def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
@@ -162,11 +203,20 @@ def kept(device: wp.Device) -> Iterator[None]:
         wp.synchronize_stream(device.stream)
 
 
-def _chunk_size(count: int, least: int, chunks_per_thread: int) -> int:
-    """Items a chunk: as many chunks as balance the load, none too small to pay."""
+def cut(count: int, *, chunk: int, longest: int, chunks_per_thread: int) -> list[int]:
+    """Where chunks of items begin, and where the last one ends: enough to balance the load, none too small to pay.
+
+    Args: as of `launch`.
+    """
     threads = get_num_threads()
-    chunks = min(chunks_per_thread * threads, -(-count // least)) if threads > 1 else 1
-    return -(-count // chunks)
+    chunks = min(chunks_per_thread * threads, -(-count // chunk)) if threads > 1 else 1
+    size = min(-(-count // max(1, chunks)), longest)
+    falls = threads > 1 and chunks_per_thread >= CHUNKS_PER_THREAD
+    smallest = min(size, max(chunk, -(-size // SMALLEST_SHARE))) if falls else size
+    bounds = [0]
+    while (rest := count - bounds[-1]) > 0:
+        bounds.append(bounds[-1] + min(rest, max(smallest, min(size, rest // (2 * threads)))))
+    return bounds
 
 
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:

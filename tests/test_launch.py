@@ -7,12 +7,13 @@ import subprocess
 import sys
 import threading
 
+import numpy as np
 import pytest
 import warp as wp
 
 import wrt
 from wrt.kernels import launch as launching
-from wrt.kernels.launch import launch, run_tasks, use_threads
+from wrt.kernels.launch import MAX_CHUNK, Repeated, cut, launch, run_tasks, use_threads
 
 
 @wp.kernel(enable_backward=False)
@@ -30,17 +31,44 @@ def test_every_item_once(count, threads, device):
     assert (visits.numpy()[:count] == 1).all()
 
 
-@pytest.mark.parametrize("count", [1, 5, 40])
+@pytest.mark.parametrize("count", [2, 5, 40])
 def test_one_by_one(count, monkeypatch):
     """With as many chunks as items, every item is a launch of its own."""
     launched = []
-    original = wp.launch
-    monkeypatch.setattr(wp, "launch", lambda kernel, dim, **options: (launched.append(dim), original(kernel, dim, **options)))
+    original = wp.Launch.set_dim
+    monkeypatch.setattr(wp.Launch, "set_dim", lambda part, dim: (launched.append(dim), original(part, dim)))
     visits = wp.zeros(count, dtype=int, device="cpu")
     with use_threads(2):
         launch(count_visits, count, [visits], device=wp.get_device("cpu"), chunk=1, chunks_per_thread=count)
     assert launched == [1] * count
     assert (visits.numpy() == 1).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7, 64])
+@pytest.mark.parametrize(("chunk", "longest", "per_thread"), [(1, MAX_CHUNK, 8), (32, 2048, 8), (256, 300, 2), (1, 1, 16)])
+def test_chunks(threads, chunk, longest, per_thread):
+    """They are all the items, in order, no longer than allowed, and fall in size where items are uneven."""
+    for count in (0, 1, 31, 32, 33, 1000, 32_768, 100_003):
+        with use_threads(threads):
+            bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=per_thread)
+        sizes = np.diff(bounds)
+        assert (bounds[0], bounds[-1]) == (0, count)
+        assert (sizes > 0).all()
+        assert (sizes <= longest).all()
+        assert (np.diff(sizes) <= 0).all()
+        assert (2 * sizes[:-1] >= min(chunk, longest)).all()
+    if per_thread == 8 and threads > 1 and chunk == 1:
+        assert sizes[0] >= 3 * sizes[-2]
+
+
+def test_repeated():
+    """Every run does every item once, with whatever cut."""
+    values = wp.zeros(1000, dtype=int, device="cpu")
+    repeated = Repeated(count_visits, [values], values.device)
+    with use_threads(3):
+        for bounds in ([0, 1000], [0, 1, 2, 1000], list(range(1001))):
+            repeated.launch(bounds)
+    assert (values.numpy() == 3).all()
 
 
 def test_small_batches_stay_in_the_calling_thread():

@@ -23,13 +23,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.desks import take
 from wrt.hits import Hits
 from wrt.kernels.launch import record
 from wrt.kernels.rays import HitBatch
 from wrt.memory import new_rays
 from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, make_plan, plan_for, traversal_config, way_of
 from wrt.rays import RayBuffers, Rays, as_range, as_vectors, common_shape
-from wrt.recorded import NO_RAYS, take
+from wrt.recorded import NO_RAYS
 from wrt.tracing import kernel_and_inputs, new_hits, no_work
 
 if TYPE_CHECKING:

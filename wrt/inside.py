@@ -24,9 +24,10 @@ import warp as wp
 from wrt.hits import shaped
 from wrt.kernels.launch import launch, use_threads
 from wrt.kernels.rays import HitBatch, RayBatch
+from wrt.look import look_at
 from wrt.memory import empty
 from wrt.plan import ANY, AUTO, COUNT, Plan, make_plan
-from wrt.rays import Rays, sample_coherence, to_device
+from wrt.rays import Rays, to_device
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
@@ -44,7 +45,7 @@ def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
-        _, buffers.scattered = sample_coherence(buffers.batch, scene.device)
+        buffers.scattered = look_at(buffers.batch, scene.device).scattered
         plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
         inside = odd_crossings(scene, plan, buffers)
         if not scene.is_closed:
@@ -53,7 +54,7 @@ def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
             undecided = np.flatnonzero(inside.occluded.numpy() != other.occluded.numpy()).astype(np.int32)
             if len(undecided):
                 order = wp.array(undecided, dtype=int, device=scene.device)
-                few = replace(buffers, batch=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
+                few = replace(buffers, given=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
                 aim(few.batch, DIRECTIONS[2], scene.device)
                 unsort_hits(order, odd_crossings(scene, plan, few), inside, ANY)
     return shaped(inside.occluded, buffers)

@@ -7,24 +7,10 @@ found here, and only CPUs look.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-if TYPE_CHECKING:
-    from wrt.kernels.rays import RayBatch
-
-LEAST_RAYS = 4096
-"""Fewer rays are not looked at: there is no time to win."""
-
-LEAST_ROWS = 8
-"""Rows and columns from which on a batch is taken for a picture."""
-
-LONGEST_ROW = 1 << 13
-"""Pixels of a row that is recognised in a flat list."""
-
-JUMP = 4.0
-"""Directions of neighbouring pixels differ by no more than so many times as much as the first two."""
+from wrt.kernels.look import LEAST_ROWS
+from wrt.look import LEAST_RAYS
 
 BLOCK = 1 << 16
 """Origins that are compared at a time: the first that differs ends the search."""
@@ -46,28 +32,6 @@ def one_origin(origins: np.ndarray) -> np.ndarray:
     return np.broadcast_to(first, origins.shape)
 
 
-def picture_columns(shape: tuple[int, ...], batch: RayBatch) -> int:
-    """Columns of the picture whose pixels the rays are, row by row; 0 if they are none.
-
-    Two dimensions are rows and columns. Of a flat list whose rays share their origin, a row ends where directions jump; the
-    next must begin beside it, and so must all that follow.
-    """
-    if len(shape) == 2:
-        return shape[1] if min(shape) >= LEAST_ROWS else 0
-    flat = len(shape) == 1 and batch.origin_stride == 0 and batch.direction_stride == 1
-    if not flat or batch.count < LEAST_RAYS or not batch.directions.device.is_cpu:
-        return 0
-    directions = batch.directions.numpy()
-    with np.errstate(all="ignore"):
-        steps = _steps(directions[: LONGEST_ROW + 1])
-        columns = int(np.argmax(steps > JUMP * steps[0])) + 1
-        rows, rest = divmod(batch.count, columns)
-        if rest or min(rows, columns) < LEAST_ROWS:
-            return 0
-        return columns if (_steps(directions[::columns]) < JUMP * steps[0]).all() else 0
-
-
-def _steps(vectors: np.ndarray) -> np.ndarray:
-    """Largest change of a component from each vector to the next; component by component, as NumPy is slow on rows of three."""
-    x, y, z = (np.abs(np.diff(vectors[:, axis])) for axis in range(3))
-    return np.maximum(np.maximum(x, y), z)
+def columns_of_shape(shape: tuple[int, ...]) -> int:
+    """Columns of the picture that rays of two dimensions are; 0 for others."""
+    return shape[1] if len(shape) == 2 and min(shape) >= LEAST_ROWS else 0

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from wrt.kernels.launch import CUDA_BLOCK, get_num_threads
 from wrt.plan_checks import ALL, COUNT, TILED, check_culling, check_origins, check_plan, check_query, check_spaces, check_wide
 from wrt.tables import lookup
-from wrt.wide_trees import pays, walked_tree, wide_width
+from wrt.wide_trees import can_be_wide, pays, walked_tree, wide_width
 
 if TYPE_CHECKING:
     import warp as wp
@@ -53,7 +53,7 @@ LEAST_TO_REORDER = 1 << 16
 """Rays from which on sorting them pays."""
 
 MOST_PLANS = 64
-"""Plans that a scene on CUDA keeps."""
+"""Plans that a scene keeps."""
 
 CACHED_BYTES = 1 << 24
 """Triangle records that are in reach of a core: rays that meet no more of them need no order."""
@@ -136,13 +136,14 @@ def make_plan(
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
         return check_plan(replace(traversal, cull_backfaces=culled), scene, rays, query)
-    if not scene.device.is_cuda:
-        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
-    # A kernel there is done before Python has made its plan: nothing is sampled, and the same rays have the same plan.
-    key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.batch.origin_stride
+    if not scene.device.is_cuda and (scene.instances or scene.growing is not None or can_be_wide(scene)):
+        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)  # it depends on what came before
+    # The longer Python takes for a plan, the longer a GPU waits for its kernel, and cores for theirs.
+    found = rays.coherent, rays.scattered, rays.columns > 0, get_num_threads()
+    key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.laid_out.origin_stride, found
     plan = scene.plans.get(key)  # another thread may clear them at any time
     if plan is None:
-        plan = choose_plan(scene, rays, *key[:4])
+        plan = choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
         if len(scene.plans) >= MOST_PLANS:
             scene.plans.clear()
         scene.plans[key] = plan
@@ -182,7 +183,7 @@ def choose_plan(scene: Scene, rays: RayBuffers, traversal: str, triangle_test: s
         triangle_test=test.name,
         width=width,
         coherent=rays.coherent,
-        shared_origin=rays.batch.origin_stride == 0 and not scene.instances,
+        shared_origin=rays.laid_out.origin_stride == 0 and not scene.instances,
         reason=reason,
         cull_backfaces=cull_backfaces,
         **options,
@@ -220,7 +221,7 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
     if not rays.coherent:
         return stream, DIFFERENT
-    if rays.batch.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
+    if rays.laid_out.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
         return stream, f"{ALIKE}, but each has its own origin and triangles are small"
     return packet, ALIKE
 
@@ -255,7 +256,7 @@ def choose_culling(scene: Scene, rays: RayBuffers, way: Traversal, test: Triangl
     """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide."""
     if not test.accurate:
         return "interval"
-    shared = rays.batch.origin_stride == 0 and not scene.instances
+    shared = rays.laid_out.origin_stride == 0 and not scene.instances
     return "vertex" if shared or not (way.wide or scene.accelerator.kind == "bvh") else "transient_frustum"
 
 

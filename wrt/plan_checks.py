@@ -62,7 +62,7 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
     width = wide_width(scene) if way.wide else scene.width
     if plan.width != width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {width}")
-    if plan.shared_origin and (rays.batch.origin_stride != 0 or scene.instances):
+    if plan.shared_origin and (rays.laid_out.origin_stride != 0 or scene.instances):
         raise ValueError(
             "plan.shared_origin is true, but rays have origins of their own; broadcast a single one, without instances"
         )
@@ -172,7 +172,7 @@ def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
     Raises:
         ValueError: the test needs a shared origin, and each ray has its own.
     """
-    if test.needs_shared_origin and not shares_origin(rays.batch):
+    if test.needs_shared_origin and not shares_origin(rays.laid_out):
         raise ValueError(
             f"triangle_test {test.name!r} needs rays that share their origin; pass a single point as origins, such as "
             "(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose triangle_test='woop'"

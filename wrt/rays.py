@@ -12,10 +12,9 @@ import warp as wp
 
 from wrt.kernels.launch import kept, launch
 from wrt.kernels.rays import RayBatch, center_float64_points
-from wrt.pictures import one_origin, picture_columns
-
-SAMPLE_PAIRS = 64
-"""Pairs of neighbouring rays that are compared to guess whether a batch is coherent."""
+from wrt.look import look_at
+from wrt.memory import keep_alive
+from wrt.pictures import columns_of_shape, one_origin
 
 NOWHERE = np.zeros(3)
 """The centre relative to which directions are taken."""
@@ -56,32 +55,39 @@ class RayBuffers:
     """Rays on the device.
 
     Attributes:
-        batch: what kernels read.
+        given: the arrays, or what kernels read.
         shape: leading shape of the results.
         is_warp: whether any input was on the Warp side, so that results stay there.
         dtype: float64 if any of origins and directions was, else float32: the type of positions and normals.
         coherent: whether neighbouring rays look alike.
         scattered: whether neighbouring rays start far apart.
         keep: arrays that must live as long as the batch.
+        columns: of the picture whose pixels the rays are, row by row; 0 if they are none.
     """
 
-    batch: RayBatch
+    given: RayArrays | RayBatch
     shape: tuple[int, ...]
     is_warp: bool
     dtype: type
     coherent: bool
     scattered: bool
     keep: list[Any]
+    columns: int = 0
+
+    @cached_property
+    def batch(self) -> RayBatch:
+        """What kernels read; whoever has it may change it, and then it counts in place of the arrays."""
+        return self.given.batch() if isinstance(self.given, RayArrays) else self.given
+
+    @property
+    def laid_out(self) -> RayArrays | RayBatch:
+        """The arrays, as long as nobody asked for the batch; both know `count`, the arrays and their strides."""
+        return self.__dict__.get("batch", self.given)
 
     @property
     def count(self) -> int:
         """Number of rays."""
-        return self.batch.count
-
-    @cached_property
-    def columns(self) -> int:
-        """Columns of the picture whose pixels the rays are, row by row; 0 if they are none."""
-        return picture_columns(self.shape, self.batch)
+        return self.laid_out.count
 
 
 class Layout(NamedTuple):
@@ -108,6 +114,7 @@ class RayArrays:
         t_min, t_max: (N,) or (1,) float32.
         layout: which of them have one element, and what the origins are relative to.
         count: N.
+        center: (3,) float64, the scene's.
         shape, is_warp, dtype, keep: as of `RayBuffers`.
     """
 
@@ -117,10 +124,35 @@ class RayArrays:
     t_max: wp.array
     layout: Layout
     count: int
+    center: np.ndarray
     shape: tuple[int, ...]
     is_warp: bool
     dtype: type
     keep: tuple[Any, ...]
+
+    @property
+    def origin_stride(self) -> int:
+        """As of `RayBatch`."""
+        return self.layout.origins
+
+    @property
+    def direction_stride(self) -> int:
+        """As of `RayBatch`."""
+        return self.layout.directions
+
+    def batch(self) -> RayBatch:
+        """The rays for kernels."""
+        batch = new_batch(self.layout, self.center)
+        batch.count = self.count
+        batch.origins, batch.directions = self.origins, self.directions
+        batch.t_min, batch.t_max = self.t_min, self.t_max
+        return batch
+
+    def write_to(self, arguments: Any) -> None:
+        """Writes the addresses of the arrays, and how many rays they are, into the packed form of a batch of this layout."""
+        arguments.origins, arguments.directions = self.origins.__ctype__(), self.directions.__ctype__()
+        arguments.t_min, arguments.t_max = self.t_min.__ctype__(), self.t_max.__ctype__()
+        arguments.count = self.count
 
 
 def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
@@ -130,12 +162,9 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray) -> RayBuffers:
         TypeError, ValueError: as `lay_out`.
     """
     arrays = lay_out(rays, device, center)
-    batch = new_batch(arrays.layout, center)
-    batch.count = arrays.count
-    batch.origins, batch.directions = arrays.origins, arrays.directions
-    batch.t_min, batch.t_max = arrays.t_min, arrays.t_max
-    coherent, scattered = sample_coherence(batch, device)
-    return RayBuffers(batch, arrays.shape, arrays.is_warp, arrays.dtype, coherent, scattered, list(arrays.keep))
+    coherent, scattered, columns = look_at(arrays, device, is_list=len(arrays.shape) == 1)
+    keep, columns = list(arrays.keep), columns or columns_of_shape(arrays.shape)
+    return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, coherent, scattered, keep, columns)
 
 
 def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
@@ -161,7 +190,7 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
     layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
-    return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), shape, is_warp, dtype, given)
+    return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
 
 
 def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
@@ -214,32 +243,6 @@ def shared_origin(batch: RayBatch) -> tuple[float, float, float]:
         return (0.0, 0.0, 0.0)
     origin = batch.origins[:1].numpy()[0].astype(np.float64) - np.array(batch.center, dtype=np.float64)
     return tuple(origin.astype(np.float32).tolist())
-
-
-def sample_coherence(batch: RayBatch, device: wp.Device) -> tuple[bool, bool]:
-    """(coherent, scattered): whether neighbouring rays look alike, and whether they start far apart.
-
-    From a sample of pairs on the CPU; on CUDA that would cost more than it gives, and all rays count as coherent.
-
-    A pair is alike if its directions differ by less than some 15 degrees and, where origins are not shared, their distance
-    is small against that between rays far apart in the batch. Only speed depends on the answer.
-    """
-    count = len(batch.directions)
-    if device.is_cuda or count < 2 * SAMPLE_PAIRS:
-        return True, False
-    first = np.linspace(0, count - 2, SAMPLE_PAIRS).astype(int)
-    directions = batch.directions.numpy()
-    one, other = directions[first].astype(np.float64), directions[first + 1].astype(np.float64)
-    with np.errstate(all="ignore"):
-        cosine = (one * other).sum(axis=1) / np.sqrt((one * one).sum(axis=1) * (other * other).sum(axis=1))
-        alike = cosine > 0.966
-        near = np.ones(SAMPLE_PAIRS, dtype=bool)
-        if len(batch.origins) == count:
-            origins = batch.origins.numpy()
-            here, spread = origins[first].astype(np.float64), origins[first[::-1]].astype(np.float64)
-            step = np.abs(origins[first + 1] - here).sum(axis=1)
-            near = step <= 0.1 * np.median(np.abs(spread - here).sum(axis=1))
-    return bool((alike & near).mean() > 0.5), bool(near.mean() <= 0.5)
 
 
 def leading_shape(values: Array) -> tuple[int, ...]:
@@ -375,7 +378,10 @@ def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
             "rays must be Warp arrays while a graph is captured; copy them to the device before the capture, "
             f"by wp.array(..., dtype=wp.vec3, device={str(device)!r})"
         )
-    return wp.array(values, dtype=dtype, device=device, copy=False)
+    if not device.is_cpu:
+        return wp.array(values, dtype=dtype, device=device)
+    pointer, count = values.__array_interface__["data"][0], len(values)
+    return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
 
 
 @lru_cache(maxsize=64)

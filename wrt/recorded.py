@@ -26,30 +26,26 @@ ordinary way / recorded):
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Hashable
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from wrt.desks import take
 from wrt.hits import Hits, shaped
-from wrt.kernels.launch import record, use_threads
+from wrt.kernels.launch import record
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.memory import empty, keep_alive
 from wrt.plan import ANY, AUTO, CLOSEST, FEW_RAYS, choose_plan, plan_for, traversal_config, way_of
 from wrt.rays import Layout, RayArrays, RayBuffers, Rays, lay_out, new_batch
-from wrt.tracing import kernel_and_inputs, no_work
+from wrt.tracing import HITS, RAYS, kernel_and_inputs, no_work
 
 if TYPE_CHECKING:
     from wrt.scene import Scene
 
 NO_RAYS = RayBatch()
 """What hits hold in the place of rays on the device, which are their caller's."""
-
-RAYS, HITS = 3, 4
-"""Which of the kernel's arguments they are."""
 
 
 class HitBlock:
@@ -113,12 +109,10 @@ class Recording:
 
         Only here are the launch's addresses those of memory that is there.
         """
-        arguments, count = self.rays, rays.count
-        arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
-        arguments.t_min, arguments.t_max = rays.t_min.__ctype__(), rays.t_max.__ctype__()
+        count = rays.count
+        rays.write_to(self.rays)
         resized, self.count = count != self.count, count
         if resized:
-            arguments.count = count
             self.launch.set_dim(count)
         answer = self._closest(count, resized) if self.query == CLOSEST else self._numbers(count)
         self.launch.launch()
@@ -166,19 +160,6 @@ def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
         return shaped(answer, arrays)
     buffers = RayBuffers(NO_RAYS, arrays.shape, arrays.is_warp, arrays.dtype, True, False, [])
     return Hits(answer, buffers, scene.device_mesh, recording.plan, None, scene.num_threads)
-
-
-def take(scene: Scene, key: Hashable, make: Callable[[], Any]) -> tuple[Any, deque]:
-    """What a scene keeps ready under a key, for the caller alone, and where to put it back."""
-    waiting = scene.desks.setdefault(key, deque())
-    try:
-        ready = waiting.pop()
-    except IndexError:
-        ready = None
-    if ready is None or not ready.suits(scene):
-        with use_threads(scene.num_threads):
-            ready = make()
-    return ready, waiting
 
 
 def _few_on_device(rays: Rays) -> bool:

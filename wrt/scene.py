@@ -166,7 +166,7 @@ class Scene(Queries):
         self.device_mesh = mesh
         """All triangles on the device, for kernels."""
         self.plans: dict[tuple[Any, ...], Plan] = {}
-        """Those that were made for rays on CUDA."""
+        """Those that were made for rays so far."""
         self.desks: dict[Hashable, deque[Desk | Recording]] = {}
         """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
         self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}

@@ -1,4 +1,6 @@
-"""Carrying out a plan: memory for the hits, the kernel and its inputs, rays in another order where the plan says so."""
+"""Carrying out a plan: memory for the hits, the kernel and its inputs, rays in another order where the plan says so.
+Most calls on the CPU find all that ready (`wrt.ready`).
+"""
 
 from __future__ import annotations
 
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.traversal.config import TraversalConfig
     from wrt.rays import RayBuffers
+    from wrt.ready import HitArrays
     from wrt.scene import Scene
 
 BRUTE_FORCE_TESTS = 10_000_000
@@ -28,13 +31,23 @@ STREAMS_IN_A_ROW = 16
 ITEMS_PER_THREAD = 8
 """Items of streams that a thread has at least, if rays are many: enough to balance the load, each being a launch."""
 
+RAYS, HITS = 3, 4
+"""Which of a traversal kernel's arguments they are."""
+
 
 def trace(
     scene: Scene, plan: Plan, buffers: RayBuffers, query: str, counters: bool = False
-) -> tuple[HitBatch, wp.array | None]:
+) -> tuple[HitBatch | HitArrays, wp.array | None]:
     """Results of any query but "all", and each ray's work if it is to be counted."""
-    plan, rays = plan_for(plan, query), buffers.batch
-    rays.columns = buffers.columns if plan.reorder == "tiles" else 0
+    plan = plan_for(plan, query)
+    columns = buffers.columns if plan.reorder == "tiles" else 0
+    if not counters and scene.device.is_cpu:
+        from wrt.ready import can_be_ready, trace_ready
+
+        if can_be_ready(scene, plan, buffers):
+            return trace_ready(scene, plan, buffers.laid_out, query, columns), None
+    rays = buffers.batch
+    rays.columns = columns
     if scene.local_trees is not None and plan.accelerator != "none" and query in (CLOSEST, ANY):
         from wrt.local_trees import trace_by_area
 
@@ -126,21 +139,21 @@ def run(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, wo
 
 def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:
     """Launches the traversal for the tree as it stands."""
-    way, config = way_of(plan), traversal_config(plan, scene, query, counters)
-    longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
-    grain = way.rays_per_item(config)
-    if way.streams:
-        grain = rays.run = grain * streams_in_a_row(rays.count, grain, scene.device)
+    config = traversal_config(plan, scene, query, counters)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
-    launch(
-        kernel,
-        -(-rays.count // grain),
-        inputs,
-        device=scene.device,
-        chunk=max(1, 1024 // grain),
-        longest=max(1, longest // grain),
-        chunks_per_thread=2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD,
-    )
+    rays.run, items, chunks = divide(scene, plan, config, rays.count)
+    launch(kernel, items, inputs, device=scene.device, **chunks)
+
+
+def divide(scene: Scene, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, dict[str, int]]:
+    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks, as `launch` takes them."""
+    way, grain = way_of(plan), way_of(plan).rays_per_item(config)
+    longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
+    if way.streams:
+        grain *= streams_in_a_row(count, grain, scene.device)
+    chunks_per_thread = 2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
+    chunks = {"chunk": max(1, 1024 // grain), "longest": max(1, longest // grain), "chunks_per_thread": chunks_per_thread}
+    return grain, -(-count // grain), chunks
 
 
 def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.launch import launch, use_threads
+from wrt.look import look_at
 from wrt.memory import empty, new_rays
 from wrt.plan import ALL, AUTO, CLOSEST, make_plan
-from wrt.rays import RayBuffers, as_vectors, sample_coherence
+from wrt.rays import RayBuffers, as_vectors
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def visible_block(scene: Scene, ends: list[tuple[wp.array, wp.array]], rounding:
     center = wp.vec3d(*map(float, scene.center))
     pairs = [from_points, to_points, from_index, to_index, center, rounding, rays, targets, verdict]
     launch(connect_points, count, pairs, device=device, chunk=4096)
-    coherent, scattered = sample_coherence(rays, device)
+    coherent, scattered, _ = look_at(rays, device)
     buffers = RayBuffers(rays, (count,), True, np.float32, coherent, scattered, [])
     nearest, _ = trace(scene, make_plan(scene, buffers, AUTO, AUTO), buffers, CLOSEST)
     pairs = [scene.device_mesh, rays, targets]
