@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import gc
+from pathlib import Path
 
 import numpy as np
+import pytest
 import warp as wp
 
 import wrt
 from wrt import memory
+from wrt.kernels.large_pages import ask_for_large_pages, find_advice
 from wrt.memory import GRAIN, BlockPool
 
 COUNT = 1 << 20
@@ -67,3 +70,23 @@ def test_hits_stay_as_they_are():
         del hits
     for array, copy in zip(held, expected, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_triangle_records_of_large_scenes_lie_in_large_pages():
+    """As far as the system can tell: the flag "hg" of the memory that holds the array."""
+    array = wp.empty(3 << 20, dtype=float, device="cpu")
+    ask_for_large_pages(array)
+    array.fill_(1.0)
+    assert float(array.numpy().sum()) == 3 << 20
+    ask_for_large_pages(wp.empty(16, dtype=float, device="cpu"))  # too small: nothing happens
+    if find_advice() is None or not Path("/sys/kernel/mm/transparent_hugepage").exists():
+        pytest.skip("no large pages on demand")
+    middle, inside, flags = array.ptr + array.capacity // 2, False, []
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        first, *rest = line.split()
+        if "-" in first and not first.endswith(":"):
+            begin, end = (int(number, 16) for number in first.split("-"))
+            inside = begin <= middle < end
+        elif inside and first == "VmFlags:":
+            flags = rest
+    assert "hg" in flags

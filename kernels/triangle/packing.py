@@ -4,6 +4,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.large_pages import ask_for_large_pages
 from wrt.kernels.launch import kept, launch, specialise
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
@@ -76,6 +77,7 @@ def pack_blocks(
     done = 0 if earlier is None else len(earlier.primitive)
     with kept(device):
         blocks.records = wp.empty(len(primitive) * record.components, dtype=float, device=device)
+        ask_for_large_pages(blocks.records)
         if done:
             wp.copy(blocks.records, earlier.records)
         if done < len(primitive):
