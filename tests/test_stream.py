@@ -106,6 +106,26 @@ def test_one_leaf(triangles):
 
 
 @pytest.mark.parametrize("tree", TREES)
+def test_many_layers_met_at_their_vertices_and_edges(tree, device):
+    """A ray's line meets more triangles than candidates can wait, most of them on an edge, and every layer is there twice."""
+    layers, across = 100, np.arange(3.0)
+    x, y = (axis.ravel() for axis in np.meshgrid(across, across))
+    corners = np.concatenate([np.stack([x, y, np.full(9, z)], axis=1) for z in np.repeat(np.arange(layers) * 0.125, 2)])
+    quads = np.array([0, 1, 3, 4])[:, None, None] + np.array([[0, 1, 4], [0, 4, 3]])
+    faces = (quads.reshape(-1, 3)[None] + 9 * np.arange(2 * layers)[:, None, None]).reshape(-1, 3)
+    scene = wrt.Scene(wrt.TriangleMesh(corners, faces), tree, device=device)
+    rng = np.random.default_rng(0)
+    at = np.concatenate([rng.integers(0, 5, (150, 2)) / 2.0, rng.uniform(0.0, 2.0, (150, 2))])
+    origins = np.column_stack([at, rng.uniform(-1.0, 0.125 * layers + 1.0, 300)])
+    directions = np.tile([0.0, 0.0, 1.0], (300, 1)) * rng.choice([-1.0, 1.0], (300, 1))
+    directions[200:] += rng.normal(scale=0.05, size=(100, 3))
+    far = rng.choice([0.03, 0.5, np.inf], 300).astype(np.float32)
+    expected = assert_equals_brute_force(scene, wrt.Rays(origins, directions, 0.0, far), SIZE)
+    assert 0.4 < expected.is_hit.mean() < 0.95
+    assert_equals_brute_force(scene, wrt.Rays(origins, directions), SIZE)
+
+
+@pytest.mark.parametrize("tree", TREES)
 def test_a_range_from_minus_zero(tree, device):
     """As an integer, -0.0 is less than every key of a child: the nearest one was never visited."""
     mesh = wrt.scenes.build("teapot", level=4)

@@ -99,6 +99,20 @@ def store_best(config: TraversalConfig) -> wp.Function:
     return store
 
 
+BOX_INTERVAL = """
+        float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i;
+        s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_z ? high[2] : low[2]) - in_z) * iz; enter = s_i > enter ? s_i : enter;
+        s_i = ((back_x ? low[0] : high[0]) - out_x) * ix; leave = s_i < leave ? s_i : leave;
+        s_i = ((back_y ? low[1] : high[1]) - out_y) * iy; leave = s_i < leave ? s_i : leave;
+        s_i = ((back_z ? low[2] : high[2]) - out_z) * iz; leave = s_i < leave ? s_i : leave;
+        at = at > enter ? at : enter;
+        at = at < leave ? at : leave;
+"""
+"""C++: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`, back_x: ix < 0) is in the widened
+box low .. high; `at` is clamped to it, as by `clamp_to_box`."""
+
 _CLAMP = """
     const float* r = &records.data[(size_t)block * (COMPONENTS * W)];
     const float ix = slabs.inverse.c[0], iy = slabs.inverse.c[1], iz = slabs.inverse.c[2];
@@ -109,15 +123,8 @@ _CLAMP = """
     WRT_FOR_LANES(i) {
         float low[3], high[3];
         VERTEX_BOX
-        float enter = -WRT_INFINITY, leave = WRT_INFINITY, s_i, at = t.c[i];
-        s_i = ((back_x ? high[0] : low[0]) - in_x) * ix; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_y ? high[1] : low[1]) - in_y) * iy; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_z ? high[2] : low[2]) - in_z) * iz; enter = s_i > enter ? s_i : enter;
-        s_i = ((back_x ? low[0] : high[0]) - out_x) * ix; leave = s_i < leave ? s_i : leave;
-        s_i = ((back_y ? low[1] : high[1]) - out_y) * iy; leave = s_i < leave ? s_i : leave;
-        s_i = ((back_z ? low[2] : high[2]) - out_z) * iz; leave = s_i < leave ? s_i : leave;
-        at = at > enter ? at : enter;
-        at = at < leave ? at : leave;
+        float at = t.c[i];
+        BOX_INTERVAL
         t.c[i] = at;
         kept |= ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? 1u << i : 0u;
     }
@@ -166,7 +173,7 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
     constants = (
         f"    constexpr int W = {width}, COMPONENTS = {record.components}; constexpr bool CULLING = {int(cull_backfaces)};"
     )
-    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("FRONT", _FRONT)
+    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL).replace("FRONT", _FRONT)
 
     @wp.func_native(FOR_LANES + constants + code)
     def clamp_block_native(

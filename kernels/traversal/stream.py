@@ -14,9 +14,10 @@ array (`stream_ray`), everything else is lists of their numbers.
   that the tests follow one another without a decision between them, and that the children's lists are compacted 16 rays
   at a time.
 * In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
-* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): first all of them by whether the ray's line meets any triangle
-  of the block, without a branch; then those that are left are worked out. One ray x W triangles: lists are too short at
-  leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437 leaves), and blocks are full.
+* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): which triangles of a block does the ray's line meet? One ray x W
+  triangles: lists are too short at leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437
+  leaves), and blocks are full. The candidates that are left are worked out 16 at a time, whosever they are
+  (`stream_candidates`).
 
 **What we changed.** The papers simulate a machine that gathers and compacts W rays at a time; CPUs have such instructions
 now, and where they do not, the compaction is a loop without a branch. Finished rays (any hit) and rays whose best hit lies
@@ -35,13 +36,14 @@ References:
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
+import ctypes
 from functools import cache
 
 import warp as wp
 
 from wrt.kernels.boxes import RaySlabs
 from wrt.kernels.rays import HitBatch
-from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, store_best
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -110,6 +112,11 @@ def stream_ray(triangle_test: str) -> type:
     return wp.struct(StreamRay)
 
 
+def ray_words(triangle_test: str) -> int:
+    """4-byte words of a `stream_ray`."""
+    return ctypes.sizeof(stream_ray(triangle_test).ctype) // 4
+
+
 @cache
 def get_ray(triangle_test: str) -> wp.Function:
     """`wp.func(stream, k, slabs, state, best) -> t_min`: reads a ray's parts."""
@@ -138,6 +145,17 @@ def store_stream(config: TraversalConfig) -> wp.Function:
 
     @wp.func_native("best = rays.data[k].best;")
     def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
+
+    if config.query == ANY:
+
+        @wp.func_native("for (int k = 0; k < count; ++k) occluded.data[begin + k] = rays.data[k].best.primitive >= 0;")
+        def store_any(rays: wp.array(dtype=StreamRay), begin: int, count: int, occluded: wp.array(dtype=wp.bool)): ...
+
+        @wp.func
+        def store_all(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):
+            store_any(stream, begin, count, hits.occluded)
+
+        return store_all
 
     @wp.func
     def store(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):

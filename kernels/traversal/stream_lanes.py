@@ -1,9 +1,4 @@
-"""The lane loops of streams: lists of ray numbers, filtered 16 at a time, and what they are filtered by.
-
-A list is compacted without a branch: every number is written to the end of the new list, and the end moves on only past
-those that stay. Where the compiler knows AVX-512, one instruction does that for 16 numbers. Both write up to 16 numbers
-past the end, so every list has `LIST_LANES` numbers of room behind it; a list may be compacted in place, because what is
-written never reaches past what has been read.
+"""The lane loops of streams: lists of ray numbers, filtered 16 at a time (`wrt.kernels.traversal.stream_lists`).
 
 The arithmetic is that of `wrt.kernels.boxes`: `slab_interval` for the boxes of a wide node, `cross_plane` for the plane of
 a kd-tree's node.
@@ -15,46 +10,10 @@ import warp as wp
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.lanes import FOR_LANES
-from wrt.kernels.traversal.stream import LIST_LANES, RAY_BITS, stream_ray
-from wrt.kernels.traversal.stream_pairs import PAIRS, Pairs
+from wrt.kernels.traversal.stream import stream_ray
+from wrt.kernels.traversal.stream_lists import LISTS, PAIRS, Pairs
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-LISTS = f"""{FOR_LANES}
-    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-    typedef int wrt_ints __attribute__((ext_vector_type(L)));
-    typedef bool wrt_bools __attribute__((ext_vector_type(L)));
-    auto wrt_bits = [](const int* flags) {{
-        wrt_ints v;
-        __builtin_memcpy(&v, flags, sizeof(v));
-        return (unsigned)__builtin_bit_cast(unsigned short, __builtin_convertvector(v, wrt_bools));
-    }};
-#else
-    auto wrt_bits = [](const int* flags) {{
-        unsigned mask = 0;
-        for (int i = 0; i < L; ++i) mask |= flags[i] ? 1u << i : 0u;
-        return mask;
-    }};
-#endif
-#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
-    auto wrt_append = [](int* to, const int* from, unsigned mask) {{
-        wrt_ints v;
-        __builtin_memcpy(&v, from, sizeof(v));
-        v = __builtin_ia32_compresssi512_mask(v, v, (unsigned short)mask);
-        __builtin_memcpy(to, &v, sizeof(v));
-        return (int)__builtin_popcount(mask);
-    }};
-#else
-    auto wrt_append = [](int* to, const int* from, unsigned mask) {{
-        int size = 0;
-        for (int i = 0; i < L; ++i) {{ const int value = from[i]; to[size] = value; size += mask >> i & 1u; }}
-        return size;
-    }};
-#endif
-"""
-"""Head of a list snippet. `wrt_bits(flags)`: a bit for each of L flags that is not 0, all bits set or none.
-`wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how many."""
 
 _FILTER_BOXES = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];
@@ -65,12 +24,13 @@ _FILTER_BOXES = """
     unsigned leaves = 0;
     for (int i = 0; i < W; ++i) { leaf[i] = child[i]; leaves |= child[i] < 0 ? 1u << i : 0u; }
     for (int i = 0; i < W; ++i) { least[i] = key[i]; }
+    auto wrt_sign = [](float x) { return __builtin_bit_cast(int, x) >> 31; };
     int paired = 0, kept = survivors, j = tested;
     for (; j < count && paired <= PAIRS; ++j) {
         const int k = list[j] & RAY;
         const auto& ray = rays.data[k];
         const float ix = ray.slabs.inverse.c[0], iy = ray.slabs.inverse.c[1], iz = ray.slabs.inverse.c[2];
-        const int sx = ix < 0.0f ? 3 * W : 0, sy = iy < 0.0f ? 3 * W : 0, sz = iz < 0.0f ? 3 * W : 0;
+        const int sx = wrt_sign(ix) & 3 * W, sy = wrt_sign(iy) & 3 * W, sz = wrt_sign(iz) & 3 * W;
         const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
         const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
         const float in_x = ray.slabs.origin_in.c[0], in_y = ray.slabs.origin_in.c[1], in_z = ray.slabs.origin_in.c[2];

@@ -8,7 +8,6 @@ prepare ray after ray. The arithmetic is that of `load_ray`, `ray_slabs` and `pr
 Ray after ray it took 250 instructions, which is half the time of ambient rays that end at the next column.
 """
 
-import ctypes
 from functools import cache
 
 import warp as wp
@@ -17,7 +16,8 @@ from wrt.kernels.boxes import SLACK
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.memory import load_float
 from wrt.kernels.rays import TINY, RayBatch
-from wrt.kernels.traversal.stream import LIST_LANES, stream_ray
+from wrt.kernels.transpose import TRANSPOSE
+from wrt.kernels.traversal.stream import LIST_LANES, ray_words, stream_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -25,39 +25,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 COMMON_WORDS = 14
 """4-byte words of a `stream_ray` before the test's state: slabs, t_min, best."""
 
-
-def _turn(distance: int) -> str:
-    """C++ that swaps the parts of rows `distance` apart whose columns have the other bit: Eklundh's transposition, a step."""
-    low = ", ".join(str(j if not j & distance else j - distance + 16) for j in range(16))
-    high = ", ".join(str(j + distance if not j & distance else j + 16) for j in range(16))
-    return "".join(
-        f"""
-        {{ const wrt_row a = r[{i}], b = r[{i + distance}];
-          r[{i}] = __builtin_shufflevector(a, b, {low}); r[{i + distance}] = __builtin_shufflevector(a, b, {high}); }}"""
-        for i in range(16)
-        if not i & distance
-    )
-
-
-TRANSPOSE = f"""
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-    typedef float wrt_row __attribute__((ext_vector_type(16)));
-    auto wrt_write = [&](const float* columns, int first_word) {{
-        wrt_row r[16];
-        for (int c = 0; c < 16; ++c) __builtin_memcpy(&r[c], columns + c * L, sizeof(wrt_row));
-        {_turn(1)}{_turn(2)}{_turn(4)}{_turn(8)}
-        WRT_UNROLLED for (int k = 0; k < 16; ++k) {{
-            if (k < here) __builtin_memcpy((float*)(stream.data + place + k) + first_word, &r[k], sizeof(wrt_row));
-        }}
-    }};
-#else
-    auto wrt_write = [&](const float* columns, int first_word) {{
-        for (int k = 0; k < here; ++k)
-            for (int c = 0; c < 16; ++c) ((float*)(stream.data + place + k))[first_word + c] = columns[c * L + k];
-    }};
-#endif
-"""
-"""C++ of `wrt_write(columns, w)`: words w .. w + 15 of the `here` rays of the stream from `place` on."""
 
 RAYS_TO_LANES = """
     // rays beyond the last are the first again, and not written
@@ -126,8 +93,9 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
         words[12][k] = 0.0f; words[13][k] = 0.0f;
     }
     WRT_PREPARE
-    wrt_write(words[0], 0);
-    if (WORDS > 16) wrt_write(words[WORDS - 16], WORDS - 16);
+    float* to = (float*)(stream.data + place);
+    wrt_write(words[0], to, RAY_WORDS, here);
+    if (WORDS > 16) wrt_write(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, here);
     return here;
 """
 
@@ -139,17 +107,17 @@ def load_stream(triangle_test: str) -> wp.Function:
     StreamRay, RayState, prepare = stream_ray(triangle_test), test.ray_state, test.prepare
     room = 6 * LIST_LANES
     prepared = bool(test.prepare_lanes)
-    words = ctypes.sizeof(StreamRay.ctype) // 4
+    words = ray_words(triangle_test)
     if not 16 <= words <= (32 if prepared else words):
         raise ValueError(f"a ray of {triangle_test!r} has {words} words in a stream; one or two vectors of 16 are written")
-    constants = f"""{FOR_LANES}
-    constexpr int L = {LIST_LANES}, WORDS = {words if prepared else COMMON_WORDS};
+    constants = f"""{FOR_LANES}{TRANSPOSE}
+    constexpr int L = {LIST_LANES}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
     constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;
     """
     code = _LOAD.replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
     code = constants + code.replace("WRT_PREPARE", test.prepare_lanes)
 
-    @wp.func_native(code.replace("    alignas", TRANSPOSE + "    alignas", 1))
+    @wp.func_native(code)
     def load_lanes(
         batch: RayBatch,
         first: int,

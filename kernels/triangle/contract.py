@@ -35,6 +35,9 @@ class TestForm:
         prepare_lanes: C++ that does the same for L rays of a stream at once: from directions dx, dy, dz, origins ox, oy, oz and
             inverses ix, iy, iz, all indexed by the ray, it fills words[14], words[15] .. with the words of the ray's state,
             in order; empty if rays are prepared one by one.
+        candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once: from vertices corner[0] .. corner[8]
+            and the words of the rays' states, as of `prepare_lanes`, all indexed by the pair, it fills t, u and v; t is NaN for
+            a miss. Empty if streams test their candidates one by one.
         lanes: one ray x W triangles, and W rays x one triangle.
     """
 
@@ -43,6 +46,7 @@ class TestForm:
     ray_state: type
     prepare: wp.Function
     prepare_lanes: str = ""
+    candidate_lanes: str = ""
     lanes: LaneForm | HandWritten
 
     @property

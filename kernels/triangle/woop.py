@@ -39,6 +39,7 @@ from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.operations import Operations
 from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.woop_streams import CANDIDATE_LANES, INCLUSIVE_SIDE, PREPARE_LANES
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -190,7 +191,7 @@ _BLOCK = """
     const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
     const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
     float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W];
-    unsigned mask = 0, edges = 0;
+    int is_inside[W], is_on_edge[W];
     WRT_FOR_LANES(i) {
         float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
         float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
@@ -200,9 +201,11 @@ _BLOCK = """
         depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
         bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
         bool on_edge = ON_EDGE;
-        mask |= inside ? 1u << i : 0u;
-        edges |= on_edge ? 1u << i : 0u;
+        is_inside[i] = inside ? -1 : 0;
+        is_on_edge[i] = on_edge ? -1 : 0;
     }
+    unsigned mask = WRT_BITS(is_inside);
+    const unsigned edges = WRT_BITS(is_on_edge);
     if (edges) {
         for (int i = 0; i < W; ++i) {
             if (!(edges >> i & 1u)) continue;
@@ -229,11 +232,7 @@ _BLOCK = """
 
 _INCLUSIVE = {
     "ON_EDGE": "(a == 0.0f) | (b == 0.0f) | (c == 0.0f)",
-    "WHICH_SIDE": """
-            float a = (float)exact_a, b = (float)exact_b, c = (float)exact_c;
-            bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-            bool hit = inside & ((a + b) + c != 0.0f);
-    """,
+    "WHICH_SIDE": INCLUSIVE_SIDE,
 }
 
 _CROSSING = {
@@ -286,25 +285,6 @@ def make_block_test(width: int, crossing: bool) -> wp.Function:
 
     return woop_block
 
-
-PREPARE_LANES = """
-    WRT_FOR(L, k) {
-        const float x = dx[k], y = dy[k], z = dz[k], size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        const float px = ox[k], py = oy[k], pz = oz[k], jx = ix[k], jy = iy[k], jz = iz[k];
-        const bool xy = size_x >= size_y, main_x = xy & (size_x >= size_z), main_y = !xy & (size_y >= size_z);
-        const float major = main_x ? x : main_y ? y : z;
-        words[14][k] = main_x ? py : main_y ? pz : px;
-        words[15][k] = main_x ? pz : main_y ? px : py;
-        words[16][k] = main_x ? px : main_y ? py : pz;
-        ((int*)words[17])[k] = main_x ? 1 : main_y ? 2 : 0;
-        ((int*)words[18])[k] = main_x ? 2 : main_y ? 0 : 1;
-        ((int*)words[19])[k] = main_x ? 0 : main_y ? 1 : 2;
-        words[20][k] = (main_x ? y : main_y ? z : x) / major;
-        words[21][k] = (main_x ? z : main_y ? x : y) / major;
-        words[22][k] = main_x ? jx : main_y ? jy : jz;
-    }
-"""
-"""`prepare` for the rays of a stream."""
 
 CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
 """The forms by which a closed surface is crossed an even number of times."""
@@ -387,6 +367,7 @@ TEST = TriangleTest(
     ray_state=ShearedRay,
     prepare=prepare,
     prepare_lanes=PREPARE_LANES,
+    candidate_lanes=CANDIDATE_LANES,
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
     crossing=CROSSING,
