@@ -9,6 +9,7 @@ import warp as wp
 
 import wrt
 from wrt import memory
+from wrt.builders.kdtree.reference_levels import LiveRange
 from wrt.memory import GRAIN, BlockPool
 
 COUNT = 1 << 20
@@ -67,3 +68,15 @@ def test_hits_stay_as_they_are():
         del hits
     for array, copy in zip(held, expected, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_layouts_worked_out_once():
+    """Structs with a known layout go to NumPy and back as others do, by one dtype."""
+    layout = LiveRange.numpy_dtype()
+    assert layout is LiveRange.numpy_dtype()
+    assert layout == np.dtype(type(LiveRange).numpy_dtype(LiveRange))
+    nodes = np.zeros(3, dtype=layout)
+    nodes["frame"]["triangles"], nodes["split"]["position"], nodes["left"] = [1, 2, 3], 0.5, [7, 8, 9]
+    again = wp.array(nodes, dtype=LiveRange, device="cpu").numpy()
+    assert again.dtype == layout
+    assert again.tobytes() == nodes.tobytes()

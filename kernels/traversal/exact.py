@@ -11,10 +11,10 @@ met, no later than at its exact t. There, the triangle is tested in float64, wit
 the answer is that of brute force in float64 over all triangles.
 
 **Bounds on t.** A walk in float32 goes by the rounded t of the best hit, and of both ends of the range. They need no margin.
-Along any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|: the slack makes the entry of every box around
-the hit earlier than t by 2^-20 t at least, 16 times what rounding t to float32 takes away, and the six roundings above leave ten.
-The last step of the entry is a rounding itself, and rounding is monotone: the entry is at most float32(t), where float32 has
-few digits left near zero too. Likewise boxes are left no earlier than float32(t_min).
+Along any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|: the slack makes the entry of every box
+around the hit earlier than t by 2^-20 t at least, 16 times what rounding t to float32 takes away, and the six roundings above
+leave ten. The last step of the entry is a rounding itself, and rounding is monotone: the entry is at most float32(t), where
+float32 has few digits left near zero too. Likewise boxes are left no earlier than float32(t_min).
 
 **Test.** Woop's: the vertices are sheared so that the ray is an axis; three signed areas about it say whether it passes
 through. An area is the difference of two products, and rounding is monotone, so its sign is right or it is zero. Zero counts
