@@ -78,7 +78,8 @@ def bench(
     """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
-    which they agree beside it. "engines" are wrt's own traversals, one by one.
+    which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
+    watertight costs; "engines" are wrt's own traversals, one by one.
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays; each has options of its own.
