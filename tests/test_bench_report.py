@@ -13,6 +13,7 @@ from wrt.bench.report import percent, print_report, times
 from wrt.bench.workloads import WORKLOADS
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.cli import main
 from wrt.mesh import TriangleMesh
 from wrt.scenes import teapot
 
@@ -147,7 +148,7 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
 def test_warp_keeps_quiet(command, monkeypatch):
     """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
-    done = CliRunner().invoke(bench, [command, "no_such_file.ply"])
+    done = CliRunner().invoke(main, ["bench", command, "no_such_file.ply"])
     assert "built-in scenes are teapot" in done.output
     assert wp.config.log_level == wp.LOG_WARNING
 

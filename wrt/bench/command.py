@@ -36,16 +36,18 @@ class BenchCommand(click.Command):
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """The context of the command that is meant, which click goes on with."""
+        """The context of the command that is meant, which click goes on with; Warp's log stays out of its figures."""
         if not args or args[0] not in COMPARISONS:
-            return super().make_context(info_name, args, parent, **extra)
-        module, attribute = COMPARISONS[args[0]]
-        command = getattr(import_module(module), attribute)
-        return command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+            context = super().make_context(info_name, args, parent, **extra)
+        else:
+            module, attribute = COMPARISONS[args[0]]
+            command = getattr(import_module(module), attribute)
+            context = command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        start_warp(context.params.get("device"))
+        return context
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Runs the command that the context was made for, without Warp's log lines between its figures."""
-        start_warp(ctx.params.get("device"))
+        """Runs the command that the context was made for."""
         return super().invoke(ctx) if ctx.command is self else ctx.command.invoke(ctx)
 
 
