@@ -1,10 +1,9 @@
 """The top level of influence areas: an octree over their regions, and which triangles touch each.
 
-**Octree** (Falcone 2024, section 5.5.2). A cell is a leaf if every region that touches it encloses it, or at the greatest
-depth; the others are cut into eight, level by level, all of a level in one launch. A leaf lists the areas whose regions touch
-it, so no area is ever missing. Near the surface of a region a leaf lists it for points outside too; the thesis lets them
-pass, here the look-up tests the region itself, on which the hits depend. A depth of 0 is the thesis' other structure, an
-array of the regions with a box around each. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
+**Octree** (Falcone 2024, section 5.5.2; `wrt.builders.octree`). A leaf lists the areas whose regions touch it, so no area is
+ever missing. Near the surface of a region a leaf lists it for points outside too; the thesis lets them pass, here the look-up
+tests the region itself, on which the hits depend. A depth of 0 is the thesis' other structure, an array of the regions with a
+box around each. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
 
 **Triangles of an area.** All whose boxes touch the region moved outward by `margin_of`; see `wrt.kernels.areas` for why.
 A triangle with a vertex, an edge or its interior in the region is among them, and some whose box alone reaches in.
@@ -23,12 +22,13 @@ import warp as wp
 
 from wrt.builders.common import Bvh
 from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea
+from wrt.builders.octree import build_octree
 from wrt.builders.regions import Frustum, Obb, Region, classify_boxes
 from wrt.builders.triangles import Boxes, TriangleBoxes
 from wrt.kernels.areas import AreaTree, list_points
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.launch import launch
-from wrt.kernels.regions import APART, ENCLOSED
+from wrt.kernels.regions import APART
 from wrt.kernels.regions import Region as RegionStruct
 
 MAX_AREAS = (1 << 16) - 2
@@ -39,7 +39,6 @@ MAX_DEPTH = 8
 
 MARGIN = 2.0**-17
 """By which regions are widened, as a share of the greatest reach of a ray that starts in them: eight times its slack."""
-
 
 TOUCH = 2.0**-20
 """Rounding of a ray's origin, as a share of the largest coordinate of the scene and of the point that rays go through."""
@@ -174,40 +173,3 @@ class TopLevel:
         for row, areas in zip(table, self.lists, strict=False):
             row[areas] = True
         return table[numbers.numpy()]  # -1, for outside the root, is the last row
-
-
-def build_octree(structs: Sequence, low: np.ndarray, high: np.ndarray, depth: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """(child words, lists of areas) of an octree in the layout of `wrt.kernels.areas.AreaTree`.
-
-    The look-up may find a point on the border of two cells in either but for rounding, which a region that touches both is not
-    apart from (`wrt.kernels.regions.is_apart`).
-    """
-    lows, highs = low[None], high[None]
-    levels, keys = [], {}
-    count = 1
-    for level in range(depth + 1):
-        found = classify_boxes(structs, lows, highs) if level else np.ones((1, len(structs)), dtype=np.uint8)
-        divided = (found != APART).any(axis=1) & ((found != ENCLOSED) & (found != APART)).any(axis=1)
-        if level == depth:
-            divided[:] = False
-        rows, which = np.unique(found[~divided] != APART, axis=0, return_inverse=True)
-        numbers = np.array([keys.setdefault(row.tobytes(), len(keys)) for row in rows], dtype=np.int32)
-        words = np.empty(len(lows), dtype=np.int32)
-        words[~divided] = ~numbers[which.ravel()] if len(rows) else 0
-        words[divided] = count + 8 * np.arange(divided.sum())
-        levels.append(words)
-        count += 8 * int(divided.sum())
-        if not divided.any():
-            break
-        lows, highs = cut_cells(lows[divided], highs[divided])
-    lists = [np.flatnonzero(np.frombuffer(key, dtype=bool)) for key in keys]
-    return np.concatenate(levels), lists
-
-
-def cut_cells(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (8 N, 3) of the eight children of N cells, one cell's after the other's."""
-    upper = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)], dtype=bool)
-    middle = (0.5 * (low + high))[:, None]
-    lows = np.where(upper, middle, low[:, None])
-    highs = np.where(upper, high[:, None], middle)
-    return lows.reshape(-1, 3), highs.reshape(-1, 3)

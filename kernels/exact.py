@@ -6,7 +6,6 @@ import warp as wp
 
 from wrt.kernels.rays import HitBatch, checked_ray, store_hit
 from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.exact import bound_above, bound_below
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.results import ExactSearch
 from wrt.kernels.traversal.walk_table import WALKS
@@ -81,9 +80,8 @@ def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
     ):
         i = first + wp.tid()
         search = search_for(rays, mesh, i)
-        t_min = bound_below(search.t_min)
-        t_max = bound_above(search.t)
-        ray = checked_ray(wp.vec3(search.origin - center), wp.vec3(search.direction), t_min, t_max)
+        origin, direction = wp.vec3(search.origin - center), wp.vec3(search.direction)
+        ray = checked_ray(origin, direction, wp.float32(search.t_min), wp.float32(search.t))
         if ray.valid and search.t_min >= wp.float64(0.0):
             work = Counters()
             walk(tree, triangles, ray, search, i, work)

@@ -192,3 +192,18 @@ def classify_boxes(
     highest = wp.vec3d(high[0, i], high[1, i], high[2, i])
     for number in range(regions.shape[0]):
         result[i, number] = wp.uint8(classify_box(regions[number], lowest, highest))
+
+
+@wp.kernel
+def classify_pairs(
+    first: int,
+    regions: wp.array(dtype=Region),
+    low: wp.array(dtype=wp.vec3d),
+    high: wp.array(dtype=wp.vec3d),
+    box: wp.array(dtype=int),
+    region: wp.array(dtype=int),
+    result: wp.array(dtype=wp.uint8),
+):
+    """Item: a pair of a box, by its corners, and a region. result: (pairs,), `classify_box`."""
+    i = first + wp.tid()
+    result[i] = wp.uint8(classify_box(regions[region[i]], low[box[i]], high[box[i]]))

@@ -19,7 +19,7 @@ from wrt.bench.measure import (
 )
 from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.questions import ask
-from wrt.bench.workloads import AO_RANGE, OFFSET, WORKLOADS, WorkloadMaker, pixel_order
+from wrt.bench.workloads import AO_RANGE, OFFSET, WORKLOADS, Workload, WorkloadMaker, pixel_order
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.scenes import teapot
 
@@ -280,6 +280,20 @@ def test_engines_cover_the_tables():
     brute = next(engine for engine in engines if engine.traversal == "brute")
     assert brute.ray_limit(BRUTE_FORCE_PAIRS // 1000) == 1000
     assert engines[-1].ray_limit(10**6) is None
+
+
+def test_the_price_of_watertightness():
+    """wrt takes part with a plain triangle test too, whose rays leak at edges where the default's do not."""
+    rng = np.random.default_rng(0)
+    corners = SPHERE.vertices[SPHERE.faces[rng.integers(0, SPHERE.triangle_count, 20000), :2]]
+    aims = corners[:, 0] + rng.random((20000, 1)) * (corners[:, 1] - corners[:, 0])
+    origins = np.broadcast_to(np.float32([0.1, 0.2, 0.3]), aims.shape)
+    rays = Workload("edges", "closest", origins, (aims - origins).astype(np.float32), shares_origin=True)
+    (question,) = ask(make_peers(["plain"], 1, "cpu")[0], SPHERE, [rays], 1)
+    watertight, plain = question.rows
+    assert (watertight.name, plain.name) == ("wrt", "wrt, plain")
+    assert plain.agreement.hits < watertight.agreement.hits == len(rays)
+    assert plain.ratio > 0.0
 
 
 @pytest.mark.parametrize("name", ["far", "random"])

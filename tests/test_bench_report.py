@@ -4,14 +4,16 @@ import json
 import os
 
 import pytest
+import warp as wp
 from click.testing import CliRunner
 
 from wrt.bench import plot, startup
-from wrt.bench.command import bench, run_benchmark
+from wrt.bench.command import COMPARISONS, bench, run_benchmark
 from wrt.bench.report import percent, print_report, times
 from wrt.bench.workloads import WORKLOADS
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.cli import main
 from wrt.mesh import TriangleMesh
 from wrt.scenes import teapot
 
@@ -131,6 +133,8 @@ def test_the_command_writes_tables_figures_and_a_picture(tmp_path):
         (["teapot", "--size", "6"], "multiple of 4"),
         (["teapot", "--rounds", "0"], "--rounds"),
         (["teapot", "--threads", "0"], "--threads"),
+        (["layouts", "--builder", "nothing"], "'nothing' is not one of"),
+        (["ray-aware", "--traversal", "nothing"], "'nothing' is not one of"),
     ],
 )
 def test_the_command_refuses_what_it_cannot_do(arguments, message):
@@ -138,6 +142,15 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
     assert done.exit_code != 0
     assert message in done.output
     assert "Traceback" not in done.output
+
+
+@pytest.mark.parametrize("command", [*COMPARISONS][:-1])
+def test_warp_keeps_quiet(command, monkeypatch):
+    """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
+    done = CliRunner().invoke(main, ["bench", command, "no_such_file.ply"])
+    assert "built-in scenes are teapot" in done.output
+    assert wp.config.log_level == wp.LOG_WARNING
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(monkeypatch):

@@ -10,6 +10,7 @@ import trimesh
 from conftest import assert_same_hits, mixed_rays, snapped_soup
 
 import wrt
+from wrt.kernels.bvh import MAX_WIDE_DEPTH
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 FEW = wrt.TriangleMesh(np.eye(3), [[0, 1, 2]])
@@ -84,3 +85,19 @@ def test_pickled_and_saved(tmp_path):
     scene.save(tmp_path / "groups.npz")
     loaded = wrt.Scene.load(tmp_path / "groups.npz", device="cpu")
     assert_same_hits(loaded.intersect(*rays, traversal="single"), scene.intersect(*rays, traversal="single"))
+
+
+def test_a_deep_group(tmp_path):
+    """A chain as deep as a tree may be, below an upper tree, once lay deeper than what is loaded again."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]]) * 2.0 ** np.arange(-60, 60)[:, None, None]
+    chain = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(360).reshape(-1, 3))
+    across = wrt.TriangleMesh(-corners[-1], [[0, 1, 2]])  # the scene's centre is where the chain begins
+    scene = wrt.GroupedScene([chain, across], wrt.Bvh(width=2, max_leaf_triangles=1, bins=2), device="cpu")
+    assert scene._trees[0].depth == MAX_WIDE_DEPTH
+    assert scene.tree.depth <= MAX_WIDE_DEPTH
+    scene.move({1: across.vertices[::-1]})
+    rays = mixed_rays(scene.flattened(), 300)
+    scene.save(tmp_path / "deep.npz")
+    loaded = wrt.Scene.load(tmp_path / "deep.npz", device="cpu")
+    assert_same_hits(loaded.intersect(*rays, traversal="single"), scene.intersect(*rays, traversal="single"))
+    assert_as_one_tree(scene)

@@ -177,6 +177,23 @@ def test_far_from_the_origin(far):
     assert scene.contains(np.array([[far + 500, far, far], [far + 250, far, far]])).tolist() == [True, False]
 
 
+def test_too_far_apart():
+    """Where float64 has no digits left for an instance, rays once missed it in silence."""
+    near = wrt.Instance(BALL)
+    for far in (1e13, 1e30):
+        with pytest.raises(ValueError, match=r"instance 0 is 2 large and .* scene of its own .* mask=0"):
+            wrt.Scene([near, wrt.Instance(BALL, move(far))], device="cpu")
+    large = np.diag([1e30, 1e30, 1e30, 1.0])
+    scene = wrt.Scene([wrt.Instance(BALL, large), wrt.Instance(BALL, move(3e30) @ large)], device="cpu")
+    hits = scene.intersect([0.0, 0.0, 0.0], [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    assert (hits.t > 0.9e30).all()
+    assert (hits.instance_id == 0).all()
+    with pytest.raises(ValueError, match="instance 1 is"):
+        scene.update(1, transform=move(3e30))
+    scene.update(1, transform=move(3e30), mask=0)
+    assert (scene.intersect([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], mask=1).instance_id == 0).all()
+
+
 @pytest.mark.parametrize("traversal", ["single", "stream", "packet"])
 def test_more_boxes_than_a_list_holds(traversal):
     """Sixty shells, one around the other: rays from outside meet the boxes of all of them, and leave through the same."""

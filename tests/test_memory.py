@@ -13,6 +13,7 @@ import warp as wp
 
 import wrt
 from wrt import memory
+from wrt.builders.kdtree.reference_levels import LiveRange
 from wrt.memory import GRAIN, BlockPool, large_pages
 
 COUNT = 1 << 20
@@ -125,3 +126,15 @@ def test_records_share_memory_only_one_after_the_other(monkeypatch):
     gc.collect()
     assert memory._pool.waiting_bytes == GRAIN
     assert wrt.Scene(mesh, device="cpu").triangles(plan, None).records.ptr == address
+
+
+def test_layouts_worked_out_once():
+    """Structs with a known layout go to NumPy and back as others do, by one dtype."""
+    layout = LiveRange.numpy_dtype()
+    assert layout is LiveRange.numpy_dtype()
+    assert layout == np.dtype(type(LiveRange).numpy_dtype(LiveRange))
+    nodes = np.zeros(3, dtype=layout)
+    nodes["frame"]["triangles"], nodes["split"]["position"], nodes["left"] = [1, 2, 3], 0.5, [7, 8, 9]
+    again = wp.array(nodes, dtype=LiveRange, device="cpu").numpy()
+    assert again.dtype == layout
+    assert again.tobytes() == nodes.tobytes()

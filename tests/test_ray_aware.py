@@ -8,6 +8,7 @@ import warp as wp
 from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
+from wrt.builders import octree
 from wrt.builders.areas import TopLevel, region_of
 from wrt.builders.regions import classify_boxes, contain_points
 from wrt.kernels.regions import APART
@@ -95,6 +96,24 @@ def test_octree_loses_no_area():
         listed.append(candidates[:20000].sum() / inside[:20000].sum())
     assert listed[0] > listed[1] > listed[2] > listed[3]
     assert listed[3] < 2.5
+
+
+def test_octree_in_slices_and_within_bounds(monkeypatch):
+    """However few pairs are tested at a time, the octree is the same; one that outgrows the memory is refused."""
+    low, high = np.full(3, 10.0), np.full(3, 14.0)
+    structs = [region_of(area, low, high).struct(np.full(3, 12.0), 1e-5) for area in random_areas(30, low, high)]
+    root = np.full(3, -9.0), np.full(3, 9.0)
+    child, lists = octree.build_octree(structs, *root, 4)
+    monkeypatch.setattr(octree, "SLICE_PAIRS", 100)
+    again, same_lists = octree.build_octree(structs, *root, 4)
+    np.testing.assert_array_equal(child, again)
+    assert [one.tolist() for one in lists] == [one.tolist() for one in same_lists]
+    size = len(child) * octree.CELL_BYTES
+    monkeypatch.setattr(octree, "MOST_BYTES", size // 2)
+    with pytest.raises(ValueError, match=r"octree over 30 influence areas .* pass depth=3 .* or top_level='array'"):
+        octree.build_octree(structs, *root, 4)
+    shallow, _ = octree.build_octree(structs, *root, 3)
+    assert len(shallow) < len(child)
 
 
 @pytest.mark.parametrize("top_level", ["octree", "array"])

@@ -7,7 +7,9 @@ that have moved, which do not depend on each other and are dealt out to the thre
 **What we changed.** Trees are bounding volume hierarchies, whose upper levels may overlap as groups do, and rays are not
 transformed: the trees are put together to one, so that packets and streams walk it as any other, and hits are the same to the
 bit. A group that has moved keeps its nodes as long as `wrt.UpdatePolicy` finds them good enough. If the centre of the scene
-moves, which positions are relative to, the boxes of groups at rest are fitted again; their nodes stay.
+moves, which positions are relative to, the boxes of groups at rest are fitted again; their nodes stay. A builder keeps to the
+greatest depth of a tree, but a deep group below an upper tree may come to lie beyond it; a tree over all triangles is then
+built instead. It takes a chain of some sixty triangles, each twice as large as the last.
 
 References:
     Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray tracing.
@@ -28,6 +30,7 @@ import warp as wp
 
 from wrt.accelerator import Bvh
 from wrt.geometry import check_index, moved_mesh, place_meshes
+from wrt.kernels.bvh import MAX_WIDE_DEPTH
 from wrt.kernels.lanes import native_width
 from wrt.kernels.launch import run_tasks, use_threads
 from wrt.scene import Scene
@@ -62,18 +65,25 @@ class GroupedScene(Scene):
             raise ValueError("cache goes with wrt.Scene: the trees of groups are not kept in a folder; leave it out")
         placed = place_meshes(meshes, self.device)
         groups = [MovedTriangles.of(placed, np.zeros(3), first, end) for first, end in pairwise(placed.first)]
-        trees, reports = self._trees_of(meshes, groups, placed.center, policy)
+        recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
+        trees, reports = self._trees_of(recipe, meshes, groups, placed.center, policy)
         tree = join_groups(trees, placed.first, self.device)
+        if tree.depth > MAX_WIDE_DEPTH:
+            tree = recipe.build(MovedTriangles.of(placed, np.zeros(3)))
         self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self._trees, self.group_updates = trees, reports
 
     def _trees_of(
-        self, meshes: tuple[TriangleMesh, ...], groups: list[MovedTriangles], center: np.ndarray, policy: UpdatePolicy | None
+        self,
+        recipe: TreeRecipe,
+        meshes: tuple[TriangleMesh, ...],
+        groups: list[MovedTriangles],
+        center: np.ndarray,
+        policy: UpdatePolicy | None,
     ) -> tuple[list[common.Bvh], dict[int, UpdateReport]]:
         """A tree for each group, and what was done to those that have moved; without a policy, all are built."""
         from wrt.builders.bvh.refit import refit
 
-        recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
         trees: list[common.Bvh] = [None] * len(groups) if policy is None else list(self._trees)
         reports: dict[int, UpdateReport] = {}
         has_shifted = policy is not None and (center != self.center).any()
@@ -115,7 +125,7 @@ class GroupedScene(Scene):
 
 
 def join_groups(trees: list[common.Bvh], first: np.ndarray, device: wp.Device) -> common.Bvh:
-    """One tree of the groups' trees.
+    """One tree of the groups' trees, however deep.
 
     Args:
         trees: on the device; each counts triangles from its own first.

@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from wrt.geometry import check_index
-from wrt.instances import Instance, as_instances
+from wrt.instances import Instance, as_instances, check_spread
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.instances import Geometry, Placement
 from wrt.kernels.launch import kept, use_threads
@@ -67,7 +67,8 @@ class InstancedScene(Scene):
         geometry_ids: tuple of int, the mesh of each instance.
 
     Raises:
-        TypeError, ValueError: as `wrt.Scene` and `wrt.Instance`; more than 2^31 - 1 triangles of all instances together.
+        TypeError, ValueError: as `wrt.Scene` and `wrt.Instance`; more than 2^31 - 1 triangles of all instances together; an
+            instance smaller than 1e-12 of its distance from the scene's centre, unless its mask is 0.
     """
 
     def _make(self, geometry: Any, cache: Any) -> None:
@@ -77,7 +78,8 @@ class InstancedScene(Scene):
         shared: dict[int, int] = {}
         self.geometry_ids = tuple(shared.setdefault(id(instance.mesh), len(shared)) for instance in instances)
         given = {id(instance.mesh): instance.mesh for instance in instances}
-        meshes = (mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh) for mesh in given.values())
+        meshes = [mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh) for mesh in given.values()]
+        check_spread(instances, self.geometry_ids, meshes)
         parts = tuple(
             Scene(
                 mesh,
@@ -169,6 +171,7 @@ class InstancedScene(Scene):
                     Instance(part.meshes[0], one.transform, mask=one.mask) if own == number else one
                     for one, own in zip(instances, self.geometry_ids, strict=True)
                 )
+            check_spread(instances, self.geometry_ids, [part.meshes[0] for part in parts])
             self._place(instances, parts, covers)
             self.last_update = None if vertices is None else part.last_update
 

@@ -15,6 +15,9 @@ MOST_STRETCH = 1e12
 
 MAX_MASK = (1 << 32) - 1
 
+FINEST = 2.0**-40
+"""Size of an instance, as a share of its distance from the scene's centre, at which float64 has 13 bits left for it."""
+
 
 class Instance:
     """A mesh in a place of its own: instances of one mesh share its tree.
@@ -93,6 +96,33 @@ def check_mask(mask: Any, name: str = "mask") -> int:
     if not 0 <= mask <= MAX_MASK:
         raise ValueError(f"{name} is {mask}; it must be from 0 to 2**32 - 1")
     return int(mask)
+
+
+def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
+    """Refuses a scene so wide that float64 does not tell where in one of its instances a ray is.
+
+    Args:
+        instances: those that no ray sees, with mask 0, do not count.
+        geometry_ids: the mesh of each.
+        meshes: each once.
+
+    Raises:
+        ValueError: there is such an instance.
+    """
+    boxes = np.array([mesh.bounds for mesh in meshes])[np.array(geometry_ids)]
+    transforms = np.array([instance.transform for instance in instances])
+    linear, shift = transforms[:, :3, :3], transforms[:, :3, 3]
+    half = (np.abs(linear) @ ((boxes[:, 1] - boxes[:, 0]) / 2)[:, :, None])[:, :, 0]
+    middle = (linear @ boxes.mean(axis=1)[:, :, None])[:, :, 0] + shift
+    center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
+    size, distance = 2.0 * half.max(axis=1), np.abs(middle - center).max(axis=1)
+    lost = (size < FINEST * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])
+    if lost.any():
+        worst = int(np.flatnonzero(lost)[0])
+        raise ValueError(
+            f"instance {worst} is {size[worst]:.3g} large and {distance[worst]:.3g} from the scene's centre, where float64 "
+            "loses it; make a scene of its own of what is so far away, or hide the instance with mask=0"
+        )
 
 
 def has_instances(geometry: Any) -> bool:

@@ -46,6 +46,9 @@ class RayAwareBvh:
     Raises:
         TypeError: `areas`, `whole` or `local` holds something else.
         ValueError: no area or too many, an unknown top level, or a value out of its range.
+
+    An octree that would take more than 1 GB (thousands of large areas at depth 8) is refused by `wrt.Scene`, with a ValueError;
+    fewer levels or an array take less.
     """
 
     kind: ClassVar[str] = "bvh"

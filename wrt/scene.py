@@ -12,39 +12,33 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerator import Accelerator, KdTree, resolve_accelerator
-from wrt.geometry import PlacedMeshes, as_meshes, check_index, moved_mesh, place_meshes
+from wrt.accelerator import Accelerator, resolve_accelerator
+from wrt.geometry import as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import as_device, check_num_threads, use_threads
-from wrt.memory import empty
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
 from wrt.ray_aware_bvh import RayAwareBvh
-from wrt.rays import shared_origin
 from wrt.tables import lookup
 from wrt.updates import MovedTriangles, TreeRecipe, UpdatePolicy, as_policy, can_move, move_tree, typical_motion
-from wrt.wide_trees import walked_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from wrt.builders import common
     from wrt.builders.kdtree.lazy import LazyKdTree
-    from wrt.builders.triangles import TriangleBoxes
     from wrt.few_rays import Desk
     from wrt.kernels.rays import RayBatch
-    from wrt.kernels.triangle.records import Record, TriangleBlocks
+    from wrt.kernels.triangle.records import TriangleBlocks
     from wrt.local_trees import LocalTrees
     from wrt.recorded import Recording
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
+    from wrt.triangle_records import KnownRecords
     from wrt.updates import UpdateReport
     from wrt.wide_trees import WideForm
-
-Origin = tuple[float, float, float]
-"""A point relative to the scene's centre."""
 
 
 class Scene(Queries):
@@ -113,41 +107,22 @@ class Scene(Queries):
         from wrt.builders.triangles import triangle_boxes
         from wrt.kernels.lanes import native_width
         from wrt.local_trees import build_local_trees
+        from wrt.storage import find_tree
 
         placed = place_meshes(meshes, self.device)
+        recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
         has_areas, growing, report = isinstance(self.accelerator, RayAwareBvh), None, None
         if policy is not None and can_move(self.accelerator):
             shift = self.center - placed.center + typical_motion(self.meshes, meshes)
-            recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
             tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
         else:
             # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
             boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
-            tree, growing = self._find_tree(boxes, placed, cache)
+            tree, growing = find_tree(recipe, boxes, placed, cache)
         self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self.growing, self.last_update = growing, report
         if has_areas:
             self.local_trees = build_local_trees(self, boxes)
-
-    def _find_tree(
-        self, boxes: TriangleBoxes, placed: PlacedMeshes, cache: Any
-    ) -> tuple[common.KdTree | common.Bvh, LazyKdTree | None]:
-        """The tree, from where trees are kept, or built; or what there is of one that grows, and that."""
-        from wrt.kernels.lanes import native_width
-        from wrt.storage import as_source, is_kept, tree_key
-
-        width, source = native_width(self.device), as_source(cache)
-        if isinstance(self.accelerator, KdTree) and self.accelerator.is_lazy:
-            growing = self.accelerator.start(boxes, width, self.device)
-            return growing.current.tree, growing
-
-        def build() -> common.KdTree | common.Bvh:
-            return self.accelerator.build(boxes, width)
-
-        if source is None or not is_kept(self.accelerator):
-            return build().to(self.device), None
-        key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), self.accelerator, width)
-        return source.tree(key, boxes.count, build).to(self.device), None
 
     def _take_over(
         self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh
@@ -169,7 +144,7 @@ class Scene(Queries):
         """Those that were made for rays so far."""
         self.desks: dict[Hashable, deque[Desk | Recording]] = {}
         """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
-        self._blocks: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = {}
+        self._blocks: KnownRecords = {}
         self.wide: WideForm | None = None
         """The wide form of a kd-tree, if there is one, and what the rays so far would have saved with it (`wrt.wide_trees`)."""
         self.missed = 0.0
@@ -368,28 +343,9 @@ class Scene(Queries):
         Made once; records that depend on the rays' shared origin are made again when it has changed. Others need no rays. Those
         of a tree that has grown are made for what is new.
         """
-        from wrt.kernels.triangle import TRIANGLE_TESTS
-        from wrt.kernels.triangle.packing import pack_blocks
+        from wrt.triangle_records import records_of
 
-        walked = walked_tree(plan, self)
-        known = self.wide.records if plan.is_wide else self._blocks
-        tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
-        origin = shared_origin(rays) if record.per_origin else None
-        made_for, blocks = known.get((tree, record), (None, None))
-        primitive, width = walked.primitive, walked.width
-        if made_for != origin:
-            blocks = None
-        if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
-            if tree == "none":
-                count = self.triangle_count
-                ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
-                ids[:count] = np.arange(count)
-                primitive = wp.array(ids, dtype=int, device=self.device)
-            mesh = self.device_mesh
-            point = origin or (0.0, 0.0, 0.0)
-            blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, point, blocks, empty)
-            known[tree, record] = origin, blocks
-        return blocks
+        return records_of(self, plan, rays)
 
 
 def _as_test(name: str) -> str:

@@ -33,8 +33,12 @@ from wrt.builders.common import BuildStats, Bvh, KdTree
 from wrt.mesh import TriangleMesh
 
 if TYPE_CHECKING:
+    from wrt.builders.kdtree.lazy import LazyKdTree
+    from wrt.builders.triangles import TriangleBoxes
+    from wrt.geometry import PlacedMeshes
     from wrt.instances import Instance
     from wrt.scene import Scene
+    from wrt.updates import TreeRecipe
 
 FORMAT = 1
 """Of the files; one more whenever their contents change."""
@@ -119,6 +123,24 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
         state.update(f"{array.shape} {array.dtype.str}".encode())
         state.update(np.ascontiguousarray(array))
     return state.hexdigest()
+
+
+def find_tree(
+    recipe: TreeRecipe, boxes: TriangleBoxes, placed: PlacedMeshes, cache: str | Path | TreeSource | None
+) -> tuple[Bvh | KdTree, LazyKdTree | None]:
+    """The tree of some triangles, from where trees are kept, or built; or what there is of one that grows, and that."""
+    accelerator, source = recipe.accelerator, as_source(cache)
+    if isinstance(accelerator, descriptions.KdTree) and accelerator.is_lazy:
+        growing = accelerator.start(boxes, recipe.width, recipe.device)
+        return growing.current.tree, growing
+
+    def build() -> Bvh | KdTree:
+        return accelerator.build(boxes, recipe.width)
+
+    if source is None or not is_kept(accelerator):
+        return build().to(recipe.device), None
+    key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), accelerator, recipe.width)
+    return source.tree(key, boxes.count, build).to(recipe.device), None
 
 
 def kept_fields(cls: type) -> list[str]:

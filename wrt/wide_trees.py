@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from wrt.kernels.triangle.records import Record, TriangleBlocks
     from wrt.plan import Plan
     from wrt.rays import RayBuffers
-    from wrt.scene import Origin, Scene
+    from wrt.scene import Scene
+    from wrt.triangle_records import Origin
 
 LEAST_WIDTH = 2
 """Children of a wide node at least, whatever the width of the kd-tree's blocks."""

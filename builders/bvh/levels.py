@@ -38,10 +38,12 @@ from wrt.builders.references import write_references
 from wrt.builders.triangles import Boxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.memory import load_float, store_float
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
+@with_known_layout
 @wp.struct
 class LiveNode:
     """A large node of the current level."""
@@ -57,6 +59,7 @@ class LiveNode:
     plane: Plane
 
 
+@with_known_layout
 @wp.struct
 class Chunk:
     """A range of a live node's triangles."""
@@ -162,6 +165,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
     return wp.kernel(search_planes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
 
+@with_known_layout
 @wp.struct
 class Totals:
     """How many there are of each."""

@@ -10,6 +10,7 @@ A box is kept as (low, -high), 8 floats: it grows by a single minimum, all compo
 import warp as wp
 
 from wrt.kernels.bvh import MAX_WIDE_DEPTH
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -31,6 +32,7 @@ class BinaryTree:
     """(triangles,) triangle ids."""
 
 
+@with_known_layout
 @wp.struct
 class Frame:
     """A node that is being built or waits for its left sibling."""

@@ -30,6 +30,7 @@ from wrt.builders.kdtree.planes import Sweep, close_planar, start_sweep, sweep_e
 from wrt.builders.triangles import Boxes
 from wrt.kernels.boxes import INFINITY
 from wrt.kernels.memory import load_int
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -39,6 +40,7 @@ SLACK = 1.0 + 1e-5
 """By how much the least cost that a chunk can have must exceed a cost that another has: far more than rounding."""
 
 
+@with_known_layout
 @wp.struct
 class LiveNode:
     """A node of the current level."""

@@ -28,6 +28,7 @@ from wrt.builders.kdtree.subtrees import Frame
 from wrt.builders.references import write_references
 from wrt.builders.triangles import Boxes, TriangleBoxes
 from wrt.kernels.launch import launch
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -56,6 +57,7 @@ class LevelRules:
     sampled: int
 
 
+@with_known_layout
 @wp.struct
 class LiveRange:
     """A node of the current level; its list is frame.count[0] references from frame.first[0] on."""
@@ -71,6 +73,7 @@ class LiveRange:
     chunk_count: int
 
 
+@with_known_layout
 @wp.struct
 class Chunk:
     """A part of a node's references."""

@@ -13,6 +13,7 @@ from wrt.builders.cost import Split
 from wrt.builders.kdtree.subtrees import Frame, Method, Parts, Task
 from wrt.builders.references import write_order
 from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -53,6 +54,7 @@ class ReferenceLists:
     """By how much cells and boxes are enlarged when they are clipped."""
 
 
+@with_known_layout
 @wp.struct
 class Sides:
     """What a partition made of a range: counts and boxes on both sides of the plane."""

@@ -27,12 +27,14 @@ from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import launch, specialise
+from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 
 
+@with_known_layout
 @wp.struct
 class Task:
     """A subtree to build and its share of the memories."""
@@ -46,6 +48,7 @@ class Task:
     blocks_capacity: int
 
 
+@with_known_layout
 @wp.struct
 class Result:
     """What a task made."""
@@ -65,6 +68,7 @@ class Parts:
     """Leaf lists, padded to whole blocks with -1."""
 
 
+@with_known_layout
 @wp.struct
 class Frame:
     """A node that is being built or waits for its left sibling."""

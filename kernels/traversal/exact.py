@@ -10,6 +10,12 @@ rounding (three). So every triangle that the exact ray meets lies in a leaf that
 met, no later than at its exact t. There, the triangle is tested in float64, with the ray and the vertices as they were given:
 the answer is that of brute force in float64 over all triangles.
 
+**Bounds on t.** A walk in float32 goes by the rounded t of the best hit, and of both ends of the range. They need no margin.
+Along any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|: the slack makes the entry of every box
+around the hit earlier than t by 2^-20 t at least, 16 times what rounding t to float32 takes away, and the six roundings above
+leave ten. The last step of the entry is a rounding itself, and rounding is monotone: the entry is at most float32(t), where
+float32 has few digits left near zero too. Likewise boxes are left no earlier than float32(t_min).
+
 **Test.** Woop's: the vertices are sheared so that the ray is an axis; three signed areas about it say whether it passes
 through. An area is the difference of two products, and rounding is monotone, so its sign is right or it is zero. Zero counts
 as inside: no ray slips through at an edge or a vertex.
@@ -28,7 +34,6 @@ import warp as wp
 
 from wrt.kernels.boxes import RaySlabs
 from wrt.kernels.lanes import lanes, lowest_bit
-from wrt.kernels.rays import TINY
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block
 from wrt.kernels.traversal.results import ExactSearch
@@ -36,21 +41,6 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-ULPS = wp.constant(2.0**-22)
-"""Two units in the last place of float32, as a share of a number."""
-
-
-@wp.func
-def bound_above(x: wp.float64):
-    """A float32 that is no less; 0 <= x."""
-    return wp.float32(x) * (1.0 + ULPS) + TINY
-
-
-@wp.func
-def bound_below(x: wp.float64):
-    """A float32 that is no more, nor negative; 0 <= x."""
-    return wp.max(wp.float32(x) * (1.0 - ULPS) - TINY, 0.0)
 
 
 @wp.func
@@ -99,7 +89,7 @@ def test_exactly(search: wp.ref[ExactSearch], primitive: int):
 def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
     """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`, `hits` being the search.
 
-    The candidate that it returns holds a bound on the exact t, for the walk to go by.
+    The candidate that it returns holds the exact t, rounded, for the walk to go by.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState, meet_boxes = lanes(width), test.ray_state, clamp_block(test.record, width)
@@ -127,7 +117,7 @@ def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
                 test_exactly(search, primitive)
         if search.primitive >= 0:
             best.primitive = search.primitive
-            best.t = wp.min(best.t, bound_above(search.t))
+            best.t = wp.min(best.t, wp.float32(search.t))
         return best
 
     return step

@@ -32,10 +32,11 @@ from wrt.kernels import bvh
 from wrt.kernels.boxes import ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.memory import load_int
-from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.rays import HitBatch, Ray
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.key_walk import make_key_walk
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, Counters, start
+from wrt.kernels.traversal.one_by_one import make_ray_kernel
 from wrt.kernels.traversal.single_bvh import begin_search, leaf_search, make_leaf
 from wrt.kernels.triangle.records import TriangleBlocks
 
@@ -139,24 +140,4 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walk, store, counting = make_walk(config), store_best(config), config.counters
-
-    def single_ray_fuzzy(
-        first: int,
-        tree: FuzzyNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-    ):
-        i = first + wp.tid()
-        ray = load_ray(rays, i)
-        best = start(ray.t_max)
-        work = Counters()
-        if ray.valid:
-            best = walk(tree, triangles, ray, hits, i, work)
-        store(hits, i, best)
-        if wp.static(counting):
-            counters.rows[i] = work
-
-    return wp.kernel(single_ray_fuzzy, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return make_ray_kernel(config, FuzzyNodes, make_walk)

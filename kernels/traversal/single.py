@@ -36,9 +36,10 @@ from wrt.kernels.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.mailbox import MAILBOXES, NONE
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
-from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.rays import Ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import CounterRows, Counters, block_step, enter, start, store_best
+from wrt.kernels.traversal.leaf import Counters, block_step, enter, start
+from wrt.kernels.traversal.one_by_one import make_ray_kernel
 from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -189,24 +190,4 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walk, store, counting = make_walk(config), store_best(config), config.counters
-
-    def single_ray_kdtree(
-        first: int,
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-    ):
-        i = first + wp.tid()
-        ray = load_ray(rays, i)
-        best = start(ray.t_max)
-        work = Counters()
-        if ray.valid:
-            best = walk(tree, triangles, ray, hits, i, work)
-        store(hits, i, best)
-        if wp.static(counting):
-            counters.rows[i] = work
-
-    return wp.kernel(single_ray_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return make_ray_kernel(config, KdNodes, make_walk)

@@ -28,10 +28,11 @@ from wrt.kernels.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.lanes import lanes
 from wrt.kernels.memory import load_int
-from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.rays import Ray
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.key_walk import make_key_walk
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start
+from wrt.kernels.traversal.one_by_one import make_ray_kernel
 from wrt.kernels.traversal.own_steps import make_own_step
 from wrt.kernels.traversal.results import results_of
 from wrt.kernels.traversal.waiting import WaitingStack, waiting_stack
@@ -217,24 +218,4 @@ def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    walk, store, counting = make_walk(config), store_best(config), config.counters
-
-    def single_ray_bvh(
-        first: int,
-        tree: WideNodes,
-        triangles: TriangleBlocks,
-        rays: RayBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-    ):
-        i = first + wp.tid()
-        ray = load_ray(rays, i)
-        best = start(ray.t_max)
-        work = Counters()
-        if ray.valid:
-            best = walk(tree, triangles, ray, hits, i, work)
-        store(hits, i, best)
-        if wp.static(counting):
-            counters.rows[i] = work
-
-    return wp.kernel(single_ray_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return make_ray_kernel(config, WideNodes, make_walk)

@@ -7,7 +7,6 @@ thread's own time, which nobody else on the machine disturbs. Building while tra
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,11 +16,12 @@ from typing import Any
 import click
 import numpy as np
 
+from wrt.bench.loading import json_option, progress, table_console, threads_option, usage_errors, write_json
 from wrt.camera import PinholeCamera
 from wrt.fuzzy_scene import FuzzyScene
 from wrt.grouped_scene import GroupedScene
 from wrt.instances import Instance
-from wrt.kernels.launch import MAX_THREADS, get_num_threads, use_threads
+from wrt.kernels.launch import get_num_threads, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.scene import Scene
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
@@ -253,8 +253,8 @@ def follow_behind(stage: Stage, camera: PinholeCamera, expected: list[Answer], r
 @click.option("--detail", default=24, show_default=True, type=click.IntRange(3), help="Triangles grow with its square.")
 @click.option("--size", default=256, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+@threads_option
+@json_option
 def animation_command(
     name: str,
     ways: tuple[str, ...],
@@ -266,20 +266,12 @@ def animation_command(
     json_file: Path | None,
 ) -> None:
     """Follows a cloth or a figure that moves in the atrium in every way that scenes offer: frames a second, and same hits."""
-    from rich.console import Console
-
-    from wrt.bench.loading import progress, usage_errors
-
     stage, count = Stage(atrium(), ANIMATIONS[name](frames, detail)), threads or get_num_threads()
     camera = PinholeCamera(size, size, fov=60, position=(-6.0, -3.5, 2.0), look_at=(0.0, 0.0, 1.6), up=(0.0, 0.0, 1.0))
     with progress() as on_turn, usage_errors():
         figures = compare_ways(stage, camera, ways or tuple(WAYS), rounds=rounds, threads=count, on_turn=on_turn)
-    console = Console()
-    print_ways(figures, stage, count, console if console.is_terminal else Console(width=140))
-    if json_file is not None:
-        with usage_errors():
-            found = {"animation": name, "threads": count, "ways": [asdict(row) for row in figures]}
-            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print_ways(figures, stage, count, table_console(140))
+    write_json(json_file, {"animation": name, "threads": count, "ways": [asdict(row) for row in figures]})
 
 
 def print_ways(figures: Sequence[WayFigures], stage: Stage, threads: int, console: Any) -> None:

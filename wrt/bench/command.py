@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -10,10 +9,11 @@ from typing import Any
 
 import click
 
-from wrt.bench.loading import load_model, progress, usage_errors
+from wrt.bench.loading import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.results import ModelResult, Report, machine
 from wrt.bench.workloads import ORDERS, WORKLOADS, WorkloadMaker
+from wrt.cli.arguments import start_warp
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 from wrt.mesh import TriangleMesh
 
@@ -36,12 +36,15 @@ class BenchCommand(click.Command):
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """The context of the command that is meant, which click goes on with."""
+        """The context of the command that is meant, which click goes on with; Warp's log stays out of its figures."""
         if not args or args[0] not in COMPARISONS:
-            return super().make_context(info_name, args, parent, **extra)
-        module, attribute = COMPARISONS[args[0]]
-        command = getattr(import_module(module), attribute)
-        return command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+            context = super().make_context(info_name, args, parent, **extra)
+        else:
+            module, attribute = COMPARISONS[args[0]]
+            command = getattr(import_module(module), attribute)
+            context = command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        start_warp(context.params.get("device"))
+        return context
 
     def invoke(self, ctx: click.Context) -> Any:
         """Runs the command that the context was made for."""
@@ -59,7 +62,7 @@ class BenchCommand(click.Command):
 @click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
 @click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+@json_option
 @click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
 def bench(
     model: str | None,
@@ -78,20 +81,19 @@ def bench(
     """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
-    which they agree beside it. "engines" are wrt's own traversals, one by one.
+    which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
+    watertight costs; "engines" are wrt's own traversals, one by one.
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
-    bench ray-aware [MODEL]` trees for known rays; each has options of its own.
+    bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
+    animation` ways to follow what moves; each has options of its own.
     """
-    from rich.console import Console
-
     from wrt.bench.plot import matplotlib_missing, save_plot
     from wrt.bench.report import print_report
 
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)
     meshes = [load_model(name) for name in ((model,) if model else DEFAULT_MODELS)]
-    check_device(device)
     with progress() as on_turn, usage_errors():
         report = run_benchmark(
             meshes,
@@ -106,12 +108,10 @@ def bench(
             startup=startup,
             on_turn=on_turn,
         )
-    console = Console()
-    print_report(report, console if console.is_terminal else Console(width=180))
-    with usage_errors():
-        if json_file is not None:
-            json_file.write_text(json.dumps(report.to_dict(), indent=1) + "\n", encoding="utf-8")
-        if plot_file is not None:
+    print_report(report, table_console())
+    write_json(json_file, report.to_dict())
+    if plot_file is not None:
+        with usage_errors():
             save_plot(report, plot_file)
 
 
@@ -152,13 +152,3 @@ def run_benchmark(
     if startup:
         report.startup = ask_startup(found, threads, device, rounds, on_turn)
     return report
-
-
-def check_device(name: str) -> None:
-    """Fails for a device that is not there."""
-    import warp as wp
-
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
-    if name not in (names := [device.alias for device in wp.get_devices()]):
-        raise click.BadParameter(f"{name!r} is not there; choose from {', '.join(names)}", param_hint="--device")

@@ -1,4 +1,4 @@
-"""wrt as a contender: as users call it by default, and once for each traversal and builder."""
+"""wrt as a contender: as users call it by default, with a plain triangle test, and once for each traversal and builder."""
 
 from __future__ import annotations
 
@@ -128,6 +128,13 @@ class Engine(Peer):
 def default_engine(threads: int, device: str) -> Engine:
     """What users get who choose nothing: the reference of all ratios."""
     return Engine(threads, device)
+
+
+def plain_engine(threads: int, device: str) -> Engine:
+    """The default but for the triangle test, Moeller and Trumbore's: beside it stands what being watertight costs."""
+    engine = Engine(threads, device, name="wrt, plain", triangle_test="moeller_trumbore")
+    engine.note = "Moeller and Trumbore's triangle test, not watertight: 0.9x says that wrt's own takes a ninth longer"
+    return engine
 
 
 def all_engines(threads: int, device: str) -> list[Engine]:

@@ -8,7 +8,6 @@ the same for any descriptions, such as one builder with several options.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,10 +19,20 @@ import click
 from wrt.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
 from wrt.bench.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth, print_growth
+from wrt.bench.loading import (
+    json_option,
+    load_model,
+    progress,
+    progress_bar,
+    table_console,
+    threads_option,
+    usage_errors,
+    write_json,
+)
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.kernels.launch import MAX_THREADS, get_num_threads
+from wrt.kernels.launch import get_num_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO
 from wrt.scene import Scene
@@ -153,9 +162,9 @@ def compare_trees(
 @click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each builder.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+@threads_option
 @click.option("--growth", type=click.IntRange(1000), metavar="N", help="Show growth too, from 10^3 to N triangles.")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+@json_option
 def builders_command(
     model: str,
     builders: tuple[str, ...],
@@ -169,10 +178,6 @@ def builders_command(
 
     Figures are ratios to the O(N log N) sweep in the same round; above 1 is slower, dearer or larger.
     """
-    from rich.console import Console
-
-    from wrt.bench.loading import load_model, progress, progress_bar, usage_errors
-
     mesh = load_model(model)
     chosen = builders or tuple(description.builder for description in kdtree_descriptions(mesh.triangle_count))
     count = threads or get_num_threads()
@@ -183,17 +188,14 @@ def builders_command(
         sizes = growth_sizes(growth)
         with progress_bar(growth_turns(chosen, sizes, rounds)) as on_turn:
             grown = measure_growth(chosen, sizes, rounds=rounds, threads=count, on_turn=on_turn)
-    console = Console()
-    console = console if console.is_terminal else Console(width=180)
+    console = table_console()
     print_figures(figures, mesh, count, console)
     if grown:
         print_growth(grown, console)
-    if json_file is not None:
-        with usage_errors():
-            found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count}
-            found["builders"] = [asdict(row) for row in figures]
-            found["growth"] = [asdict(row) | {"per_n_log_n": row.per_n_log_n} for row in grown]
-            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count}
+    found["builders"] = [asdict(row) for row in figures]
+    found["growth"] = [asdict(row) | {"per_n_log_n": row.per_n_log_n} for row in grown]
+    write_json(json_file, found)
 
 
 def print_figures(figures: Sequence[BuilderFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:

@@ -14,10 +14,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from wrt.accelerator import KdTree
+from wrt.bench.loading import load_model, progress, table_console, threads_option, usage_errors
 from wrt.bench.measure import Contender, take_turns
 from wrt.bench.workloads import WorkloadMaker
+from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.layouts import LAYOUTS, lay_out
-from wrt.kernels.launch import MAX_THREADS, get_num_threads, launch, use_threads
+from wrt.kernels.launch import get_num_threads, launch, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import CLOSEST, make_plan
 from wrt.rays import Rays, to_device
@@ -120,22 +122,17 @@ def compare_layouts(
 
 @click.command("layouts")
 @click.argument("model", default="teapot")
-@click.option("--builder", default="in_place", show_default=True, help="Of the tree.")
+@click.option("--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Of the tree.")
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+@threads_option
 def layouts_command(model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None) -> None:
     """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
-    from rich.console import Console
-
-    from wrt.bench.loading import load_model, progress, usage_errors
-
     mesh, count = load_model(model), threads or get_num_threads()
     with progress() as on_turn, usage_errors():
         figures = compare_layouts(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
-    console = Console()
-    print_layouts(figures, mesh, count, console if console.is_terminal else Console(width=180))
+    print_layouts(figures, mesh, count, table_console())
 
 
 def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:

@@ -1,18 +1,29 @@
-"""What the commands of the benchmark share: models by name, errors of the command line, and what is under way."""
+"""What the commands of the benchmark share: options, models by name, errors, what is under way, and where figures go."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from wrt.kernels.launch import MAX_THREADS
 from wrt.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 SCENE_OPTIONS = {"teapot": {"level": 32, "ground": False}}
 """Where a scene's defaults do not suit: the teapot's ground would fill every view."""
+
+threads_option = click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
+json_option = click.option(
+    "--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures."
+)
 
 
 def load_model(name: str) -> TriangleMesh:
@@ -37,6 +48,21 @@ def usage_errors() -> Iterator[None]:
         yield
     except (ValueError, OSError) as error:
         raise click.ClickException(str(error)) from error
+
+
+def table_console(width: int = 180) -> Console:
+    """Where tables are printed: as wide as the terminal, or where there is none, so wide that no figure is cut off."""
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=width)
+
+
+def write_json(path: Path | None, figures: dict[str, Any]) -> None:
+    """Writes plain data to a file, if one was asked for."""
+    if path is not None:
+        with usage_errors():
+            path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 
 
 @contextmanager

@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.bench.contract import Answer, Lists, Peer, Query, device_rays, spread_rays
 from wrt.bench.embree_native import Embree
-from wrt.bench.engines import all_engines, default_engine
+from wrt.bench.engines import all_engines, default_engine, plain_engine
 from wrt.bench.workloads import Workload
 from wrt.mesh import TriangleMesh
 from wrt.tables import lookup
@@ -225,6 +225,7 @@ class TrimeshEmbreex(Trimesh):
 
 PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "wrt": lambda threads, device: [default_engine(threads, device)],
+    "plain": lambda threads, device: [plain_engine(threads, device)],
     "engines": all_engines,
     "open3d": lambda threads, device: [Open3D(threads)],
     "embree": lambda threads, device: [Embree(threads)],
@@ -233,7 +234,8 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "trimesh": lambda threads, device: [Trimesh()],
     "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
 }
-"""Contenders by the name that the command line knows; "engines" are wrt's traversals, each by itself."""
+"""Contenders by the name that the command line knows; "plain" is wrt with a triangle test that leaks, "engines" are its
+traversals, each by itself."""
 
 
 def make_peers(names: Iterable[str], threads: int, device: str) -> tuple[list[Peer], dict[str, str]]:

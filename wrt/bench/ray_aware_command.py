@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import click
 
-from wrt.bench.loading import load_model, progress, usage_errors
+from wrt.bench.loading import json_option, load_model, progress, table_console, threads_option, usage_errors, write_json
 from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, Turns, areas_of, compare_builds, compare_searches, compare_traces
 from wrt.bench.results import machine
-from wrt.kernels.launch import MAX_THREADS, get_num_threads
+from wrt.kernels.launch import get_num_threads
+from wrt.kernels.traversal import TRAVERSALS as WALKS
 
 TITLES = {
     "search": "Search of a node's plane, one thread: projected areas / surface areas",
@@ -28,9 +28,9 @@ by the build's prices. ProjectedBvh: one tree for the rays; RayAwareBvh: the def
 @click.argument("model", default="atrium")
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each tree.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads. [all cores]")
-@click.option("--traversal", "traversals", multiple=True, help="Of `Scene.intersect`; repeat. [auto, single]")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+@threads_option
+@click.option("--traversal", "traversals", multiple=True, type=click.Choice(["auto", *WALKS]), help="Repeat. [auto, single]")
+@json_option
 def ray_aware_command(
     model: str, size: int, rounds: int, threads: int | None, traversals: tuple[str, ...], json_file: Path | None
 ) -> None:
@@ -38,8 +38,6 @@ def ray_aware_command(
 
     Time to search a node, to build, and to trace shadow rays of a sun and a lamp, a camera's rays, and those of ray casters.
     """
-    from rich.console import Console
-
     mesh, count = load_model(model), threads or get_num_threads()
     with progress() as on_turn, usage_errors():
         figures: list[Figure] = []
@@ -49,18 +47,14 @@ def ray_aware_command(
         turns = Turns(rounds, count, on_turn)
         figures += compare_builds(mesh, areas, turns)
         figures += compare_traces(mesh, turns, size=size, traversals=traversals or TRAVERSALS)
-    console = Console()
-    console = console if console.is_terminal else Console(width=180)
+    console = table_console()
     console.print(f"{mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", highlight=False)
     for question, title in TITLES.items():
         console.print(f"\n[bold]{title}[/bold]", highlight=False)
         console.print(table_of([figure for figure in figures if figure.question == question]))
     console.print(FOOTNOTE, style="dim", highlight=False)
-    if json_file is not None:
-        with usage_errors():
-            found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count, "machine": machine("cpu")}
-            found["figures"] = [asdict(figure) for figure in figures]
-            json_file.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    found = {"model": mesh.name, "triangles": mesh.triangle_count, "threads": count, "machine": machine("cpu")}
+    write_json(json_file, found | {"figures": [asdict(figure) for figure in figures]})
 
 
 def table_of(figures: Sequence[Figure]):

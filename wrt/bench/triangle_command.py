@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
 
-from wrt.bench.loading import load_model, progress, usage_errors
+from wrt.bench.loading import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.triangle_tests import SITUATIONS, run_triangle_tests
 from wrt.kernels.launch import MAX_THREADS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -21,7 +20,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 @click.option("--rounds", default=9, show_default=True, type=click.IntRange(1), help="Turns of each test.")
 @click.option("--threads", default=1, show_default=True, type=click.IntRange(1, MAX_THREADS), help="CPU threads.")
 @click.option("--precision/--no-precision", default=True, show_default=True, help="Measure errors and leaks.")
-@click.option("--json", "json_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write all figures.")
+@json_option
 @click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
 def triangle_tests(
     model: str,
@@ -39,15 +38,11 @@ def triangle_tests(
     Speed with and without a tree, as ratios to Moeller and Trumbore's test taken round by round; what is computed and held
     beforehand; operations, and where tests end; errors against float64 and rays that leak between triangles.
     """
-    import warp as wp
-    from rich.console import Console
-
     from wrt.bench.plot import matplotlib_missing
     from wrt.bench.triangle_report import print_tests_report, save_tests_plot
 
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)
-    wp.config.log_level = wp.LOG_WARNING
     mesh = load_model(model)
     with progress() as on_turn, usage_errors():
         report = run_triangle_tests(
@@ -60,10 +55,8 @@ def triangle_tests(
             precise=precision,
             on_turn=on_turn,
         )
-    console = Console()
-    print_tests_report(report, console if console.is_terminal else Console(width=200))
-    with usage_errors():
-        if json_file is not None:
-            json_file.write_text(json.dumps(report.to_dict(), indent=1) + "\n", encoding="utf-8")
-        if plot_file is not None:
+    print_tests_report(report, table_console(200))
+    write_json(json_file, report.to_dict())
+    if plot_file is not None:
+        with usage_errors():
             save_tests_plot(report, plot_file)

@@ -58,7 +58,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
             click.option("--scene", help=f"Built-in scene, if there is no MODEL; see `wrt list`. [{DEFAULT_SCENE}]"),
             click.option("--level", type=click.IntRange(1), help="Fineness of the teapot, the same as --option level=N."),
             click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the scene; repeat."),
-            click.option("--accelerator", default="auto", show_default=True, help="auto, or a name from `wrt list`."),
+            click.option("--accelerator", default="auto", show_default=True, help="auto, bvh or kdtree."),
             click.option("--device", help="cpu, cuda:0, ...  [Warp's default]"),
             click.option("--threads", type=click.IntRange(1, 1024), help="Threads on the CPU. [all cores]"),
         )
