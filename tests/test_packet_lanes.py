@@ -1,0 +1,156 @@
+"""Packets in and out and W rays x a triangle, against one ray at a time in plain Warp, bit for bit."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+import warp as wp
+from conftest import SCENES, snapped_soup
+from packet_loops import OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
+
+import wrt
+from wrt.kernels.packet import block as packet_block
+from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.packet.load import load_packet
+from wrt.kernels.packet.store import store_packet
+from wrt.kernels.rays import HitBatch
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+LAYOUTS = [
+    PacketLayout(64, 16, True, "woop"),
+    PacketLayout(32, 8, False, "woop"),
+    PacketLayout(16, 4, False, "moeller_trumbore"),
+    PacketLayout(16, 16, True, "komatsu"),
+]
+LOAD, CLOSEST, ANY, STORE, STORE_ANY = range(5)
+CLOSEST_BLOCKS = 3
+"""Blocks that a packet meets for its closest hits; the next is for any hit."""
+
+
+@cache
+def loops(layout: PacketLayout) -> wp.Kernel:
+    """The loops of this file. Item: a packet."""
+    load, store, store_any = load_packet(layout), store_packet(layout, False), store_packet(layout, True)
+    closest, any_hit = packet_block.test_block(layout, False), packet_block.test_block(layout, True)
+    rays = layout.rays
+
+    def run(loop: Loop, stage: int):
+        i = wp.tid()
+        bounds = loop.bounds[i]
+        first = i * wp.static(rays)
+        if stage == LOAD:
+            load(loop.rays, first, loop.low, loop.high, loop.packets[i], bounds)
+        elif stage == CLOSEST:
+            for j in range(CLOSEST_BLOCKS):
+                block = loop.blocks[i, j]
+                closest(loop.triangles.records, loop.triangles.primitive, block, loop.masks[i, j], loop.packets[i], bounds)
+        elif stage == ANY:
+            block = loop.blocks[i, CLOSEST_BLOCKS]
+            mask = loop.masks[i, CLOSEST_BLOCKS]
+            any_hit(loop.triangles.records, loop.triangles.primitive, block, mask, loop.packets[i], bounds)
+        elif stage == STORE:
+            store(loop.packets[i], loop.rays, first, loop.hits)
+        elif stage == STORE_ANY:
+            store_any(loop.packets[i], loop.rays, first, loop.hits)
+        loop.bounds[i] = bounds
+
+    return wp.kernel(run, **OPTIONS)
+
+
+MESHES = {
+    "teapot": SCENES["teapot"],
+    "grid": lambda: doubled(snapped_soup(300, seed=5)),
+    "degenerate": SCENES["degenerate"],
+}
+
+
+def doubled(mesh: wrt.TriangleMesh) -> wrt.TriangleMesh:
+    """Every triangle twice, side by side."""
+    return wrt.TriangleMesh(mesh.vertices, np.repeat(mesh.faces, 2, axis=0))
+
+
+@pytest.fixture(params=LAYOUTS, ids=lambda x: f"{x.triangle_test}-{x.rays}x{x.width}")
+def layout(request) -> PacketLayout:
+    return request.param
+
+
+@pytest.fixture(params=MESHES)
+def packets(request, layout, device) -> Packets:
+    """Loaded packets; of the grid's, the rays are a picture's."""
+    made = make_packets(MESHES[request.param](), layout, 60, device, columns=19 if request.param == "grid" else 0)
+    made.run(loops(layout), LOAD)
+    return made
+
+
+def bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values).view(np.int32)
+
+
+def scalar_state(layout: PacketLayout, plain: PlainRays) -> dict[str, np.ndarray]:
+    """What `prepare` makes of each ray, by the names of the packet's components."""
+    test = TRIANGLE_TESTS[layout.triangle_test]
+    if test.name == "woop":
+        return {"shear_z": plain.state["shear"][..., 2]}
+    values = {}
+    for value in test.lanes.ray:
+        if value.packet:  # such as ray.direction.c[0]
+            name, place = re.fullmatch(r"ray\.(\w+)(?:\.c\[(\d)\])?", value.scalar).groups()
+            values[f"ray_{value.name}"] = plain.state[name] if place is None else plain.state[name][..., int(place)]
+    return values
+
+
+def test_loaded(packets):
+    """Every component of every good ray has the bits of the ray that is loaded alone; all others are not active."""
+    plain, got, layout = plain_rays(packets), packets.components(), packets.layout
+    valid = plain.valid
+    assert 0.5 < valid.mean() < 0.95
+    assert not valid[0].any()
+    expected = scalar_state(layout, plain)
+    direction = plain.ray["direction"]
+    with np.errstate(all="ignore"):
+        main = np.abs(direction).argmax(axis=-1)  # the first of equals
+        slopes = np.stack([np.take_along_axis(direction, (main[..., None] + j) % 3, -1)[..., 0] for j in range(3)])
+        expected |= {"slope_x": slopes[1] / slopes[0], "slope_y": slopes[2] / slopes[0]}
+    for axis, name in enumerate("xyz"):
+        expected[f"inverse_{name}"] = plain.slabs["inverse"][..., axis]
+        if not layout.shared_origin:
+            expected[f"origin_{name}"] = plain.ray["origin"][..., axis]
+    expected |= {} if layout.shared_origin else {"slack": plain.slack}
+    expected |= {"t_min": plain.ray["t_min"], "t": plain.ray["t_max"], "u": np.zeros(valid.shape), "v": np.zeros(valid.shape)}
+    for name, values in expected.items():
+        np.testing.assert_array_equal(bits(got[name])[valid], bits(values.astype(np.float32))[valid], err_msg=name)
+    np.testing.assert_array_equal(got["main_axis"][valid], main[valid])
+    assert (got["primitive"] == -1).all()
+    assert (got["t"][~valid] == -np.inf).all()
+    assert set(layout.components) - set(expected) <= {"primitive", "main_axis", "part", "kept"}
+
+
+def best_candidates(packets: Packets, plain: PlainRays) -> dict[str, np.ndarray]:
+    """The closest hits on the first blocks, by looking at all candidates: the least t, then the least id."""
+    size = packets.count * packets.layout.rays
+    masks = packets.loop.masks.numpy()[:, None, :CLOSEST_BLOCKS, None] >> np.arange(packets.layout.width) & 1
+    ids = packets.ids[packets.loop.blocks.numpy()[:, None, :CLOSEST_BLOCKS]]
+    t, u, v = np.moveaxis(plain.candidates[:, :, :CLOSEST_BLOCKS], -1, 0)
+    t_max = np.where(plain.valid, plain.ray["t_max"], -np.inf)
+    counts = (masks != 0) & (t >= plain.ray["t_min"][..., None, None]) & (t <= t_max[..., None, None])
+    t, u, v, ids = (np.broadcast_to(x, counts.shape).reshape(size, -1) for x in (t, u, v, ids))
+    keys = np.where(counts.reshape(size, -1), t, np.inf)
+    best = np.lexsort((ids, keys, ~counts.reshape(size, -1)), axis=-1)[:, :1]
+    hit = counts.any(axis=(2, 3)).ravel()
+    found = {name: np.take_along_axis(x, best, 1)[:, 0] for name, x in (("t", t), ("u", u), ("v", v), ("primitive", ids))}
+    otherwise = {"t": t_max.ravel(), "u": np.float32(0.0), "v": np.float32(0.0), "primitive": -1}
+    return {name: np.where(hit, found[name], otherwise[name]).reshape(plain.valid.shape) for name in found}
+
+
+def test_closest_hits(packets):
+    """Three blocks, one after the other: t, triangle and weights of every ray are those of the best candidate."""
+    plain = plain_rays(packets)
+    packets.run(loops(packets.layout), CLOSEST)
+    got, expected = packets.components(), best_candidates(packets, plain)
+    for name in ("primitive", "t", "u", "v"):
+        np.testing.assert_array_equal(bits(got[name]), bits(expected[name].astype(got[name].dtype)), err_msg=name)
+    assert 0.1 < (got["primitive"] >= 0).mean() < 0.9
+    np.testing.assert_array_equal(packets.bounds()["t_max"], expected["t"].max(axis=1))
