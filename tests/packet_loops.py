@@ -5,11 +5,12 @@ of the device, so that a test sees what a loop read and what it left behind. `pl
 test's `prepare` make of the same rays, and `candidates` what its scalar form finds, triangle by triangle.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
 import warp as wp
+from conftest import SCENES, snapped_soup
 
 import wrt
 from wrt.kernels.boxes import SLACK, RaySlabs, ray_slabs, reach
@@ -25,7 +26,19 @@ from wrt.kernels.triangle.records import TriangleBlocks
 BLOCKS = 4
 """Blocks of triangles that a packet is tested against."""
 
+MESHES = {
+    "teapot": SCENES["teapot"],
+    "grid": lambda: doubled(snapped_soup(300, seed=5)),
+    "degenerate": SCENES["degenerate"],
+}
+"""Curved patches, a soup whose planes and areas come out as 0 where rays start on its grid, and one of degenerate triangles."""
+
 OPTIONS = {"module": "unique", "enable_backward": False, "module_options": {"fuse_fp": False}}
+
+
+def doubled(mesh: wrt.TriangleMesh) -> wrt.TriangleMesh:
+    """Every triangle twice, side by side."""
+    return wrt.TriangleMesh(mesh.vertices, np.repeat(mesh.faces, 2, axis=0))
 
 
 @wp.struct
@@ -71,14 +84,26 @@ class Packets:
         return self.loop.bounds.numpy()
 
     def components(self) -> dict[str, np.ndarray]:
-        """Each component of all packets, (packets, P), as it is now; whole numbers as int32."""
-        rows = self.loop.packets
-        begin = -(rows.ptr // 4) % CACHE_LINE
-        names = self.layout.components
-        used = rows.numpy()[:, begin : begin + len(names) * self.layout.rays]
-        values = used.reshape(self.count, len(names), self.layout.rays)
-        whole = ("primitive", "main_axis", "part")
-        return {name: values[:, k].view(np.int32) if name in whole else values[:, k] for k, name in enumerate(names)}
+        """A copy of each component of all packets, (packets, P); whole numbers as int32."""
+        return self._split(self.loop.packets.numpy().copy())
+
+    def change(self, **components: np.ndarray) -> None:
+        """Gives components other values."""
+        rows = self.loop.packets.numpy().copy()
+        places = self._split(rows)
+        for name, values in components.items():
+            places[name][:] = values
+        self.loop.packets.assign(rows)
+
+    def _split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
+        """The components that rows of memory hold."""
+        begin = -(self.loop.packets.ptr // 4) % CACHE_LINE
+        places = {}
+        for number, name in enumerate(self.layout.components):
+            first = begin + number * self.layout.rays
+            values = rows[:, first : first + self.layout.rays]
+            places[name] = values.view(np.int32) if name in ("primitive", "main_axis", "part") else values
+        return places
 
 
 def aims(rng: np.random.Generator, corners: np.ndarray) -> np.ndarray:
@@ -112,7 +137,7 @@ def aimed_rays(
     directions[kind == 0] = axes[kind == 0, None]  # parallel to an axis
     directions[kind == 1, :, 0] = rng.choice([0.0, -0.0])  # in a plane
     directions[kind == 2] = rng.normal(size=(int((kind == 2).sum()), rays, 3)) * size  # everywhere
-    far = kind == 3
+    far = np.isin(kind, (3, 4, 5))
     directions[far] = (targets[far, :1] - origins[far]) + rng.normal(size=(int(far.sum()), rays, 3)) * size * 0.02  # a beam
     bad = rng.integers(0, 100, (packets, rays))
     directions[bad == 0] = np.nan
@@ -160,7 +185,7 @@ def make_packets(mesh: wrt.TriangleMesh, layout: PacketLayout, count: int, devic
     blocks = rng.integers(0, len(ids) // width, (count, BLOCKS))
     blocks[:, 1] = (blocks[:, 0] + 1) % (len(ids) // width)
     blocks[::7, 2] = len(ids) // width - 1  # that with unused lanes
-    chosen = (blocks[:, rng.integers(0, 2, rays)] * width + rng.integers(0, width, (count, rays))) % len(corners)
+    chosen = (blocks[:, rng.choice([0, 1, 3], rays)] * width + rng.integers(0, width, (count, rays))) % len(corners)
     targets = aims(rng, corners[chosen.ravel()].astype(np.float64)).reshape(count, rays, 3)
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     origins, directions = aimed_rays(rng, targets, low, high, layout.shared_origin)
@@ -188,7 +213,10 @@ def make_packets(mesh: wrt.TriangleMesh, layout: PacketLayout, count: int, devic
     loop.rays.direction_stride = loop.rays.t_min_stride = loop.rays.t_max_stride = 1
     test = TRIANGLE_TESTS[layout.triangle_test]
     shuffled = np.where(ids >= 0, rng.permutation(len(ids)), -1).astype(np.int32)  # ties do not go by places in the block
-    vertices, faces = on_device(corners.reshape(-1, 3), wp.vec3), on_device(np.arange(corners.size // 3).reshape(-1, 3), wp.vec3i)
+    vertices, faces = (
+        on_device(corners.reshape(-1, 3), wp.vec3),
+        on_device(np.arange(corners.size // 3).reshape(-1, 3), wp.vec3i),
+    )
     origin = tuple((loop.rays.origins.numpy()[0] - center).astype(np.float32).tolist())
     loop.triangles = pack_blocks(test.record, vertices, faces, on_device(ids, int), width, origin)
     loop.triangles.primitive = on_device(shuffled, int)
@@ -217,6 +245,10 @@ class PlainRays:
     slack: np.ndarray
     candidates: np.ndarray
     """(packets, P, BLOCKS, W, 3) t, u, v by the scalar form and the consistency rule; t NaN for none."""
+
+    def __getitem__(self, rows: np.ndarray) -> "PlainRays":
+        """Those of some packets."""
+        return PlainRays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
     @property
     def valid(self) -> np.ndarray:

@@ -10,7 +10,6 @@ against the triangle. The corners of an unused lane are NaN.
 
 import warp as wp
 
-from wrt.kernels.boxes import greatest, least
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.cells import enter_slab
 from wrt.kernels.packet.corner_rays import MARGIN
@@ -93,8 +92,6 @@ def vertex_keeps(bounds: PacketBounds, corners: Corners):
     z = main_axis(bounds)
     if z < 0:
         return True
-    beyond_low = bool(True)
-    beyond_high = bool(True)
     left = bool(False)
     right = bool(False)
     below = bool(False)
