@@ -13,15 +13,13 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
-from wrt.kernels.boxes import SLACK, RaySlabs, ray_slabs, reach
+from wrt.kernels.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import CACHE_LINE, PacketLayout
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.leaf import triangle_step
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.packing import pack_blocks
-from wrt.kernels.triangle.records import TriangleBlocks
+from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
 
 BLOCKS = 4
 """Blocks of triangles that a packet is tested against."""
@@ -60,8 +58,13 @@ class Loop:
     boxes: wp.array(dtype=float)
     """Bounds of wide nodes."""
     keys: wp.array2d(dtype=int)
-    values: wp.array2d(dtype=float)
+    intervals: wp.array2d(dtype=wp.vec2)
+    """(packets, W) entry and leave of boxes."""
+    frusta: wp.array2d(dtype=wp.vec2)
     answers: wp.array2d(dtype=int)
+    columns: int
+    """BLOCKS, and `lanes` is W: numbers that are known at run time only, because Warp would unroll loops over others."""
+    lanes: int
 
 
 @dataclass
@@ -226,8 +229,8 @@ def make_packets(mesh: wrt.TriangleMesh, layout: PacketLayout, count: int, devic
     loop.masks = on_device(masks, wp.uint32)
     loop.low, loop.high = wp.vec3(*low.tolist()), wp.vec3(*high.tolist())
     loop.packets = wp.zeros((count, -(-layout.size // CACHE_LINE) * CACHE_LINE), dtype=float, device=device)
+    loop.columns, loop.lanes = BLOCKS, width
     loop.bounds = wp.zeros(count, dtype=PacketBounds, device=device)
-    loop.values = wp.zeros((count, 2 * rays), dtype=float, device=device)
     loop.answers = wp.zeros((count, 16), dtype=int, device=device)
     return Packets(layout, loop, count, shuffled.reshape(-1, width), device)
 
@@ -257,10 +260,11 @@ class PlainRays:
 
 
 @cache
-def make_plain(triangle_test: str, width: int) -> tuple[wp.Kernel, type]:
+def make_plain(triangle_test: str) -> tuple[wp.Kernel, type]:
     """The kernel behind `plain_rays` and the struct that it fills. Item: a ray of a packet."""
     test = TRIANGLE_TESTS[triangle_test]
-    RayState, prepare, candidate = test.ray_state, test.prepare, triangle_step(TraversalConfig(triangle_test, width))
+    RayState, prepare, intersect, load = test.ray_state, test.prepare, test.intersect, test.record.load
+    load_vertices = load_corners(test.record.components)
 
     @wp.struct
     class Plain:
@@ -284,13 +288,14 @@ def make_plain(triangle_test: str, width: int) -> tuple[wp.Kernel, type]:
         out.slabs[i] = slabs
         out.state[i] = state
         out.slack[i] = SLACK * distance
-        for column in range(BLOCKS):
+        for column in range(loop.columns):
             block = loop.blocks[i / rays, column]
-            for lane in range(wp.static(width)):
-                slot = block * wp.static(width) + lane
-                hit = wp.vec3(wp.nan, 0.0, 0.0)
-                if loop.triangles.primitive[slot] >= 0:
-                    hit = candidate(loop.triangles.records, slot, state, slabs)
+            for lane in range(loop.lanes):
+                slot = block * loop.lanes + lane
+                hit = intersect(state, load(loop.triangles.records, slot, loop.lanes))
+                corners = load_vertices(loop.triangles.records, slot, loop.lanes)
+                if hit[0] == hit[0]:
+                    hit[0] = clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0])
                 out.candidates[i, column, lane] = hit
 
     return wp.kernel(plain, **OPTIONS), Plain
@@ -300,7 +305,7 @@ def plain_rays(packets: Packets) -> PlainRays:
     """The rays one by one, in plain Warp."""
     layout, loop, device = packets.layout, packets.loop, packets.device
     places = packets.count * layout.rays
-    kernel, Plain = make_plain(layout.triangle_test, layout.width)
+    kernel, Plain = make_plain(layout.triangle_test)
     number = np.full(places, -1, dtype=np.int32)
     columns, total = loop.rays.columns, loop.rays.count
     number[:total] = tile_order(columns, total // columns, layout.rays) if columns else np.arange(total)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import MESHES, OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
+from packet_loops import BLOCKS, MESHES, OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
 
 from wrt.kernels.packet import block as packet_block
 from wrt.kernels.packet.layout import PacketLayout
@@ -24,7 +24,7 @@ LAYOUTS = [
     PacketLayout(16, 16, True, "komatsu"),
 ]
 LOAD, CLOSEST, ANY, STORE, STORE_ANY = range(5)
-CLOSEST_BLOCKS = 3
+CLOSEST_BLOCKS = BLOCKS - 1
 """Blocks that a packet meets for its closest hits; the next is for any hit."""
 
 
@@ -42,7 +42,7 @@ def loops(layout: PacketLayout) -> wp.Kernel:
         if stage == LOAD:
             load(loop.rays, first, loop.low, loop.high, loop.packets[i], bounds)
         elif stage == CLOSEST:
-            for j in range(CLOSEST_BLOCKS):
+            for j in range(loop.columns - 1):
                 block = loop.blocks[i, j]
                 closest(loop.triangles.records, loop.triangles.primitive, block, loop.masks[i, j], loop.packets[i], bounds)
         elif stage == ANY:

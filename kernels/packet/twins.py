@@ -1,8 +1,8 @@
 """What the cullings decide of one triangle or box: the twins of their lane loops, in plain Warp.
 
 The loops take W triangles of a block, or W child boxes, at a time; here is the same arithmetic for one of them, written to
-be read. No query calls it: the tests compare it to the loops bit for bit, and a new culling brings its twin along
-(`TRIANGLE_TWINS`). Why each of these decisions is safe stands in the file of the culling.
+be read. No query calls it: the tests compare it to the loops bit for bit. Why each of these decisions is safe stands in the
+file of the culling.
 
 A twin for triangles is a `wp.func(bounds, corners) -> bool`: whether the rays that `bounds` is about have to be tested
 against the triangle. The corners of an unused lane are NaN.
@@ -214,20 +214,3 @@ def corner_rays_keep(bounds: PacketBounds, corners: Corners):
         front = front and some_front
         back = back and some_back
     return front or back
-
-
-TRIANGLE_TWINS: dict[str, wp.Function] = {
-    "none": every_ray_keeps,
-    "interval": interval_keeps,
-    "corner_rays": corner_rays_keep,
-    "frustum": frustum_keeps,
-    "vertex": vertex_keeps,
-    "transient_frustum": side_planes_keep,
-    "two_plane": side_planes_keep,
-}
-"""The twin of `Culling.triangles`, by the name of the culling."""
-
-
-def triangle_twin(culling: str, shared_origin: bool) -> wp.Function:
-    """The twin of a culling's loop over triangles; only `corner_rays` asks whether all rays start at one point."""
-    return interval_keeps if culling == "corner_rays" and not shared_origin else TRIANGLE_TWINS[culling]
