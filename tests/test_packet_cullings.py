@@ -149,13 +149,14 @@ def mesh(request):
 
 @pytest.fixture(params=LAYOUTS, ids=["shared", "own"])
 def packets(request, mesh, device) -> Packets:
-    """Loaded packets, and as nodes the boxes of the triangles of blocks, some widened."""
+    """Loaded packets, and as nodes the boxes of the triangles of blocks, some widened, but within the scene."""
     made = make_packets(mesh, request.param, 120, device)
     width, loop = made.layout.width, made.loop
     corners = loop.triangles.records.numpy().reshape(-1, 3, 3, width)
     rng = np.random.default_rng(2)
-    wide = rng.choice([0.0, 0.05, 0.4], (len(corners), 1, width)) * (np.float32(loop.high) - np.float32(loop.low)).max()
-    low, high = corners.min(axis=1) - wide, corners.max(axis=1) + wide
+    ends = np.float32(loop.low)[:, None], np.float32(loop.high)[:, None]
+    wide = rng.choice([0.0, 0.05, 0.4], (len(corners), 1, width)) * (ends[1] - ends[0]).max()
+    low, high = np.maximum(corners.min(axis=1) - wide, ends[0]), np.minimum(corners.max(axis=1) + wide, ends[1])
     unused = np.isnan(low)
     boxes = np.concatenate([np.where(unused, np.inf, low), np.where(unused, -np.inf, high)], axis=1)
     loop.boxes = wp.array(boxes.ravel().astype(np.float32), dtype=float, device=device)
@@ -182,14 +183,18 @@ def meeting(packets: Packets, plain: PlainRays) -> tuple[np.ndarray, np.ndarray]
     return enter, leave
 
 
+def leaf_lanes(packets: Packets) -> np.ndarray:
+    """(packets,) the child of its node that is a packet's leaf."""
+    return np.random.default_rng(3).integers(0, packets.layout.width, packets.count)
+
+
 def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     """Sets the packets up, and for a leaf if the culling looks at leaves; the packets with rays to go on with."""
     run(packets, START, culling)
     if not CULLINGS[culling].needs_boxes:
         return packets.bounds()["active"] > 0
-    lane = np.random.default_rng(3).integers(0, packets.layout.width, packets.count)
     answers = packets.loop.answers.numpy().copy()
-    answers[:, 1] = lane
+    answers[:, 1] = leaf_lanes(packets)
     packets.loop.answers.assign(answers)
     run(packets, LEAF, culling)
     return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] != 0)
@@ -220,7 +225,10 @@ def test_triangles(packets, culling):
 
 @pytest.mark.parametrize("culling", ["none", "interval", "frustum", "two_plane"])
 def test_boxes(packets, culling):
-    """Keys are those of the twin's entry; no ray enters earlier, and none meets a box without a key."""
+    """Keys are those of the twin's entry; no ray enters earlier, and none meets a box without a key.
+
+    Some rays have a negative t_min, and so are not active: without culling, one such ray once hid boxes from all others.
+    """
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
     run(packets, BOXES, culling)
@@ -228,7 +236,7 @@ def test_boxes(packets, culling):
     enter, leave = meeting(packets, plain)
     meets = enter <= leave
     if culling == "none":
-        entry = np.where(meets, enter, np.inf).min(axis=1).astype(np.float32)
+        entry = np.where(meets, enter, np.float32(np.inf)).min(axis=1) + np.float32(0.0)  # not -0
         met = meets.any(axis=1)
     else:
         intervals = packets.loop.intervals.numpy()
@@ -238,7 +246,7 @@ def test_boxes(packets, culling):
             intervals = np.where(framed[:, None, None], packets.loop.frusta.numpy(), intervals)
         entry, met = intervals[..., 0], intervals[..., 0] <= intervals[..., 1]
     lane = np.arange(packets.layout.width)
-    bits = (np.ascontiguousarray(entry) + np.float32(0.0)).view(np.int32)
+    bits = np.ascontiguousarray(entry).view(np.int32)
     expected = np.where(met, (bits & -packets.layout.width) | lane, NO_CHILD_CONSTANT)[there]
     got = packets.loop.keys.numpy()[there]
     np.testing.assert_array_equal(got, expected)
@@ -248,3 +256,48 @@ def test_boxes(packets, culling):
     first = np.where(meets, enter, np.float32(np.inf)).min(axis=1)[there]
     reached = np.isfinite(first)
     assert (((got & -packets.layout.width).view(np.float32) <= first) | ~reached).all()
+
+
+def check_frustum(bounds: np.ndarray, plain: PlainRays, counts: np.ndarray, tight: bool) -> None:
+    """All rays that count are between the four lines at both ends of the frustum, to within `ERROR`; float64.
+
+    tight: whether the lines go through the extreme points of the rays at both ends; if not, they widen from the near one.
+    """
+    turned = (bounds["frame"][:, None, None] + np.arange(3)) % 3
+    origin, direction = (
+        np.take_along_axis(np.float64(plain.ray[name]), np.broadcast_to(turned, plain.ray[name].shape), -1)
+        for name in ("origin", "direction")
+    )
+    slack, forward = bounds["slack"].astype(np.float64)[:, None], bounds["forward"][:, None]
+    with np.errstate(invalid="ignore"):
+        assert (np.sign(direction[..., 0]) == forward)[counts].all()
+        begin = (origin[..., 0] - bounds["near_plane"][:, None]) * forward
+        near = np.zeros_like(begin) if tight else np.maximum(begin, 0.0)
+        far = np.minimum(bounds["depth"].astype(np.float64)[:, None], slack * 2.0**22)  # it may have no end
+        for depth in (near, np.maximum(far, near)):
+            for a in range(2):
+                place = origin[..., 1 + a] + direction[..., 1 + a] / np.abs(direction[..., 0]) * (depth - begin)
+                low, high = (bounds[f"side_{e}"][:, a, None] + bounds[f"rise_{e}"][:, a, None] * depth for e in ("low", "high"))
+                inside = np.stack([place - low, high - place]) / slack
+                assert (inside[:, counts] >= -ERROR).all()
+                assert not tight or (np.where(counts, inside, np.inf).min(axis=2) <= ERROR).all()
+    assert (bounds["margin"] >= 2.0 * ERROR * slack[:, 0]).all()
+
+
+@pytest.mark.parametrize("culling", FRUSTA)
+def test_frusta(packets, culling):
+    """Frusta hold the rays: of the whole packet, or those that meet a leaf's box, whose packet goes on if there is one."""
+    plain = plain_rays(packets)
+    there = started(packets, plain, culling)
+    counts, bounds = plain.valid, packets.bounds()
+    if CULLINGS[culling].needs_boxes:
+        enter, leave = meeting(packets, plain)
+        lane = leaf_lanes(packets)[:, None, None]
+        counts = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
+        np.testing.assert_array_equal(there, counts.any(axis=1))
+        assert not there[bounds["active"] > 0].all()
+    axes = bounds["main_axes"]
+    framed = there & (bounds["frame"] >= 0)
+    assert 0.1 < framed.mean() < 1.0
+    assert (1 << bounds["frame"][framed] == axes[framed]).all()
+    check_frustum(bounds[framed], plain[framed], counts[framed], culling != "frustum")
