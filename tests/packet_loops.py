@@ -14,8 +14,11 @@ from conftest import SCENES, snapped_soup
 
 import wrt
 from wrt.kernels.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
+from wrt.kernels.packet import block as packet_block
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import CACHE_LINE, PacketLayout
+from wrt.kernels.packet.load import load_packet
+from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.packing import pack_blocks
@@ -32,6 +35,10 @@ MESHES = {
 """Curved patches, a soup whose planes and areas come out as 0 where rays start on its grid, and one of degenerate triangles."""
 
 OPTIONS = {"module": "unique", "enable_backward": False, "module_options": {"fuse_fp": False}}
+"""Of kernels with loops over lanes: compiled as those of queries are."""
+
+TWIN_OPTIONS = OPTIONS | {"module_options": {"fuse_fp": False, "optimization_level": 1}}
+"""Of kernels that only compare: they need not be fast, and compile in half of the time."""
 
 
 def doubled(mesh: wrt.TriangleMesh) -> wrt.TriangleMesh:
@@ -65,6 +72,41 @@ class Loop:
     columns: int
     """BLOCKS, and `lanes` is W: numbers that are known at run time only, because Warp would unroll loops over others."""
     lanes: int
+
+
+LOAD, CLOSEST, ANY, STORE, STORE_ANY = range(5)
+CLOSEST_BLOCKS = BLOCKS - 1
+"""Blocks that a packet meets for its closest hits; the next is for any hit."""
+
+
+@cache
+def loops(layout: PacketLayout) -> wp.Kernel:
+    """The loops that every packet goes through; which one is `stage`. Item: a packet."""
+    load, store, store_any = load_packet(layout), store_packet(layout, False), store_packet(layout, True)
+    closest, any_hit = packet_block.test_block(layout, False), packet_block.test_block(layout, True)
+    rays = layout.rays
+
+    def run(loop: Loop, stage: int):
+        i = wp.tid()
+        bounds = loop.bounds[i]
+        first = i * wp.static(rays)
+        if stage == LOAD:
+            load(loop.rays, first, loop.low, loop.high, loop.packets[i], bounds)
+        elif stage == CLOSEST:
+            for j in range(loop.columns - 1):
+                block = loop.blocks[i, j]
+                closest(loop.triangles.records, loop.triangles.primitive, block, loop.masks[i, j], loop.packets[i], bounds)
+        elif stage == ANY:
+            block = loop.blocks[i, CLOSEST_BLOCKS]
+            mask = loop.masks[i, CLOSEST_BLOCKS]
+            any_hit(loop.triangles.records, loop.triangles.primitive, block, mask, loop.packets[i], bounds)
+        elif stage == STORE:
+            store(loop.packets[i], loop.rays, first, loop.hits)
+        elif stage == STORE_ANY:
+            store_any(loop.packets[i], loop.rays, first, loop.hits)
+        loop.bounds[i] = bounds
+
+    return wp.kernel(run, **OPTIONS)
 
 
 @dataclass
@@ -298,7 +340,7 @@ def make_plain(triangle_test: str) -> tuple[wp.Kernel, type]:
                     hit[0] = clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0])
                 out.candidates[i, column, lane] = hit
 
-    return wp.kernel(plain, **OPTIONS), Plain
+    return wp.kernel(plain, **TWIN_OPTIONS), Plain
 
 
 def plain_rays(packets: Packets) -> PlainRays:

@@ -5,41 +5,40 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import MESHES, OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
+from packet_loops import LOAD, MESHES, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
 from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.parting import ALONE, DONE, MOST_PARTS, settle_part, take_part
 from wrt.kernels.packet.tile import bound_rays
 
 SHARED, OWN = PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")
-LOAD, TILE, TAKE, SETTLE = range(4)
+TILE, TAKE, SETTLE = range(3)
 PARTS = 4
 """Parts that a packet has before one of them is taken and settled."""
 
 
 @cache
-def loops(layout: PacketLayout) -> wp.Kernel:
-    """The loops that bound rays. Item: a packet."""
-    load, rays, own = load_packet(layout), layout.rays, not layout.shared_origin
-    take, settle = (take_part(layout), settle_part(layout)) if own else (None, None)
+def bounding_loops() -> wp.Kernel:
+    """The loops that bound rays anew. Item: a packet, with origins of its own where it parts."""
+    take, settle = take_part(OWN), settle_part(OWN)
 
-    def run(loop: Loop, stage: int):
+    def run(loop: Loop, stage: int, rays: int):
         i = wp.tid()
         bounds = loop.bounds[i]
-        first = i * wp.static(rays)
-        if stage == LOAD:
-            load(loop.rays, first, loop.low, loop.high, loop.packets[i], bounds)
-        elif stage == TILE:
-            bound_rays(loop.rays, first, wp.static(rays), loop.low, loop.high, bounds)
-        if wp.static(own):
-            if stage == TAKE:
-                take(loop.packets[i], bounds, 1)
-            elif stage == SETTLE:
-                loop.answers[i, 0] = settle(loop.packets[i], bounds, 1, loop.answers[i, 0], loop.answers[i, 1] != 0)
+        if stage == TILE:
+            bound_rays(loop.rays, i * rays, rays, loop.low, loop.high, bounds)
+        elif stage == TAKE:
+            take(loop.packets[i], bounds, 1)
+        elif stage == SETTLE:
+            loop.answers[i, 0] = settle(loop.packets[i], bounds, 1, loop.answers[i, 0], loop.answers[i, 1] != 0)
         loop.bounds[i] = bounds
 
     return wp.kernel(run, **OPTIONS)
+
+
+def run(packets: Packets, stage: int) -> None:
+    """One of those loops."""
+    wp.launch(bounding_loops(), packets.count, [packets.loop, stage, packets.layout.rays], device=packets.device)
 
 
 @pytest.fixture(params=MESHES)
@@ -149,7 +148,7 @@ def test_packets(packets):
 def test_tiles(packets):
     """Bounds that no packet was loaded for: as tight for all but slopes, which follow from the ends of the directions."""
     plain = plain_rays(packets)
-    packets.run(loops(packets.layout), TILE)
+    run(packets, TILE)
     bounds = packets.bounds()
     check_ranges(bounds, plain, plain.valid)
     check_main_axis(bounds, plain, plain.valid, False, 0.75)
@@ -158,12 +157,12 @@ def test_tiles(packets):
 def test_parts(mesh, device):
     """A part that is taken is bounded as if it were all; settled, its rays are done, halved or alone, and all others back."""
     packets = make_packets(mesh, OWN, 80, device)
-    kernel, plain, rng = loops(OWN), plain_rays(packets), np.random.default_rng(1)
-    packets.run(kernel, LOAD)
+    plain, rng = plain_rays(packets), np.random.default_rng(1)
+    packets.run(loops(OWN), LOAD)
     part = np.where(plain.valid, rng.choice([DONE, ALONE, 1, 1, 2, 3], plain.valid.shape), DONE)
     packets.change(part=part)
     before = packets.components()
-    packets.run(kernel, TAKE)
+    run(packets, TAKE)
     taken, active = packets.components(), part == 1
     np.testing.assert_array_equal(taken["t"], np.where(active, before["t"], -np.inf))
     bounds = packets.bounds()
@@ -176,7 +175,7 @@ def test_parts(mesh, device):
     answers = packets.loop.answers.numpy().copy()
     answers[:, 0], answers[:, 1] = parts, together
     packets.loop.answers.assign(answers)
-    packets.run(kernel, SETTLE)
+    run(packets, SETTLE)
     got, made = packets.components(), packets.loop.answers.numpy()[:, 0]
     np.testing.assert_array_equal(got["t"], np.where(over, -np.inf, before["t"]))
     low, high = bounds["origin_low"], bounds["origin_high"]

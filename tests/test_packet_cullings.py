@@ -5,14 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import BLOCKS, MESHES, OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
+from packet_loops import BLOCKS, LOAD, MESHES, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.cells import enter_box
 from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.twins import (
     corner_rays_keep,
     enter_frustum,
@@ -26,7 +25,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import load_corners
 
 LAYOUTS = [PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")]
-LOAD, START, TRIANGLES, BOXES, LEAF = range(5)
+START, TRIANGLES, BOXES, LEAF = range(4)
 NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE = range(len(CULLINGS))
 VERTICES = load_corners(TRIANGLE_TESTS["woop"].record.components)
 FRUSTA = ("frustum", "two_plane", "transient_frustum")
@@ -35,10 +34,9 @@ ERROR = 40.0 / 16.0
 
 
 @cache
-def loops(layout: PacketLayout) -> wp.Kernel:
+def culling_loops(layout: PacketLayout) -> wp.Kernel:
     """All loops of all cullings. Item: a packet; `stage` is a hundred times one of those above, and a place in the table."""
-    cullings, packet_rays, load = list(CULLINGS.values()), layout.rays, load_packet(layout)
-    keep0, keep1, keep2, keep3, keep4, keep5, keep6 = (culling.triangles(layout) for culling in cullings)
+    keep0, keep1, keep2, keep3, keep4, keep5, keep6 = (culling.triangles(layout) for culling in CULLINGS.values())
     none, interval, separated = (CULLINGS[name].boxes(layout) for name in ("none", "interval", "frustum"))
     slopes, planes = CULLINGS["frustum"].start(layout), CULLINGS["two_plane"].start(layout)
     transient, leaf = CULLINGS["transient_frustum"].start(layout), CULLINGS["transient_frustum"].leaf(layout)
@@ -74,9 +72,7 @@ def loops(layout: PacketLayout) -> wp.Kernel:
         bounds = loop.bounds[i]
         packet = loop.packets[i]
         block = loop.blocks[i, 0]
-        if stage == LOAD:
-            load(loop.rays, i * wp.static(packet_rays), loop.low, loop.high, packet, bounds)
-        elif bounds.active > 0:
+        if bounds.active > 0:
             if stage / 100 == START:
                 start(culling, loop.low, loop.high, packet, bounds)
             elif stage / 100 == TRIANGLES:
@@ -95,9 +91,9 @@ def loops(layout: PacketLayout) -> wp.Kernel:
     return wp.kernel(run, **OPTIONS)
 
 
-@wp.kernel(**OPTIONS)
+@wp.kernel(**TWIN_OPTIONS)
 def twins(loop: Loop, culling: int, shared_origin: bool):
-    """What `loops` decides, in plain Warp. Item: a packet; for each of its blocks and each lane."""
+    """What `culling_loops` decides, in plain Warp. Item: a packet; for each of its blocks and each lane."""
     i = wp.tid()
     bounds = loop.bounds[i]
     for j in range(loop.columns):
@@ -133,7 +129,7 @@ def twins(loop: Loop, culling: int, shared_origin: bool):
 
 def run(packets: Packets, stage: int, culling: str) -> None:
     """One loop of one culling."""
-    packets.run(loops(packets.layout), stage * 100 + list(CULLINGS).index(culling))
+    packets.run(culling_loops(packets.layout), stage * 100 + list(CULLINGS).index(culling))
 
 
 def run_twins(packets: Packets, culling: str) -> None:

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import re
-from functools import cache
 
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import BLOCKS, MESHES, OPTIONS, Loop, Packets, PlainRays, make_packets, plain_rays
+from packet_loops import (
+    ANY,
+    CLOSEST,
+    CLOSEST_BLOCKS,
+    LOAD,
+    MESHES,
+    STORE,
+    STORE_ANY,
+    Packets,
+    PlainRays,
+    loops,
+    make_packets,
+    plain_rays,
+)
 
-from wrt.kernels.packet import block as packet_block
 from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
-from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -23,39 +32,6 @@ LAYOUTS = [
     PacketLayout(16, 4, False, "moeller_trumbore"),
     PacketLayout(16, 16, True, "komatsu"),
 ]
-LOAD, CLOSEST, ANY, STORE, STORE_ANY = range(5)
-CLOSEST_BLOCKS = BLOCKS - 1
-"""Blocks that a packet meets for its closest hits; the next is for any hit."""
-
-
-@cache
-def loops(layout: PacketLayout) -> wp.Kernel:
-    """The loops of this file. Item: a packet."""
-    load, store, store_any = load_packet(layout), store_packet(layout, False), store_packet(layout, True)
-    closest, any_hit = packet_block.test_block(layout, False), packet_block.test_block(layout, True)
-    rays = layout.rays
-
-    def run(loop: Loop, stage: int):
-        i = wp.tid()
-        bounds = loop.bounds[i]
-        first = i * wp.static(rays)
-        if stage == LOAD:
-            load(loop.rays, first, loop.low, loop.high, loop.packets[i], bounds)
-        elif stage == CLOSEST:
-            for j in range(loop.columns - 1):
-                block = loop.blocks[i, j]
-                closest(loop.triangles.records, loop.triangles.primitive, block, loop.masks[i, j], loop.packets[i], bounds)
-        elif stage == ANY:
-            block = loop.blocks[i, CLOSEST_BLOCKS]
-            mask = loop.masks[i, CLOSEST_BLOCKS]
-            any_hit(loop.triangles.records, loop.triangles.primitive, block, mask, loop.packets[i], bounds)
-        elif stage == STORE:
-            store(loop.packets[i], loop.rays, first, loop.hits)
-        elif stage == STORE_ANY:
-            store_any(loop.packets[i], loop.rays, first, loop.hits)
-        loop.bounds[i] = bounds
-
-    return wp.kernel(run, **OPTIONS)
 
 
 @pytest.fixture(params=LAYOUTS, ids=lambda x: f"{x.triangle_test}-{x.rays}x{x.width}")
