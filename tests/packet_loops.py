@@ -1,7 +1,7 @@
 """The loops of packets one by one: packets of every kind of rays, a kernel that runs a loop on each of them, and plain rays.
 
-`Packets` are rays that aim at the triangles of blocks of a mesh; `make_loops` is a kernel whose items are packets in the memory
-of the device, so that a test sees what a loop read and what it left behind. `plain_rays` is what `load_ray` and the triangle
+`Packets` are rays that aim at the triangles of blocks; `loops` is a kernel whose items are packets in the memory of the device,
+so that a test sees what a loop read and what it left behind. `plain_rays` is what `load_ray` and the triangle
 test's `prepare` make of the same rays, and `candidates` what its scalar form finds, triangle by triangle.
 """
 
@@ -27,13 +27,6 @@ from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_l
 BLOCKS = 4
 """Blocks of triangles that a packet is tested against."""
 
-MESHES = {
-    "teapot": SCENES["teapot"],
-    "grid": lambda: doubled(snapped_soup(300, seed=5)),
-    "degenerate": SCENES["degenerate"],
-}
-"""Curved patches, a soup whose planes and areas come out as 0 where rays start on its grid, and one of degenerate triangles."""
-
 OPTIONS = {"module": "unique", "enable_backward": False, "module_options": {"fuse_fp": False}}
 """Of kernels with loops over lanes: compiled as those of queries are."""
 
@@ -41,9 +34,20 @@ TWIN_OPTIONS = OPTIONS | {"module_options": {"fuse_fp": False, "optimization_lev
 """Of kernels that only compare: they need not be fast, and compile in half of the time."""
 
 
-def doubled(mesh: wrt.TriangleMesh) -> wrt.TriangleMesh:
-    """Every triangle twice, side by side."""
-    return wrt.TriangleMesh(mesh.vertices, np.repeat(mesh.faces, 2, axis=0))
+@cache
+def mesh() -> wrt.TriangleMesh:
+    """Curved patches, triangles on a grid, where rays that start on it meet planes and edges exactly, and degenerate ones.
+
+    Those on the grid are there twice, side by side. All are in the same unit cube.
+    """
+    grid, patches = snapped_soup(300, seed=5), SCENES["teapot"]()
+    low, high = patches.bounds
+    patches = wrt.TriangleMesh((patches.vertices - low) / (high - low).max(), patches.faces)
+    parts = [patches, wrt.TriangleMesh(grid.vertices, np.repeat(grid.faces, 2, axis=0)), SCENES["degenerate"]()]
+    return wrt.TriangleMesh(
+        np.concatenate([part.vertices[part.faces].reshape(-1, 3) for part in parts]),
+        np.arange(3 * sum(part.triangle_count for part in parts)).reshape(-1, 3),
+    )
 
 
 @wp.struct
@@ -215,15 +219,14 @@ def tile_order(columns: int, rows: int, packet: int) -> np.ndarray:
     return np.concatenate([tile.ravel() for tile in tiles])
 
 
-def make_packets(mesh: wrt.TriangleMesh, layout: PacketLayout, count: int, device: str, columns: int = 0) -> Packets:
-    """Packets that aim at blocks of neighbouring triangles of a mesh; the last packet is not full.
+def make_packets(layout: PacketLayout, count: int, device: str, columns: int = 0) -> Packets:
+    """Packets that aim at blocks of neighbouring triangles of `mesh`; the last packet is not full.
 
     columns: that of the picture whose pixels the rays are taken for; 0 for rays as they come.
     """
     rng = np.random.default_rng(layout.rays + layout.width)
-    center = np.float64(mesh.bounds).mean(axis=0)
-    center = np.round(center * 8.0) / 8.0
-    corners = (np.float64(mesh.vertices[mesh.faces]) - center).astype(np.float32)
+    center = np.full(3, 0.5)
+    corners = (np.float64(mesh().vertices[mesh().faces]) - center).astype(np.float32)
     width, rays = layout.width, layout.rays
     ids = np.full(-(-len(corners) // width) * width, -1, dtype=np.int32)
     ids[: len(corners)] = np.arange(len(corners))

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import LOAD, MESHES, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.parting import ALONE, DONE, MOST_PARTS, settle_part, take_part
@@ -41,14 +41,9 @@ def run(packets: Packets, stage: int) -> None:
     wp.launch(bounding_loops(), packets.count, [packets.loop, stage, packets.layout.rays], device=packets.device)
 
 
-@pytest.fixture(params=MESHES)
-def mesh(request):
-    return MESHES[request.param]()
-
-
 @pytest.fixture(params=[SHARED, OWN], ids=["shared", "own"])
-def packets(request, mesh, device) -> Packets:
-    return make_packets(mesh, request.param, 80, device)
+def packets(request, device) -> Packets:
+    return make_packets(request.param, 200, device)
 
 
 def ends(values: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -154,9 +149,9 @@ def test_tiles(packets):
     check_main_axis(bounds, plain, plain.valid, False, 0.75)
 
 
-def test_parts(mesh, device):
+def test_parts(device):
     """A part that is taken is bounded as if it were all; settled, its rays are done, halved or alone, and all others back."""
-    packets = make_packets(mesh, OWN, 80, device)
+    packets = make_packets(OWN, 200, device)
     plain, rng = plain_rays(packets), np.random.default_rng(1)
     packets.run(loops(OWN), LOAD)
     part = np.where(plain.valid, rng.choice([DONE, ALONE, 1, 1, 2, 3], plain.valid.shape), DONE)

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import BLOCKS, LOAD, MESHES, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.packet import CULLINGS
@@ -138,15 +138,10 @@ def run_twins(packets: Packets, culling: str) -> None:
     wp.launch(twins, packets.count, [packets.loop, number, packets.layout.shared_origin], device=packets.device)
 
 
-@pytest.fixture(params=MESHES)
-def mesh(request):
-    return MESHES[request.param]()
-
-
 @pytest.fixture(params=LAYOUTS, ids=["shared", "own"])
-def packets(request, mesh, device) -> Packets:
+def packets(request, device) -> Packets:
     """Loaded packets, and as nodes the boxes of the triangles of blocks, some widened, but within the scene."""
-    made = make_packets(mesh, request.param, 120, device)
+    made = make_packets(request.param, 250, device)
     width, loop = made.layout.width, made.loop
     corners = loop.triangles.records.numpy().reshape(-1, 3, 3, width)
     rng = np.random.default_rng(2)

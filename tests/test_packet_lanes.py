@@ -12,7 +12,6 @@ from packet_loops import (
     CLOSEST,
     CLOSEST_BLOCKS,
     LOAD,
-    MESHES,
     STORE,
     STORE_ANY,
     Packets,
@@ -39,10 +38,10 @@ def layout(request) -> PacketLayout:
     return request.param
 
 
-@pytest.fixture(params=MESHES)
+@pytest.fixture(params=[0, 19], ids=["rays", "picture"])
 def packets(request, layout, device) -> Packets:
-    """Loaded packets; of the grid's, the rays are a picture's."""
-    made = make_packets(MESHES[request.param](), layout, 60, device, columns=19 if request.param == "grid" else 0)
+    """Loaded packets: of rays as they come, and of the tiles of a picture, 19 pixels wide."""
+    made = make_packets(layout, 100, device, request.param)
     made.run(loops(layout), LOAD)
     return made
 
