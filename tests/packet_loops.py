@@ -225,6 +225,9 @@ def make_packets(layout: PacketLayout, count: int, device: str, columns: int = 0
     columns: that of the picture whose pixels the rays are taken for; 0 for rays as they come.
     """
     rng = np.random.default_rng(layout.rays + layout.width)
+    total = count * layout.rays - layout.rays // 2 + 1
+    total -= total % columns if columns else 0
+    count = -(-total // layout.rays)
     center = np.full(3, 0.5)
     corners = (np.float64(mesh().vertices[mesh().faces]) - center).astype(np.float32)
     width, rays = layout.width, layout.rays
@@ -239,12 +242,7 @@ def make_packets(layout: PacketLayout, count: int, device: str, columns: int = 0
     origins, directions = aimed_rays(rng, targets, low, high, layout.shared_origin)
     t_min, t_max = ranges(rng, count, rays)
 
-    total = count * rays - rays // 2 + 1
-    order = np.arange(total)
-    if columns:
-        total -= total % columns
-        order = tile_order(columns, total // columns, rays)
-    place = np.argsort(order)  # of each ray among the packets'
+    place = np.argsort(tile_order(columns, total // columns, rays)) if columns else np.arange(total)  # among the packets' rays
 
     def on_device(values: np.ndarray, dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device)
@@ -302,6 +300,22 @@ class PlainRays:
     def valid(self) -> np.ndarray:
         """(packets, P) whether a ray is there, and good."""
         return (self.number >= 0) & (self.ray["valid"] != 0)
+
+    def meeting(self, boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(enter, leave) of each ray in each box of its packet's node, (packets, P, W), as `slab_interval`, within its range.
+
+        boxes: (packets, 6, W).
+        """
+        shape = (*self.valid.shape, boxes.shape[-1])
+        enter = np.broadcast_to(np.where(self.valid, self.ray["t_min"], np.float32(np.inf))[..., None], shape)
+        leave = np.broadcast_to(np.where(self.valid, self.ray["t_max"], np.float32(-np.inf))[..., None], shape)
+        with np.errstate(invalid="ignore", over="ignore"):
+            for axis in range(3):
+                low, high, inverse = boxes[:, None, axis], boxes[:, None, 3 + axis], self.slabs["inverse"][..., axis, None]
+                near = (np.where(inverse < 0, high, low) - self.slabs["origin_in"][..., axis, None]) * inverse
+                far = (np.where(inverse < 0, low, high) - self.slabs["origin_out"][..., axis, None]) * inverse
+                enter, leave = np.where(near > enter, near, enter), np.where(far < leave, far, leave)
+        return enter, leave
 
 
 @cache

@@ -159,19 +159,9 @@ def packets(request, device) -> Packets:
 
 
 def meeting(packets: Packets, plain: PlainRays) -> tuple[np.ndarray, np.ndarray]:
-    """(enter, leave) of each ray in each box of its packet's node, (packets, P, W), as `slab_interval` within its range."""
-    width = packets.layout.width
-    boxes = packets.loop.boxes.numpy().reshape(-1, 2, 3, width)[packets.loop.blocks.numpy()[:, 0]]
-    enter = np.where(plain.valid, plain.ray["t_min"], np.float32(np.inf))[..., None].repeat(width, axis=2)
-    leave = np.where(plain.valid, plain.ray["t_max"], np.float32(-np.inf))[..., None].repeat(width, axis=2)
-    with np.errstate(invalid="ignore", over="ignore"):
-        for axis in range(3):
-            inverse, slabs = plain.slabs["inverse"][..., axis, None], plain.slabs
-            low, high = (boxes[:, None, end, axis] for end in (0, 1))
-            near = (np.where(inverse < 0, high, low) - slabs["origin_in"][..., axis, None]) * inverse
-            far = (np.where(inverse < 0, low, high) - slabs["origin_out"][..., axis, None]) * inverse
-            enter, leave = np.where(near > enter, near, enter), np.where(far < leave, far, leave)
-    return enter, leave
+    """(enter, leave) of each ray in each box of its packet's node, (packets, P, W)."""
+    boxes = packets.loop.boxes.numpy().reshape(-1, 6, packets.layout.width)
+    return plain.meeting(boxes[packets.loop.blocks.numpy()[:, 0]])
 
 
 def leaf_lanes(packets: Packets) -> np.ndarray:

@@ -41,7 +41,7 @@ def layout(request) -> PacketLayout:
 @pytest.fixture(params=[0, 19], ids=["rays", "picture"])
 def packets(request, layout, device) -> Packets:
     """Loaded packets: of rays as they come, and of the tiles of a picture, 19 pixels wide."""
-    made = make_packets(layout, 100, device, request.param)
+    made = make_packets(layout, 6400 // layout.rays, device, request.param)
     made.run(loops(layout), LOAD)
     return made
 
