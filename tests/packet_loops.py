@@ -188,13 +188,13 @@ def aimed_rays(
     directions[kind == 2] = rng.normal(size=(int((kind == 2).sum()), rays, 3)) * size  # everywhere
     far = np.isin(kind, (3, 4, 5))
     directions[far] = (targets[far, :1] - origins[far]) + rng.normal(size=(int(far.sum()), rays, 3)) * size * 0.02  # a beam
-    bad = rng.integers(0, 100, (packets, rays))
-    directions[bad == 0] = np.nan
-    directions[bad == 1, 2] = np.inf
-    directions[bad == 2] = 0.0
-    if not shared:
-        origins[bad == 3, 1] = np.nan
-        origins[bad == 4, 0] = -np.inf
+    bad = rng.integers(0, 300, (packets, rays))
+    directions[bad == 0] = 0.0
+    for code, value in enumerate((np.nan, np.inf, -np.inf)):
+        for axis in range(3):
+            directions[bad == 3 * code + axis + 1, axis] = value
+            if not shared:
+                origins[bad == 3 * code + axis + 11, axis] = value
     return origins, directions
 
 

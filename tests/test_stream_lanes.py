@@ -16,7 +16,7 @@ from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import Pairs, load_pair
 
 StreamRay = stream_ray("woop")
-SIZE, STREAMS = 405, 15
+SIZE, STREAMS = 605, 10
 """Rays of a stream, no multiple of 16, and their number."""
 
 ROOM = 2 * SIZE + 2 * LIST_LANES
