@@ -181,18 +181,21 @@ def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] != 0)
 
 
+def kept_lanes(packets: Packets, culling: str, there: np.ndarray) -> np.ndarray:
+    """(packets, BLOCKS, W) whether triangles are kept, by the loop and by its twin."""
+    run(packets, TRIANGLES, culling)
+    run_twins(packets, culling)
+    answers = packets.loop.answers.numpy()[there]
+    np.testing.assert_array_equal(answers[:, :BLOCKS], answers[:, BLOCKS : 2 * BLOCKS])
+    return (answers[:, :BLOCKS, None] >> np.arange(packets.layout.width) & 1) != 0
+
+
 @pytest.mark.parametrize("culling", CULLINGS)
 def test_triangles(packets, culling):
     """The loop keeps the triangles that its twin keeps, and whatever any ray hits within its range."""
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
-    run(packets, TRIANGLES, culling)
-    run_twins(packets, culling)
-    width = packets.layout.width
-    answers = packets.loop.answers.numpy()[there]
-    kept, twin = answers[:, :BLOCKS], answers[:, BLOCKS : 2 * BLOCKS]
-    np.testing.assert_array_equal(kept, twin)
-    lanes = (kept[..., None] >> np.arange(width) & 1) != 0
+    lanes = kept_lanes(packets, culling, there)
     if not CULLINGS[culling].needs_boxes:  # a leaf's frustum is for the triangles in its box
         t = plain.candidates[there][..., 0]
         ray = plain.ray[there][..., None, None]
@@ -202,6 +205,11 @@ def test_triangles(packets, culling):
     used = packets.ids[packets.loop.blocks.numpy()[there]] >= 0
     assert lanes[used].any()
     assert culling == "none" or not lanes[used].all()
+    bounds = packets.bounds().copy()
+    for name in ("slack", "margin"):  # so wide that they decide; no ray would
+        bounds[name] *= 20_000.0
+    packets.loop.bounds.assign(bounds)
+    assert (kept_lanes(packets, culling, there) >= lanes).all()
 
 
 @pytest.mark.parametrize("culling", ["none", "interval", "frustum", "two_plane"])
