@@ -206,6 +206,7 @@ def ranges(rng: np.random.Generator, packets: int, rays: int) -> tuple[np.ndarra
     bad = rng.integers(0, 100, (packets, rays))
     t_min[bad == 0] = np.nan
     t_min[bad == 1] = -1.0
+    t_min[bad == 3] = -np.inf
     t_max[bad == 2] = np.nan
     return t_min, t_max
 

@@ -273,6 +273,16 @@ def check_frustum(bounds: np.ndarray, plain: PlainRays, counts: np.ndarray, tigh
     assert (bounds["margin"] >= 2.0 * ERROR * slack[:, 0]).all()
 
 
+def check_planes(packets: Packets, bounds: np.ndarray, lane: np.ndarray, framed: np.ndarray) -> None:
+    """The two planes of a leaf's frustum are beyond its box by what a hit may lie beside it at least, the slack."""
+    bounds, lane = bounds[framed], lane[framed]
+    axis, forward = bounds["frame"], bounds["forward"]
+    boxes = packets.loop.boxes.numpy().reshape(-1, 2, 3, packets.layout.width)[packets.loop.blocks.numpy()[framed, 0]]
+    faces = (boxes[np.arange(len(lane)), :, axis, lane] - bounds["near_plane"][:, None]) * forward[:, None]
+    assert (faces.min(axis=1) >= bounds["slack"]).all()
+    assert (faces.max(axis=1) <= bounds["depth"] - bounds["slack"]).all()
+
+
 @pytest.mark.parametrize("culling", FRUSTA)
 def test_frusta(packets, culling):
     """Frusta hold the rays: of the whole packet, or those that meet a leaf's box, whose packet goes on if there is one."""
@@ -285,6 +295,7 @@ def test_frusta(packets, culling):
         counts = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
         np.testing.assert_array_equal(there, counts.any(axis=1))
         assert not there[bounds["active"] > 0].all()
+        check_planes(packets, bounds, lane[:, 0, 0], there & (bounds["frame"] >= 0))
     axes = bounds["main_axes"]
     framed = there & (bounds["frame"] >= 0)
     assert 0.1 < framed.mean() < 1.0

@@ -124,20 +124,26 @@ def plain(packets) -> PlainRays:
 
 
 @pytest.fixture
-def lists(packets, device) -> Lists:
-    """Loaded streams, whose lists hold all rays, shuffled; beyond them is what a loop may read but must not use."""
+def lists(packets, plain, device) -> Lists:
+    """Loaded streams, whose lists hold all good rays, shuffled; beyond them is what a loop may read but must not use."""
     made, rng = Lists(), np.random.default_rng(4)
     made.rays, made.low, made.high = packets.loop.rays, packets.loop.low, packets.loop.high
     made.stream = wp.zeros((STREAMS, SIZE), dtype=StreamRay, device=device)
-    counts = np.clip(packets.loop.rays.count - SIZE * np.arange(STREAMS), 0, SIZE)
     words = rng.integers(0, 10, (STREAMS, ROOM))
-    for i, count in enumerate(counts):
-        words[i, :count] = rng.permutation(count)
-    made.sizes = wp.array(counts, dtype=int, device=device)
+    for i, valid in enumerate(plain.valid):
+        words[i, : valid.sum()] = rng.permutation(np.flatnonzero(valid))
+    made.sizes = wp.array(plain.valid.sum(axis=1), dtype=int, device=device)
     made.words = wp.array(words, dtype=int, device=device)
     made.answers = wp.zeros((STREAMS, 4), dtype=int, device=device)
     wp.launch(loops(), STREAMS, [made, LOAD, 1], device=device)
     return made
+
+
+def set_best(lists: Lists, best: np.ndarray) -> None:
+    """Gives rays best hits at other t."""
+    stream = lists.stream.numpy().copy()
+    stream["best"]["t"] = best
+    lists.stream.assign(stream)
 
 
 def bits(values: np.ndarray) -> np.ndarray:
@@ -181,12 +187,14 @@ def test_boxes(lists, plain, order, device):
     lists.keys = wp.full((STREAMS, width), NO_CHILD_CONSTANT, dtype=int, device=device)
     lists.pairs = wp.zeros((STREAMS, SIZE * width), dtype=wp.vec2i, device=device)
     before = lists.words.numpy().copy()
+    done = np.random.default_rng(5).random(plain.valid.shape) < 0.1
+    set_best(lists, np.where(done, -np.inf, plain.ray["t_max"]))
     wp.launch(loops(), STREAMS, [lists, order, width], device=device)
     words, keys, pairs, answers = (x.numpy() for x in (lists.words, lists.keys, lists.pairs, lists.answers))
 
     enter, leave = plain.meeting(boxes)
     enter = enter + np.float32(0.0)  # not -0
-    meets = enter <= leave
+    meets = (enter <= leave) & ~done[..., None]
     assert 0.05 < meets.mean() < 0.8
     assert (answers[:, 0] > 256).any()  # pairs that ran out of room on the way
     entry = bits(enter) if order == NEAR else 0x7F7FFFFF - bits(enter)
@@ -252,10 +260,8 @@ def test_planes_and_best_hits(lists, plain, device):
             np.testing.assert_array_equal(got[name][i, places[1]], values[to_far], err_msg=name)
     assert 0.02 < both / sizes.sum() < 0.9
 
-    stream = lists.stream.numpy().copy()
     best = rng.choice(np.float32([-np.inf, 0.5, 1.0, np.inf]), (STREAMS, SIZE))
-    stream["best"]["t"] = best
-    lists.stream.assign(stream)
+    set_best(lists, best)
     lists.sizes = wp.array(behind, dtype=int, device=device)
     wp.launch(loops(), STREAMS, [lists, HITS, 1], device=device)
     left = lists.answers.numpy()[:, 0]
