@@ -12,7 +12,8 @@ tested. They must keep whatever any ray may hit, and the keys of boxes must not 
 expressions on the ends of intervals bound the rounded values too); those that work with planes are widened by more than
 rounding can move a hit. So culling never shows in the hits (`wrt.kernels.boxes`, the consistency rule).
 
-To add a culling: write its file, add one line to `CULLINGS`; tests, command line and benchmarks pick it up.
+To add a culling: write its file, add one line to `CULLINGS`; tests, command line and benchmarks pick it up. What the loops
+over W boxes or triangles compute stands in `twins` for one of them, in plain Warp, to be read and to be compared with.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.

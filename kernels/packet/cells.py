@@ -52,6 +52,19 @@ def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry:
 
 
 @wp.func
+def enter_slab(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
+    """(entry, leave) of a box's extent along an axis, over all rays; NaN, which bounds nothing, if they have both signs."""
+    back = bounds.backward[axis] != 0
+    large = bounds.inverse_large[axis]
+    small = bounds.inverse_small[axis]
+    to_near = wp.where(back, high[axis], low[axis]) - bounds.origin_in[axis]
+    to_far = wp.where(back, low[axis], high[axis]) - bounds.origin_out[axis]
+    near = wp.where(to_near * small < to_near * large, to_near * small, to_near * large)
+    far = wp.where(to_far * small > to_far * large, to_far * small, to_far * large)
+    return wp.vec2(near, far)
+
+
+@wp.func
 def enter_box(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
     """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave.
 
@@ -60,15 +73,9 @@ def enter_box(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
     entry = float(bounds.t_min)
     leave = float(bounds.t_max)
     for axis in range(3):
-        back = bounds.backward[axis] != 0
-        large = bounds.inverse_large[axis]
-        small = bounds.inverse_small[axis]
-        to_near = wp.where(back, high[axis], low[axis]) - bounds.origin_in[axis]
-        near = wp.where(to_near * small < to_near * large, to_near * small, to_near * large)
-        entry = wp.where(near > entry, near, entry)
-        to_far = wp.where(back, low[axis], high[axis]) - bounds.origin_out[axis]
-        far = wp.where(to_far * small > to_far * large, to_far * small, to_far * large)
-        leave = wp.where(far < leave, far, leave)
+        slab = enter_slab(bounds, axis, low, high)
+        entry = wp.where(slab[0] > entry, slab[0], entry)
+        leave = wp.where(slab[1] < leave, slab[1], leave)
         ahead = (low[axis] - (bounds.origin_high[axis] + bounds.slack)) * bounds.forward_small[axis]
         entry = wp.where(ahead > entry, ahead, entry)
         behind = (high[axis] - (bounds.origin_low[axis] - bounds.slack)) * bounds.backward_small[axis]

@@ -69,11 +69,10 @@ _TRIANGLES = f"""
             const int l = k == 2 ? 0 : k + 1;
             const float a = px[k] * py[l] - py[k] * px[l], b = px[k] * qy[l] - qy[k] * px[l];
             const float c = qx[k] * py[l] - py[k] * qx[l], d = qx[k] * qy[l] - qy[k] * qx[l];
-            const float least0 = a < b ? a : b, least1 = c < d ? c : d, most0 = a > b ? a : b, most1 = c > d ? c : d;
-            const float least = least0 < least1 ? least0 : least1, most = most0 > most1 ? most0 : most1;
             const float margin = wide * (size[k] + size[l] + 4.0f * bounds.slack) + {TINY!r}f;
-            front = front & !(most < -margin);  // NaN, where products overflow, keeps the triangle
-            back = back & !(least > margin);
+            // NaN, where products overflow, keeps the triangle
+            front = front & !((a < -margin) & (b < -margin) & (c < -margin) & (d < -margin));
+            back = back & !((a > margin) & (b > margin) & (c > margin) & (d > margin));
         }}
         mask |= (front | back) ? 1u << i : 0u;
     }}

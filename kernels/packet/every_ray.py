@@ -33,8 +33,8 @@ _BOXES = f"""
             WRT_FOR(P, k) {{
                 float enter = t_min[k], leave = t[k];
 {SLABS}
-                // adding 0 turns -0 into +0; all bits but the sign set are NO_CHILD
-                const int met = __builtin_bit_cast(int, enter + 0.0f) | (((enter <= leave) & (t[k] > -INF)) ? 0 : NO_CHILD);
+                // adding 0 turns -0 into +0; the t_min of a ray that is not active may be anything, of either sign
+                const int met = ((enter <= leave) & (t[k] > -INF)) ? __builtin_bit_cast(int, enter + 0.0f) : NO_CHILD;
                 entry = met < entry ? met : entry;
             }}
         }}

@@ -1,0 +1,273 @@
+"""The lane loops of streams: rays as they are loaded, and lists filtered by boxes and planes, against one ray at a time."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import warp as wp
+from packet_loops import OPTIONS, Packets, PlainRays, make_packets, plain_rays
+
+from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.rays import RayBatch
+from wrt.kernels.traversal.stream import LIST_LANES, RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
+from wrt.kernels.traversal.stream_load import load_stream
+from wrt.kernels.traversal.stream_pairs import Pairs, load_pair
+
+StreamRay = stream_ray("woop")
+SIZE, STREAMS = 605, 10
+"""Rays of a stream, no multiple of 16, and their number."""
+
+ROOM = 2 * SIZE + 2 * LIST_LANES
+LOAD, NEAR, FAR, PLANE, HITS = range(5)
+WIDTHS = {NEAR: 16, FAR: 8}
+"""Of the nodes whose nearest and farthest children come first."""
+
+
+@wp.struct
+class Lists:
+    """What the loops read and write, a row a stream."""
+
+    rays: RayBatch
+    low: wp.vec3
+    high: wp.vec3
+    stream: wp.array2d(dtype=StreamRay)
+    words: wp.array2d(dtype=int)
+    sizes: wp.array(dtype=int)
+    bounds: wp.array(dtype=float)
+    """Of a wide node a stream."""
+    children: wp.array(dtype=int)
+    keys: wp.array2d(dtype=int)
+    pairs: wp.array2d(dtype=wp.vec2i)
+    answers: wp.array2d(dtype=int)
+    axes: wp.array(dtype=int)
+    positions: wp.array(dtype=float)
+    entry: wp.array2d(dtype=float)
+    leave: wp.array2d(dtype=float)
+    far_rays: wp.array2d(dtype=int)
+    far_entry: wp.array2d(dtype=float)
+    far_leave: wp.array2d(dtype=float)
+
+
+@cache
+def loops() -> wp.Kernel:
+    """The loops; which one is `stage`. Item: a stream."""
+    load, split, recall = load_stream("woop"), filter_plane("woop"), filter_hits("woop")
+    near, far = filter_boxes(WIDTHS[NEAR], "woop", False), filter_boxes(WIDTHS[FAR], "woop", True)
+    next_near, next_far = next_child(WIDTHS[NEAR]), next_child(WIDTHS[FAR])
+
+    def run(lists: Lists, stage: int, width: int):
+        i = wp.tid()
+        stream, words, keys, size = lists.stream[i], lists.words[i], lists.keys[i], lists.sizes[i]
+        if stage == LOAD:
+            begin = i * SIZE
+            load(lists.rays, begin, wp.min(SIZE, lists.rays.count - begin), lists.low, lists.high, stream)
+        elif stage == PLANE:
+            behind = int(0)
+            entry, leave = lists.entry[i], lists.leave[i]
+            far_rays, far_entry, far_leave = lists.far_rays[i], lists.far_entry[i], lists.far_leave[i]
+            lists.answers[i, 0] = split(
+                lists.axes[i], lists.positions[i], stream, words, entry, leave, size, far_rays, far_entry, far_leave, 5, behind
+            )
+            lists.answers[i, 1] = behind
+        elif stage == HITS:
+            lists.answers[i, 0] = recall(
+                stream,
+                lists.far_rays[i],
+                lists.far_entry[i],
+                lists.far_leave[i],
+                5,
+                size,
+                words,
+                lists.entry[i],
+                lists.leave[i],
+            )
+        else:
+            tested, survivors, total = int(0), int(0), int(0)
+            while tested < size:
+                pairs = Pairs()
+                paired = int(0)
+                if stage == NEAR:
+                    paired = near(lists.bounds, lists.children, i, stream, words, 0, size, keys, 0, pairs, tested, survivors)
+                else:
+                    paired = far(lists.bounds, lists.children, i, stream, words, 0, size, keys, 0, pairs, tested, survivors)
+                for p in range(paired):
+                    leaf = int(0)
+                    ray = load_pair(pairs, p, leaf)
+                    lists.pairs[i, total] = wp.vec2i(ray, leaf)
+                    total += 1
+            lists.answers[i, 0] = total
+            lists.answers[i, 1] = survivors
+            lists.answers[i, 2] = collect_child(words, 0, survivors, i % width)
+            last = keys[(i + 1) % width]
+            lists.answers[i, 3] = wp.where(stage == NEAR, next_near(keys, 0, last), next_far(keys, 0, last))
+
+    return wp.kernel(run, **OPTIONS)
+
+
+@pytest.fixture
+def packets(device) -> Packets:
+    """The rays of packets, with origins of their own."""
+    return make_packets(PacketLayout(32, 8, False, "woop"), STREAMS * SIZE // 32, device)
+
+
+@pytest.fixture
+def plain(packets) -> PlainRays:
+    """Stream by stream, the last of them not full."""
+    rays = plain_rays(packets)
+    room = STREAMS * SIZE - rays.number.size
+    fields = (rays.number, rays.ray, rays.slabs, rays.state, rays.slack, rays.slack)
+    rows = [np.concatenate([x.ravel(), np.zeros(room, x.dtype)]).reshape(STREAMS, SIZE) for x in fields]
+    rows[0].ravel()[packets.loop.rays.count :] = -1
+    return PlainRays(*rows)
+
+
+@pytest.fixture
+def lists(packets, plain, device) -> Lists:
+    """Loaded streams, whose lists hold all good rays, shuffled; beyond them is what a loop may read but must not use."""
+    made, rng = Lists(), np.random.default_rng(4)
+    made.rays, made.low, made.high = packets.loop.rays, packets.loop.low, packets.loop.high
+    made.stream = wp.zeros((STREAMS, SIZE), dtype=StreamRay, device=device)
+    words = rng.integers(0, 10, (STREAMS, ROOM))
+    for i, valid in enumerate(plain.valid):
+        words[i, : valid.sum()] = rng.permutation(np.flatnonzero(valid))
+    made.sizes = wp.array(plain.valid.sum(axis=1), dtype=int, device=device)
+    made.words = wp.array(words, dtype=int, device=device)
+    made.answers = wp.zeros((STREAMS, 4), dtype=int, device=device)
+    wp.launch(loops(), STREAMS, [made, LOAD, 1], device=device)
+    return made
+
+
+def set_best(lists: Lists, best: np.ndarray) -> None:
+    """Gives rays best hits at other t."""
+    stream = lists.stream.numpy().copy()
+    stream["best"]["t"] = best
+    lists.stream.assign(stream)
+
+
+def bits(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values).view(np.int32)
+
+
+def test_loaded(lists, plain):
+    """Every number of a good ray has the bits of the ray that is loaded alone; all others need no tests."""
+    got, valid = lists.stream.numpy(), plain.valid
+    there = plain.number >= 0
+    assert 0.5 < valid[there].mean() < 0.95
+    for name in plain.slabs.dtype.names:
+        np.testing.assert_array_equal(bits(got["slabs"][name])[valid], bits(plain.slabs[name])[valid], err_msg=name)
+    for name in plain.state.dtype.names:
+        np.testing.assert_array_equal(bits(got["state"][name])[valid], bits(plain.state[name])[valid], err_msg=name)
+    t_min = plain.ray["t_min"] + np.float32(0.0)  # not -0
+    np.testing.assert_array_equal(bits(got["t_min"])[valid], bits(t_min)[valid])
+    best = got["best"]
+    np.testing.assert_array_equal(best["t"][there], np.where(valid, plain.ray["t_max"], -np.inf)[there])
+    assert (best["primitive"][there] == -1).all()
+    assert not best["u"].any()
+    assert not best["v"].any()
+
+
+def random_nodes(rng: np.random.Generator, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """(STREAMS, 6, W) boxes in the scene, with an unused lane each, and their children, of which some are leaves."""
+    corners = rng.integers(-4, 5, (2, STREAMS, 3, width)) / 8.0
+    boxes = np.concatenate([corners.min(axis=0), corners.max(axis=0)], axis=1).astype(np.float32)
+    boxes[:, :3, -1], boxes[:, 3:, -1] = np.inf, -np.inf
+    children = rng.integers(1, 1000, (STREAMS, width)) * rng.choice([1, -1], (STREAMS, width))
+    return boxes, children.astype(np.int32)
+
+
+@pytest.mark.parametrize("order", WIDTHS)
+def test_boxes(lists, plain, order, device):
+    """Pairs with leaves, the rays that go on with the children that they meet, and keys, list by list."""
+    width = WIDTHS[order]
+    boxes, children = random_nodes(np.random.default_rng(width), width)
+    lists.bounds = wp.array(boxes.ravel(), dtype=float, device=device)
+    lists.children = wp.array(children.ravel(), dtype=int, device=device)
+    lists.keys = wp.full((STREAMS, width), NO_CHILD_CONSTANT, dtype=int, device=device)
+    lists.pairs = wp.zeros((STREAMS, SIZE * width), dtype=wp.vec2i, device=device)
+    before = lists.words.numpy().copy()
+    done = np.random.default_rng(5).random(plain.valid.shape) < 0.1
+    set_best(lists, np.where(done, -np.inf, plain.ray["t_max"]))
+    wp.launch(loops(), STREAMS, [lists, order, width], device=device)
+    words, keys, pairs, answers = (x.numpy() for x in (lists.words, lists.keys, lists.pairs, lists.answers))
+
+    enter, leave = plain.meeting(boxes)
+    enter = enter + np.float32(0.0)  # not -0
+    meets = (enter <= leave) & ~done[..., None]
+    assert 0.05 < meets.mean() < 0.8
+    assert (answers[:, 0] > 256).any()  # pairs that ran out of room on the way
+    entry = bits(enter) if order == NEAR else 0x7F7FFFFF - bits(enter)
+    lane = np.arange(width)
+    order_keys = np.where(meets, (entry & -width) | lane, NO_CHILD_CONSTANT).min(axis=1)
+    for i in range(STREAMS):
+        listed = before[i, : lists.sizes.numpy()[i]]
+        leaf, met = children[i] < 0, meets[i, listed]
+        expected = [(k, children[i, c]) for k, row in zip(listed, met, strict=True) for c in np.flatnonzero(row & leaf)]
+        np.testing.assert_array_equal(pairs[i, : answers[i, 0]], np.reshape(expected, (-1, 2)))
+        inner = ((met & ~leaf) << lane).sum(axis=1)
+        kept = (inner << RAY_BITS | listed)[inner > 0]
+        np.testing.assert_array_equal(words[i, : answers[i, 1]], kept.astype(np.int32))
+        assert answers[i, 1] == len(kept)
+        active = listed[inner >> (i % width) & 1 != 0]
+        np.testing.assert_array_equal(words[i, len(kept) : len(kept) + answers[i, 2]], active)
+        assert answers[i, 2] == len(active)
+        row = np.where(leaf, NO_CHILD_CONSTANT, np.where(met.any(axis=0), order_keys[i], NO_CHILD_CONSTANT))
+        np.testing.assert_array_equal(keys[i], row)
+        assert answers[i, 3] == min(row[row > row[(i + 1) % width]], default=NO_CHILD_CONSTANT)
+
+
+def test_planes_and_best_hits(lists, plain, device):
+    """Rays of one sign go to the near child, the far one or both, with their intervals; from the stack, those not done."""
+    rng = np.random.default_rng(9)
+    axes, positions = rng.integers(0, 3, STREAMS), np.float32(rng.integers(-4, 5, STREAMS) / 8.0)
+    with np.errstate(invalid="ignore"):
+        back = np.take_along_axis(plain.slabs["inverse"], axes[:, None, None], 2)[..., 0] < 0
+    words, sizes = lists.words.numpy().copy(), np.zeros(STREAMS, dtype=np.int32)
+    for i in range(STREAMS):
+        chosen = np.flatnonzero(plain.valid[i] & (back[i] == i % 2))
+        sizes[i], words[i, : len(chosen)] = len(chosen), rng.permutation(chosen)
+    shape = words.shape
+    entry = rng.random(shape).astype(np.float32)
+    leave = entry + rng.choice([0.0, 0.5, 2.0], shape).astype(np.float32)
+    lists.words, lists.sizes = wp.array(words, dtype=int, device=device), wp.array(sizes, dtype=int, device=device)
+    lists.entry, lists.leave = wp.array(entry, dtype=float, device=device), wp.array(leave, dtype=float, device=device)
+    lists.far_rays = wp.full(shape, -1, dtype=int, device=device)
+    lists.far_entry, lists.far_leave = (wp.zeros(shape, dtype=float, device=device) for _ in range(2))
+    lists.axes, lists.positions = wp.array(axes, dtype=int, device=device), wp.array(positions, dtype=float, device=device)
+    wp.launch(loops(), STREAMS, [lists, PLANE, 1], device=device)
+    near = lists.answers.numpy()[:, 0].copy()
+    behind = lists.answers.numpy()[:, 1].copy()
+    got = {
+        name: getattr(lists, name).numpy().copy() for name in ("words", "entry", "leave", "far_rays", "far_entry", "far_leave")
+    }
+    both = 0
+    for i, size in enumerate(sizes):
+        ray, first, last = words[i, :size], entry[i, :size], leave[i, :size]
+        slabs = plain.slabs[i, ray]
+        with np.errstate(invalid="ignore"):
+            out, into = (
+                (positions[i] - slabs[name][:, axes[i]]) * slabs["inverse"][:, axes[i]] for name in ("origin_out", "origin_in")
+            )
+        out, into = np.where(out < last, out, last), np.where(into > first, into, first)
+        to_near = first <= out
+        to_far = ~to_near | (into <= last)
+        both += (to_near & to_far).sum()
+        places = slice(0, near[i]), slice(5, 5 + behind[i])
+        for name, values in (("words", ray), ("entry", first), ("leave", out)):
+            np.testing.assert_array_equal(got[name][i, places[0]], values[to_near], err_msg=name)
+        for name, values in (("far_rays", ray), ("far_entry", into), ("far_leave", last)):
+            np.testing.assert_array_equal(got[name][i, places[1]], values[to_far], err_msg=name)
+    assert 0.02 < both / sizes.sum() < 0.9
+
+    best = rng.choice(np.float32([-np.inf, 0.5, 1.0, np.inf]), (STREAMS, SIZE))
+    set_best(lists, best)
+    lists.sizes = wp.array(behind, dtype=int, device=device)
+    wp.launch(loops(), STREAMS, [lists, HITS, 1], device=device)
+    left = lists.answers.numpy()[:, 0]
+    assert 0.2 < left.sum() / behind.sum() < 0.9
+    for i in range(STREAMS):
+        ray, first, last = (got[name][i, 5 : 5 + behind[i]] for name in ("far_rays", "far_entry", "far_leave"))
+        taken = first <= best[i, ray]
+        for name, values in (("words", ray), ("entry", first), ("leave", np.minimum(last, best[i, ray]))):
+            np.testing.assert_array_equal(getattr(lists, name).numpy()[i, : left[i]], values[taken], err_msg=name)
