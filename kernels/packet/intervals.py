@@ -13,6 +13,13 @@ INTERVALS = """
         high_ = counts ? key_ : LEAST; name##_low = low_ < name##_low ? low_ : name##_low; \\
         name##_high = high_ > name##_high ? high_ : name##_high; }
     #define WRT_INTERVAL(name) int name##_low = MOST, name##_high = LEAST
+    #define WRT_ALL(name, value) { float low_, high_; { const int k = one; low_ = high_ = value; } const float one_ = low_; \\
+        WRT_UNROLLED for (int f_ = 0; f_ < P; f_ += W) { const int k = f_ + i; \\
+            const float there_ = value, value_ = t[k] >= -0.0f ? there_ : one_; \\
+            low_ = value_ < low_ ? value_ : low_; high_ = value_ > high_ ? value_ : high_; } \\
+        const int low_key_ = wrt_ordered(low_), high_key_ = wrt_ordered(high_); \\
+        name##_low = low_key_ < name##_low ? low_key_ : name##_low; \\
+        name##_high = high_key_ > name##_high ? high_key_ : name##_high; }
 #endif
 """
 """C++ for the head of a native function: `WRT_INTERVAL(name)` declares an empty interval, `WRT_WIDEN(name, value, counts)`
