@@ -154,7 +154,7 @@ def make_take(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(top, parts, instance, rays, number, bound, room, own, slot, found, hits, counters, work) -> t_max`.
+    """`wp.func(top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work) -> t_max`.
 
     Traces the packet through one instance. own, found: where its transformed rays and their hits go, from `slot` on.
     """
@@ -170,6 +170,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         number: wp.array(dtype=int),
         bound: wp.array(dtype=float),
         room: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         own: RayBatch,
         slot: int,
         found: HitBatch,
@@ -186,7 +187,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
                     own.t_max[slot + k] = -INFINITY
         batch = own
         batch.count = slot + wp.static(packet_rays)
-        step(part.tree, part.tree, part.triangles, batch, slot, room, found, counters, work)
+        step(part.tree, part.tree, part.triangles, batch, slot, room, memory, found, counters, work)
         return take(placement, found, slot, number, bound, hits)
 
     return visit
@@ -211,6 +212,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         counters: CounterRows,
     ):
         room = wp.zeros(shape=(size,), dtype=float)
+        memory = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
         keys = wp.zeros(shape=(row,), dtype=int)
@@ -235,7 +237,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                     else:
                         instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
                         bounds.t_max = visit(
-                            top, parts, instance, rays, number, bound, room, own, slot, found, hits, counters, work
+                            top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work
                         )
                         key = nearest(keys, level * wp.static(width))
                 else:

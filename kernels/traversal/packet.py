@@ -29,7 +29,7 @@ from wrt.kernels import bvh
 from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.mailbox import MAILBOXES
-from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.memory import CACHE_LINE, first_line, load_int, store_int
 from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.traversal.config import TraversalConfig
@@ -48,32 +48,40 @@ PATIENCE = 3
 bunny, dragon and atrium: least time at 1.5 to 3, up to 3 % less than at 1.)"""
 
 
+def walk_memory(config: TraversalConfig) -> int:
+    """Ints of memory that a walk asks for: its mailbox; from a cache line on, a row of keys a level; the path's nodes."""
+    return MAILBOXES[config.mailbox].size + CACHE_LINE + config.levels * (config.width + 1)
+
+
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up."""
+    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up."""
     culling, layout = CULLINGS[config.culling], packet_layout(config)
     cull_boxes, start_leaf = culling.boxes(layout), culling.leaf(layout)
     box_tests = config.width * (config.packet if culling.every_ray else 1)
     test_leaf = leaf_step(config)
-    memory = MAILBOXES[config.mailbox].size
+    remembered = MAILBOXES[config.mailbox].size
     nearest = nearest_child(config.width)
     width, counting = config.width, config.counters
-    levels, row, patience = config.levels, config.levels * config.width, PATIENCE * config.packet
+    row, patience = config.levels * config.width, PATIENCE * config.packet
 
     @wp.func
     def walk(
         tree: wp.ref[WideNodes],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
-        keys = wp.zeros(shape=(row,), dtype=int)
-        path = wp.zeros(shape=(levels,), dtype=int)
-        mailbox = wp.zeros(shape=(memory,), dtype=int)
-        level = int(0)
+        for i in range(wp.static(remembered)):
+            store_int(memory, i, 0)
+        keys = first_line(memory, wp.static(remembered))
+        path = keys + wp.static(row)
+        store_int(memory, path, 0)
         steps = int(0)
-        key = cull_boxes(tree.bounds, 0, packet, bounds, keys, 0)
+        key = cull_boxes(tree.bounds, 0, packet, bounds, memory, keys)
+        level = wp.where(entry_of(key, wp.static(width)) <= bounds.t_max, 0, -1)
         if wp.static(counting):
             work.nodes += 1
             work.boxes += wp.static(box_tests)
@@ -81,29 +89,29 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
             if entry_of(key, wp.static(width)) <= bounds.t_max:
                 steps += 1
                 lane = key & wp.static(width - 1)
-                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                node = load_int(path, level)
+                store_int(memory, keys + level * wp.static(width) + lane, NO_CHILD)
+                node = load_int(memory, path + level)
                 child = load_int(tree.child, node * wp.static(width) + lane)
                 if child >= 0:
                     level += 1
-                    store_int(path, level, child)
-                    key = cull_boxes(tree.bounds, child, packet, bounds, keys, level * wp.static(width))
+                    store_int(memory, path + level, child)
+                    key = cull_boxes(tree.bounds, child, packet, bounds, memory, keys + level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
                         work.boxes += wp.static(box_tests)
                 else:
                     count = bvh.leaf_triangles(child)
                     if start_leaf(tree.bounds, node, lane, packet, bounds) != 0:
-                        test_leaf(triangles, bvh.first_block(child), count, packet, bounds, mailbox, work)
+                        test_leaf(triangles, bvh.first_block(child), count, packet, bounds, memory, work)
                     elif wp.static(counting):
                         work.leaves += 1
                         work.culled += count
-                    key = nearest(keys, level * wp.static(width))
+                    key = nearest(memory, keys + level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:
                 level -= 1
                 if level >= 0:
-                    key = nearest(keys, level * wp.static(width))
+                    key = nearest(memory, keys + level * wp.static(width))
         return steps <= wp.static(patience)
 
     return walk
@@ -112,4 +120,4 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
+    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), MIXED_AXES, walk_memory(config))
