@@ -8,34 +8,38 @@ BOUND = """
     while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
     bounds.active = one < P ? 1 : 0;
     if (one == P) return;
-    WRT_INTERVAL(ix); WRT_INTERVAL(iy); WRT_INTERVAL(iz);
-    WRT_INTERVAL(sx); WRT_INTERVAL(sy); WRT_INTERVAL(start); WRT_INTERVAL(end);
+    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
     const int* axis = (const int*)main_axis;
     int main_axes = 0;
     WRT_FOR_LANES(i) {
         WRT_ALL(ix, inverse_x[k]) WRT_ALL(iy, inverse_y[k]) WRT_ALL(iz, inverse_z[k])
         WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k])
-        WRT_ALL(start, t_min[k]) WRT_ALL(end, t[k])
         int bits = 0;
         WRT_UNROLLED for (int f = 0; f < P; f += W) { const int bit = 1 << axis[f + i]; bits |= t[f + i] >= -0.0f ? bit : 0; }
         main_axes |= bits;
     }
+    if (ranged) {
+        WRT_ENDS(start); WRT_ENDS(end);
+        WRT_FOR_LANES(i) { WRT_ALL(start, t_min[k]) WRT_ALL(end, t[k]) }
+        bounds.t_min = wrt_least(start_low); bounds.t_max = wrt_greatest(end_high);
+    } else {
+        bounds.t_min = t_min[one]; bounds.t_max = t[one];
+    }
     if (!SHARED) {
-        WRT_INTERVAL(ox); WRT_INTERVAL(oy); WRT_INTERVAL(oz); WRT_INTERVAL(wide);
+        WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
         WRT_FOR_LANES(i) {
             WRT_ALL(ox, origin_x[k]) WRT_ALL(oy, origin_y[k]) WRT_ALL(oz, origin_z[k])
             WRT_ALL(wide, slack[k])
         }
-        lows[0] = wrt_value(ox_low); lows[1] = wrt_value(oy_low); lows[2] = wrt_value(oz_low);
-        highs[0] = wrt_value(ox_high); highs[1] = wrt_value(oy_high); highs[2] = wrt_value(oz_high);
-        slack0 = wrt_value(wide_high);
+        lows[0] = wrt_least(ox_low); lows[1] = wrt_least(oy_low); lows[2] = wrt_least(oz_low);
+        highs[0] = wrt_greatest(ox_high); highs[1] = wrt_greatest(oy_high); highs[2] = wrt_greatest(oz_high);
+        slack0 = wrt_greatest(wide_high);
     }
     bounds.main_axes = main_axes;
     bounds.passes = PASSES == 1 ? 1 : main_axes;
-    bounds.t_min = wrt_value(start_low); bounds.t_max = wrt_value(end_high);
     bounds.slack = slack0;
-    bounds.slope_low = wp::vec2(wrt_value(sx_low), wrt_value(sy_low));
-    bounds.slope_high = wp::vec2(wrt_value(sx_high), wrt_value(sy_high));
+    bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
+    bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
     const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
     const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
     bounds.plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
@@ -46,16 +50,16 @@ BOUND = """
         const float* along = main == 0 ? origin_x : main == 1 ? origin_y : origin_z;
         const float* across_x = main == 0 ? origin_y : main == 1 ? origin_z : origin_x;
         const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
-        WRT_INTERVAL(cx); WRT_INTERVAL(cy);
+        WRT_ENDS(cx); WRT_ENDS(cy);
         WRT_FOR_LANES(i) {
             WRT_ALL(cx, across_x[k] - slope_x[k] * (along[k] - plane))
             WRT_ALL(cy, across_y[k] - slope_y[k] * (along[k] - plane))
         }
-        bounds.through_low = wp::vec2(wrt_value(cx_low) - slack0, wrt_value(cy_low) - slack0);
-        bounds.through_high = wp::vec2(wrt_value(cx_high) + slack0, wrt_value(cy_high) + slack0);
+        bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
+        bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
     }
-    const float inverse_low[3] = {wrt_value(ix_low), wrt_value(iy_low), wrt_value(iz_low)};
-    const float inverse_high[3] = {wrt_value(ix_high), wrt_value(iy_high), wrt_value(iz_high)};
+    const float inverse_low[3] = {wrt_least(ix_low), wrt_least(iy_low), wrt_least(iz_low)};
+    const float inverse_high[3] = {wrt_greatest(ix_high), wrt_greatest(iy_high), wrt_greatest(iz_high)};
     const float none = WRT_NAN;
     int mixed_axes = 0;
     WRT_UNROLLED for (int a = 0; a < 3; ++a) {

@@ -37,6 +37,7 @@ _LOAD = """
     else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
     fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
     fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
+    const bool ranged = rays.t_min_stride || rays.t_max_stride;
     auto reach = [&](float x, float y, float z) {
         float far = WRT_ABS(low.c[0] - x), f;
         f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;

@@ -70,6 +70,7 @@ _TAKE = """
         t[k] = of[k] == number ? t[k] : -INF;
     }
     float lows[3], highs[3], slack0;
+    const bool ranged = true;
 """
 
 
