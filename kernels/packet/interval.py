@@ -32,7 +32,7 @@ _ENDS = """
     const float large_x = bounds.inverse_large.c[0], large_y = bounds.inverse_large.c[1], large_z = bounds.inverse_large.c[2];
     const float small_x = bounds.inverse_small.c[0], small_y = bounds.inverse_small.c[1], small_z = bounds.inverse_small.c[2];
     const float t_min = bounds.t_min, t_max = bounds.t_max;
-    const int back_x = bounds.backward.c[0], back_y = bounds.backward.c[1], back_z = bounds.backward.c[2];
+    const bool back_x = large_x < 0.0f, back_y = large_y < 0.0f, back_z = large_z < 0.0f;  // NaN, of both signs: false
 """
 
 _INTERVAL = """
