@@ -8,12 +8,11 @@ BOUND = """
     while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
     bounds.active = one < P ? 1 : 0;
     if (one == P) return;
-    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
+    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz);
     const int* axis = (const int*)main_axis;
     int main_axes = 0;
     WRT_FOR_LANES(i) {
         WRT_ALL(ix, inverse_x[k]) WRT_ALL(iy, inverse_y[k]) WRT_ALL(iz, inverse_z[k])
-        WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k])
         int bits = 0;
         WRT_UNROLLED for (int f = 0; f < P; f += W) { const int bit = 1 << axis[f + i]; bits |= t[f + i] >= -0.0f ? bit : 0; }
         main_axes |= bits;
@@ -38,25 +37,29 @@ BOUND = """
     bounds.main_axes = main_axes;
     bounds.passes = PASSES == 1 ? 1 : main_axes;
     bounds.slack = slack0;
-    bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
-    bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
-    const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
-    const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
-    bounds.plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
-    if (SHARED) {
-        bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
-    } else {
-        const float plane = bounds.plane;
-        const float* along = main == 0 ? origin_x : main == 1 ? origin_y : origin_z;
-        const float* across_x = main == 0 ? origin_y : main == 1 ? origin_z : origin_x;
-        const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
-        WRT_ENDS(cx); WRT_ENDS(cy);
-        WRT_FOR_LANES(i) {
-            WRT_ALL(cx, across_x[k] - slope_x[k] * (along[k] - plane))
-            WRT_ALL(cy, across_y[k] - slope_y[k] * (along[k] - plane))
+    if (SHEARED) {
+        const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
+        const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
+        const float plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
+        WRT_ENDS(sx); WRT_ENDS(sy);
+        WRT_FOR_LANES(i) { WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k]) }
+        bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
+        bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
+        bounds.plane = plane;
+        if (SHARED) {
+            bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
+        } else {
+            const float* along = main == 0 ? origin_x : main == 1 ? origin_y : origin_z;
+            const float* across_x = main == 0 ? origin_y : main == 1 ? origin_z : origin_x;
+            const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
+            WRT_ENDS(cx); WRT_ENDS(cy);
+            WRT_FOR_LANES(i) {
+                WRT_ALL(cx, across_x[k] - slope_x[k] * (along[k] - plane))
+                WRT_ALL(cy, across_y[k] - slope_y[k] * (along[k] - plane))
+            }
+            bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
+            bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
         }
-        bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
-        bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
     }
     const float inverse_low[3] = {wrt_least(ix_low), wrt_least(iy_low), wrt_least(iz_low)};
     const float inverse_high[3] = {wrt_greatest(ix_high), wrt_greatest(iy_high), wrt_greatest(iz_high)};
@@ -86,7 +89,7 @@ BOUND = """
         bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
     }
 """
-"""C++ over `PacketLayout.head`, `INTERVALS` and PASSES: sets `bounds`. An active ray's t is not negative; if there is no
+"""C++ over `PacketLayout.head`, `INTERVALS` and `bounding_constants`: sets `bounds`. An active ray's t is not negative; if there is no
 such ray, only `active` is set.
 
 `lows[3]`, `highs[3]` and `slack0` must be there: a shared origin and its slack, else any numbers."""

@@ -37,6 +37,7 @@ _LOAD = """
     else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
     fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
     fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
+    auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
     const bool ranged = rays.t_min_stride || rays.t_max_stride;
     auto reach = [&](float x, float y, float z) {
         float far = WRT_ABS(low.c[0] - x), f;
@@ -53,11 +54,12 @@ _LOAD = """
     WRT_FOR(P, k) {
         const float x = to_x[k], y = to_y[k], z = to_z[k];
         const float ox = SHARED ? ox0 : from_x[k], oy = SHARED ? oy0 : from_y[k], oz = SHARED ? oz0 : from_z[k];
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
-        const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
+        // sizes as integers, in the order of the floats: NaN and infinity are beyond all numbers
+        const int size_x = wrt_size(x), size_y = wrt_size(y), size_z = wrt_size(z);
+        int size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
+        const bool valid = (size >= wrt_size(TINY)) & (size < wrt_size(INF))
             & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
-            & (size >= TINY) & (least[k] >= 0.0f) & (least[k] <= most[k]);
+            & (least[k] >= 0.0f) & (least[k] <= most[k]);
         if (!SHARED) {
             origin_x[k] = ox; origin_y[k] = oy; origin_z[k] = oz;
             slack[k] = SLACK * reach(ox, oy, oz);
@@ -86,7 +88,7 @@ def load_packet(layout: PacketLayout) -> wp.Function:
     Rays that are bad or beyond the end of the batch are not active: no hit improves on their t of -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
+    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n    constexpr bool SHEARED = true;\n"
 
     @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
     def load_packet_native(

@@ -22,17 +22,15 @@ NUMBERS = """
     int begin = first, apart = ACROSS, number[P];
     bool whole = here == P;
     if (picture) {
-        const int columns = rays.columns, rows = rays.count / columns;
-        auto band_of = [&](int place) { return place / (DOWN * columns); };
-        auto height_of = [&](int band) { return rows - band * DOWN < DOWN ? rows - band * DOWN : DOWN; };
-        const int band = band_of(first), height = height_of(band), within = first - band * DOWN * columns;
-        const int left = within / (ACROSS * height) * ACROSS;
-        begin = band * DOWN * columns + left;
+        const int columns = rays.columns, rows = DOWN * columns, band = first / rows, within = first - band * rows;
+        const int left = within / P * ACROSS;  // if the band has all its rows
+        begin = band * rows + left;
         apart = columns;
-        whole = whole && height == DOWN && left + ACROSS <= columns && within == left * height;
+        whole = whole && band * rows <= rays.count - rows && left + ACROSS <= columns && within % P == 0;
         if (!whole) for (int k = 0; k < P; ++k) {
-            const int place = first + (k < here ? k : 0), b = band_of(place), h = height_of(b);
-            int offset = place - b * DOWN * columns;
+            const int place = first + (k < here ? k : 0), b = place / rows, below = rays.count / columns - b * DOWN;
+            const int h = below < DOWN ? below : DOWN;
+            int offset = place - b * rows;
             const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
             offset -= l * h;
             number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
