@@ -3,16 +3,28 @@
 Rays that are not active are taken for the first one that is, so that no interval needs to leave anyone out.
 """
 
+from wrt.kernels.packet.intervals import INTERVALS
+from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+
+def bounding_head(layout: PacketLayout, slopes: bool) -> str:
+    """C++ for the head of a function that ends in `BOUND`, over `PacketLayout.head`; slopes: whether to bound them too."""
+    passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
+    return f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n{INTERVALS}"
+
+
 BOUND = """
     int one = 0;
     while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
     bounds.active = one < P ? 1 : 0;
     if (one == P) return;
-    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz);
+    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
     const int* axis = (const int*)main_axis;
     int main_axes = 0;
     WRT_FOR_LANES(i) {
         WRT_ALL(ix, inverse_x[k]) WRT_ALL(iy, inverse_y[k]) WRT_ALL(iz, inverse_z[k])
+        if (SLOPES) { WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k]) }
         int bits = 0;
         WRT_UNROLLED for (int f = 0; f < P; f += W) { const int bit = 1 << axis[f + i]; bits |= t[f + i] >= -0.0f ? bit : 0; }
         main_axes |= bits;
@@ -37,12 +49,10 @@ BOUND = """
     bounds.main_axes = main_axes;
     bounds.passes = PASSES == 1 ? 1 : main_axes;
     bounds.slack = slack0;
-    if (SHEARED) {
+    if (SLOPES) {
         const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
         const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
         const float plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
-        WRT_ENDS(sx); WRT_ENDS(sy);
-        WRT_FOR_LANES(i) { WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k]) }
         bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
         bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
         bounds.plane = plane;
@@ -89,7 +99,8 @@ BOUND = """
         bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
     }
 """
-"""C++ over `PacketLayout.head`, `INTERVALS` and `bounding_constants`: sets `bounds`. An active ray's t is not negative; if there is no
+"""C++ over `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray's t is not negative; if there is no
 such ray, only `active` is set.
 
-`lows[3]`, `highs[3]` and `slack0` must be there: a shared origin and its slack, else any numbers."""
+`lows[3]`, `highs[3]` and `slack0` must be there: a shared origin and its slack, else any numbers; and `ranged`: whether rays
+may have a t_min or t of their own."""

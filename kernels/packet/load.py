@@ -5,9 +5,8 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import SLACK
-from wrt.kernels.packet.bounding import BOUND
+from wrt.kernels.packet.bounding import BOUND, bounding_head
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.numbers import NUMBERS
 from wrt.kernels.rays import TINY, RayBatch
@@ -82,15 +81,17 @@ _LOAD = """
 
 
 @cache
-def load_packet(layout: PacketLayout) -> wp.Function:
+def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """`wp.func(rays, first, low, high, packet, bounds)`: P rays of a batch (`numbers`); low, high: the scene.
 
-    Rays that are bad or beyond the end of the batch are not active: no hit improves on their t of -inf.
+    slopes: whether bounds of the slopes are asked for (`Culling.slopes`). Rays that are bad or beyond the end of
+    the batch are not active: no hit improves on their t of -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n    constexpr bool SHEARED = true;\n"
+    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n"
+    head = layout.head + constants + NUMBERS + bounding_head(layout, slopes)
 
-    @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
+    @wp.func_native(head + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
     def load_packet_native(
         rays: RayBatch,
         first: int,

@@ -84,7 +84,7 @@ def make_begin(config: TraversalConfig) -> wp.Function:
     number, bound: get each ray's number, and its t_max, -inf if it is not valid. bounds: get the packet's, with the slack of
     the upper tree.
     """
-    load, packet_rays = load_packet(packet_layout(config)), config.packet
+    load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet
 
     @wp.func
     def start_packet(

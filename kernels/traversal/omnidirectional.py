@@ -39,6 +39,7 @@ from wrt.kernels.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_float, load_int, store_float, store_int
+from wrt.kernels.packet import CULLINGS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.lane_cells import enter_cell, split_cell
 from wrt.kernels.packet.layout import first_row
@@ -115,7 +116,7 @@ def rays_per_item(config: TraversalConfig) -> int:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
-    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
+    load, store = load_packet(layout, CULLINGS[config.culling].slopes), store_packet(layout, config.query == ANY)
     enter, split = enter_cell(layout), split_cell(layout)
     leaf_together, leaf_alone = leaf_step(config), leaf_by_ray(config)
     counting, size_of_packet, P = config.counters, layout.size, config.packet

@@ -130,7 +130,8 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
     False if rays are left over (`parting.goes_alone`). trace_together: the same for one that is not to part.
     """
     layout = packet_layout(config)
-    take, settle, count_alone = parting.take_part(layout), parting.settle_part(layout), parting.count_alone(layout)
+    take = parting.take_part(layout, CULLINGS[config.culling].slopes)
+    settle, count_alone = parting.settle_part(layout), parting.count_alone(layout)
 
     @wp.func
     def trace(
@@ -161,7 +162,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
 def packet_step(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: the packet whose first ray is `begin`.
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: the packet that begins at `begin`.
 
     below: the tree, or the part of it where all hits of the packet are. packet: room for it. memory: room for its walk.
     `work` is what was done for it before.
@@ -174,8 +175,9 @@ def packet_step(
         mixed_axes: axes with both signs with which a packet is still walked together.
     """
     layout = packet_layout(config)
-    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
-    start_packet = CULLINGS[config.culling].start(layout)
+    culling = CULLINGS[config.culling]
+    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
+    start_packet = culling.start(layout)
 
     @wp.func
     def trace_together(
