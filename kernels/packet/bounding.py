@@ -3,7 +3,7 @@
 Rays that are not active are taken for the first one that is, so that no interval needs to leave anyone out.
 """
 
-from wrt.kernels.packet.intervals import INTERVALS
+from wrt.kernels.packet.intervals import INTERVALS, PACKET_INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -11,27 +11,31 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 def bounding_head(layout: PacketLayout, slopes: bool) -> str:
     """C++ for the head of a function that ends in `BOUND`, over `PacketLayout.head`; slopes: whether to bound them too."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
-    return f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n{INTERVALS}"
+    constants = f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n"
+    return constants + INTERVALS + PACKET_INTERVALS
 
 
 BOUND = """
     int one = 0;
     while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
-    bounds.active = one < P ? 1 : 0;
+    bounds.active = 0;
     if (one == P) return;
     WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
     const int* axis = (const int*)main_axis;
-    int main_axes = 0;
+    int active = 0, main_axes = 0;
     WRT_FOR_LANES(i) {
-        WRT_ALL(ix, inverse_x[k]) WRT_ALL(iy, inverse_y[k]) WRT_ALL(iz, inverse_z[k])
-        if (SLOPES) { WRT_ALL(sx, slope_x[k]) WRT_ALL(sy, slope_y[k]) }
-        int bits = 0;
-        WRT_UNROLLED for (int f = 0; f < P; f += W) { const int bit = 1 << axis[f + i]; bits |= t[f + i] >= -0.0f ? bit : 0; }
-        main_axes |= bits;
+        WRT_BOUND(ix, inverse_x[k]) WRT_BOUND(iy, inverse_y[k]) WRT_BOUND(iz, inverse_z[k])
+        if (SLOPES) { WRT_BOUND(sx, slope_x[k]) WRT_BOUND(sy, slope_y[k]) }
+        WRT_UNROLLED for (int f = 0; f < P; f += W) {
+            const int bit = 1 << axis[f + i], mask = t[f + i] >= -0.0f ? -1 : 0;
+            active -= mask;
+            main_axes |= bit & mask;
+        }
     }
+    bounds.active = active;
     if (ranged) {
         WRT_ENDS(start); WRT_ENDS(end);
-        WRT_FOR_LANES(i) { WRT_ALL(start, t_min[k]) WRT_ALL(end, t[k]) }
+        WRT_FOR_LANES(i) { WRT_BOUND(start, t_min[k]) WRT_BOUND(end, t[k]) }
         bounds.t_min = wrt_least(start_low); bounds.t_max = wrt_greatest(end_high);
     } else {
         bounds.t_min = t_min[one]; bounds.t_max = t[one];
@@ -39,8 +43,8 @@ BOUND = """
     if (!SHARED) {
         WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
         WRT_FOR_LANES(i) {
-            WRT_ALL(ox, origin_x[k]) WRT_ALL(oy, origin_y[k]) WRT_ALL(oz, origin_z[k])
-            WRT_ALL(wide, slack[k])
+            WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
+            WRT_BOUND(wide, slack[k])
         }
         lows[0] = wrt_least(ox_low); lows[1] = wrt_least(oy_low); lows[2] = wrt_least(oz_low);
         highs[0] = wrt_greatest(ox_high); highs[1] = wrt_greatest(oy_high); highs[2] = wrt_greatest(oz_high);
@@ -64,8 +68,8 @@ BOUND = """
             const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
             WRT_ENDS(cx); WRT_ENDS(cy);
             WRT_FOR_LANES(i) {
-                WRT_ALL(cx, across_x[k] - slope_x[k] * (along[k] - plane))
-                WRT_ALL(cy, across_y[k] - slope_y[k] * (along[k] - plane))
+                WRT_BOUND(cx, across_x[k] - slope_x[k] * (along[k] - plane))
+                WRT_BOUND(cy, across_y[k] - slope_y[k] * (along[k] - plane))
             }
             bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
             bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
