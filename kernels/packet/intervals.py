@@ -31,15 +31,13 @@ PACKET_INTERVALS = """
         name##_low[i] = low_; name##_high[i] = high_; }
 #endif
     auto wrt_first = [](float* lane, auto precedes) {
-        if (W > 8) WRT_FOR(W > 8 ? 8 : 0, i) lane[i] = precedes(lane[i + 8], lane[i]) ? lane[i + 8] : lane[i];
-        if (W > 4) WRT_FOR(W > 4 ? 4 : 0, i) lane[i] = precedes(lane[i + 4], lane[i]) ? lane[i + 4] : lane[i];
-        if (W > 2) WRT_FOR(W > 2 ? 2 : 0, i) lane[i] = precedes(lane[i + 2], lane[i]) ? lane[i + 2] : lane[i];
-        constexpr int last = W > 1 ? 1 : 0;
-        return precedes(lane[last], lane[0]) ? lane[last] : lane[0];
+        WRT_UNROLLED for (int n = W / 2; n > 0; n /= 2)
+            WRT_FOR(n, i) lane[i] = precedes(lane[i + n], lane[i]) ? lane[i + n] : lane[i];
+        return lane[0];
     };
     auto wrt_least = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a < b; }); };
     auto wrt_greatest = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a > b; }); };
 """
-"""C++ likewise, over `PacketLayout.head`, W at most 16: `WRT_ENDS(name)` declares a lane's ends of an interval over the active
+"""C++ likewise, over `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares a lane's ends of an interval over the active
 rays of a packet. `WRT_BOUND(name, value)`, in a loop over the lanes i, finds them; the value is that of ray `k`, and ray `one`,
 an active one, stands in for those that are not. `wrt_least(name_low)` and `wrt_greatest(name_high)` are the ends of all."""
