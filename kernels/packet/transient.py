@@ -26,7 +26,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.block import LOWEST_BIT
+from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.frustum import FRAME
 from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
@@ -44,9 +45,17 @@ _MEETING = f"""
         float enter = t_min[k], leave = t[k];
 {SLABS}
         meets[k] = ((enter <= leave) & (t[k] > -INF)) ? 1 : 0;
-        met |= meets[k];
+        met += meets[k];
     }}
-    if (!met || bounds.frame < 0) return met;
+    if (met <= FEW) {{
+        for (int f = 0, place = 0; met && f < P; f += W) {{
+            unsigned bits = 0;
+            WRT_FOR_LANES(i) {{ bits |= meets[f + i] ? 1u << i : 0u; }}
+            for (; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
+        }}
+        return met;
+    }}
+    if (bounds.frame < 0) return met;
     const int z = bounds.frame, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
     const bool back = bounds.forward < 0.0f;
     bounds.near_plane = back ? high[z] + bounds.margin : low[z] - bounds.margin;
@@ -69,7 +78,9 @@ def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: the frustum of the rays that meet a leaf's box; 0 if none does."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
-    @wp.func_native(layout.head + INTERVALS + _MEETING + points + "    return met;\n")
+    few = f"    constexpr int FEW = {FEW};\n"
+
+    @wp.func_native(layout.head + few + INTERVALS + LOWEST_BIT + _MEETING + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

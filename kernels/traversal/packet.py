@@ -31,8 +31,9 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.packet import CULLINGS
-from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.traversal.few_rays import few_step
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.single_bvh import make_walk
@@ -54,7 +55,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     culling, layout = CULLINGS[config.culling], packet_layout(config)
     cull_boxes, start_leaf = culling.boxes(layout), culling.leaf(layout)
     box_tests = config.width * (config.packet if culling.every_ray else 1)
-    test_leaf = leaf_step(config)
+    test_leaf, test_few, looks_at_leaves = leaf_step(config), few_step(config), culling.needs_boxes
     memory = MAILBOXES[config.mailbox].size
     nearest = nearest_child(config.width)
     width, counting = config.width, config.counters
@@ -93,11 +94,11 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                         work.boxes += wp.static(box_tests)
                 else:
                     count = bvh.leaf_triangles(child)
-                    if start_leaf(tree.bounds, node, lane, packet, bounds) != 0:
+                    meet = start_leaf(tree.bounds, node, lane, packet, bounds)
+                    if meet > wp.static(FEW):
                         test_leaf(triangles, bvh.first_block(child), count, packet, bounds, mailbox, work)
-                    elif wp.static(counting):
-                        work.leaves += 1
-                        work.culled += count
+                    elif wp.static(looks_at_leaves):
+                        test_few(triangles, bvh.first_block(child), count, meet, packet, bounds, work)
                     key = nearest(keys, level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:

@@ -373,6 +373,13 @@ PACKET = PacketForm(
                     hit_u = area_b[i] * scale;
                     hit_v = area_c[i] * scale;
     """,
+    ray="""
+    const float* origins[3] = {origin_x, origin_y, origin_z};
+    ray.z = ((const int*)main_axis)[k]; ray.x = ray.z == 2 ? 0 : ray.z + 1; ray.y = ray.x == 2 ? 0 : ray.x + 1;
+    const int axes[3] = {ray.x, ray.y, ray.z};
+    for (int a = 0; a < 3; ++a) ray.origin.c[a] = SHARED ? origin0[axes[a]] : origins[axes[a]][k];
+    ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
+    """,
 )
 """W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
 

@@ -1,0 +1,116 @@
+"""Rays that are nearly alone at a leaf: each against W triangles at a time."""
+
+from dataclasses import replace
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.boxes import RaySlabs
+from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.layout import PacketLayout
+from wrt.kernels.packet.slabs import SHARED_ORIGIN
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
+from wrt.kernels.traversal.packet_kernel import packet_layout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_TAKE = """
+    const int k = bounds.few.c[place];
+    const float wide = SHARED ? slack0 : slack[k];
+    const float from[3] = {SHARED ? origin0[0] : origin_x[k], SHARED ? origin0[1] : origin_y[k],
+                           SHARED ? origin0[2] : origin_z[k]};
+    slabs.inverse = wp::vec3(inverse_x[k], inverse_y[k], inverse_z[k]);
+    for (int a = 0; a < 3; ++a) {
+        const float step = slabs.inverse.c[a] < 0.0f ? -wide : wide;
+        slabs.origin_in.c[a] = from[a] + step;
+        slabs.origin_out.c[a] = from[a] - step;
+    }
+    best.t = t[k]; best.primitive = ((const int*)primitive)[k]; best.u = u[k]; best.v = v[k];
+    const float begin = t_min[k];
+    WRT_RAY
+    return begin;
+"""
+
+_GIVE = """
+    const int k = bounds.few.c[place];
+    t[k] = ANY_HIT ? -INF : best.t;
+    ((int*)primitive)[k] = best.primitive;
+    u[k] = best.u; v[k] = best.v;
+    int most = (int)0x80000000;
+    WRT_FOR(P, j) { const int bits = __builtin_bit_cast(int, t[j] + 0.0f); most = bits > most ? bits : most; }
+    bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
+"""
+
+
+@cache
+def take_ray(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few` as single rays are traced."""
+    test = TRIANGLE_TESTS[layout.triangle_test]
+    RayState = test.ray_state
+
+    @wp.func_native(layout.head + SHARED_ORIGIN + _TAKE.replace("WRT_RAY", test.packet_form.ray))
+    def take_ray_native(
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        place: int,
+        ray: wp.ref[RayState],
+        slabs: wp.ref[RaySlabs],
+        best: wp.ref[Candidate],
+    ) -> float: ...
+
+    return take_ray_native
+
+
+@cache
+def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
+    """`wp.func(packet, bounds, place, best)`: writes back its hit."""
+    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
+
+    @wp.func_native(layout.head + constant + _GIVE)
+    def give_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
+
+    return give_ray_native
+
+
+@cache
+def few_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: the `meet` rays of `bounds.few` at a leaf."""
+    layout, any_hit = packet_layout(config), config.query == ANY
+    take, give = take_ray(layout), give_ray(layout, any_hit)
+    RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
+    test_block = block_step(replace(config, one_by_one=False))
+    width, counting = config.width, config.counters
+
+    @wp.func
+    def step(
+        triangles: TriangleBlocks,
+        first: int,
+        count: int,
+        meet: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        if wp.static(counting):
+            work.leaves += 1
+        for place in range(meet):
+            ray = RayState()
+            slabs = RaySlabs()
+            best = Candidate()
+            t_min = take(packet, bounds, place, ray, slabs, best)
+            primitive = best.primitive
+            block = int(first)
+            rest = int(count)
+            while rest > 0:
+                best = test_block(triangles, block, ray, slabs, t_min, best)
+                block += 1
+                rest -= wp.static(width)
+                if wp.static(any_hit):
+                    rest = wp.where(best.primitive < 0, rest, 0)
+            if best.primitive != primitive:
+                give(packet, bounds, place, best)
+
+    return step
