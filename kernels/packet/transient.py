@@ -26,6 +26,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.lanes import LANE_BITS
 from wrt.kernels.packet.block import LOWEST_BIT
 from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.frustum import FRAME
@@ -49,9 +50,7 @@ _MEETING = f"""
     }}
     if (met <= FEW) {{
         for (int f = 0, place = 0; met && f < P; f += W) {{
-            unsigned bits = 0;
-            WRT_FOR_LANES(i) {{ bits |= meets[f + i] ? 1u << i : 0u; }}
-            for (; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
+            for (unsigned bits = wrt_bits(meets + f); bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
         }}
         return met;
     }}
@@ -80,7 +79,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
 
     few = f"    constexpr int FEW = {FEW};\n"
 
-    @wp.func_native(layout.head + few + INTERVALS + LOWEST_BIT + _MEETING + points + "    return met;\n")
+    @wp.func_native(layout.head + few + INTERVALS + LOWEST_BIT + LANE_BITS + _MEETING + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...
