@@ -66,6 +66,11 @@ class PacketLayout:
         return len(self.components) * self.rays + CACHE_LINE
 
     @property
+    def occluder(self) -> int:
+        """Index of the last of these floats, before which the components end: `wrt.kernels.packet.occluder` has it."""
+        return self.size - 1
+
+    @property
     def constants(self) -> str:
         """C++ that opens a native function: the lane loop, W, P, floats a triangle's record has, SHARED, INF."""
         record = TRIANGLE_TESTS[self.triangle_test].record.components
