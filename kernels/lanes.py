@@ -46,6 +46,17 @@ names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are 
 must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even. `WRT_SCALAR` before a loop keeps
 Clang from making gathers of it."""
 
+BITS = """
+#if defined(__CUDA_ARCH__)
+    auto wrt_lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
+    auto wrt_count_bits = [](unsigned bits) { return __popc(bits); };
+#else
+    auto wrt_lowest_bit = [](unsigned bits) { return __builtin_ctz(bits); };
+    auto wrt_count_bits = [](unsigned bits) { return __builtin_popcount(bits); };
+#endif
+"""
+"""C++ of `lowest_bit` and `count_bits`."""
+
 LANE_BITS = """
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
     typedef int wrt_flags __attribute__((ext_vector_type(W)));
@@ -66,8 +77,8 @@ LANE_BITS = """
     };
 #endif
 """
-"""`wrt_bits(flags)`: a bit for each of W ints that is not 0. What a loop over lanes would collect by `|=` costs a comparison here,
-where there it is a chain of shuffles."""
+"""`wrt_bits(flags)`: a bit for each of W ints that is not 0: one comparison, where a loop that collects bits by `|=` becomes a chain
+of shuffles."""
 
 
 @wp.func_native("""

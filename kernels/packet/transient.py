@@ -26,8 +26,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import LANE_BITS
-from wrt.kernels.packet.block import LOWEST_BIT
+from wrt.kernels.lanes import BITS, LANE_BITS
 from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.frustum import FRAME
 from wrt.kernels.packet.intervals import INTERVALS
@@ -40,17 +39,22 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _MEETING = f"""
     const float* box = &boxes.data[(size_t)node * (6 * W)] + lane;
     const float low[3] = {{box[0], box[W], box[2 * W]}}, high[3] = {{box[3 * W], box[4 * W], box[5 * W]}};{SHARED_ORIGIN}
-    int meets[P];
-    int met = 0;
-    WRT_FOR(P, k) {{
-        float enter = t_min[k], leave = t[k];
+    int meets[P], met = 0;
+    unsigned vector[P / W];
+    for (int f = 0; f < P; f += W) {{
+        WRT_FOR_LANES(i) {{
+            const int k = f + i;
+            float enter = t_min[k], leave = t[k];
 {SLABS}
-        meets[k] = ((enter <= leave) & (t[k] > -INF)) ? 1 : 0;
-        met += meets[k];
+            meets[k] = ((enter <= leave) & (t[k] > -INF)) ? -1 : 0;
+        }}
+        vector[f / W] = wrt_bits(meets + f);
+        met += wrt_count_bits(vector[f / W]);
     }}
+    if (!met) return 0;
     if (met <= FEW) {{
-        for (int f = 0, place = 0; met && f < P; f += W) {{
-            for (unsigned bits = wrt_bits(meets + f); bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
+        for (int f = 0, place = 0; f < P; f += W) {{
+            for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
         }}
         return met;
     }}
@@ -79,7 +83,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
 
     few = f"    constexpr int FEW = {FEW};\n"
 
-    @wp.func_native(layout.head + few + INTERVALS + LOWEST_BIT + LANE_BITS + _MEETING + points + "    return met;\n")
+    @wp.func_native(layout.head + few + INTERVALS + BITS + LANE_BITS + _MEETING + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -6,6 +6,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import RaySlabs
+from wrt.kernels.packet.block import SHORTEN
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN
@@ -35,13 +36,10 @@ _TAKE = """
 """
 
 _GIVE = """
-    const int k = bounds.few.c[place];
-    t[k] = ANY_HIT ? -INF : best.t;
-    ((int*)primitive)[k] = best.primitive;
-    u[k] = best.u; v[k] = best.v;
-    int most = (int)0x80000000;
-    WRT_FOR(P, j) { const int bits = __builtin_bit_cast(int, t[j] + 0.0f); most = bits > most ? bits : most; }
-    bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
+    const int ray = bounds.few.c[place];
+    t[ray] = ANY_HIT ? -INF : best.t;
+    ((int*)primitive)[ray] = best.primitive;
+    u[ray] = best.u; v[ray] = best.v;
 """
 
 
@@ -69,7 +67,7 @@ def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(packet, bounds, place, best)`: writes back its hit."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(layout.head + constant + _GIVE)
+    @wp.func_native(layout.head + constant + _GIVE + SHORTEN)
     def give_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
 
     return give_ray_native
