@@ -15,7 +15,6 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import LANE_BITS
 from wrt.kernels.packet import interval
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.frustum import SIDES
@@ -55,7 +54,7 @@ _TRIANGLES = f"""
 def cull_triangles(layout: PacketLayout) -> wp.Function:
     """Packet's frustum x the vertices of the W triangles of a block."""
 
-    @wp.func_native(f"{layout.constants}{LANE_BITS}{_TRIANGLES}")
+    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
 
     return beyond_a_side

@@ -26,7 +26,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import BITS, LANE_BITS
+from wrt.kernels.lanes import BITS
 from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.frustum import FRAME
 from wrt.kernels.packet.intervals import INTERVALS
@@ -83,7 +83,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
 
     few = f"    constexpr int FEW = {FEW};\n"
 
-    @wp.func_native(layout.head + few + INTERVALS + BITS + LANE_BITS + _MEETING + points + "    return met;\n")
+    @wp.func_native(layout.head + few + INTERVALS + BITS + _MEETING + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...

@@ -18,7 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES, lanes
+from wrt.kernels.lanes import FOR_LANES, LANE_BITS, lanes
 from wrt.kernels.triangle.operations import Operations, count_operations
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Record
 
@@ -259,19 +259,19 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
 
-    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n"
+    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n{LANE_BITS}"
     text += "    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n    unsigned mask = ~0u;\n"
     text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
     text += "".join(f"    float kept_{name}[W];\n" for name in form.kept())
     for number, step in enumerate(form.steps):
         text += f"""
             {{
-                unsigned passed = 0;
+                int passed[W];
                 WRT_FOR_LANES(i) {{
                     {form.lane_code(number, declare)}
-                    passed |= ({step.passes}) ? 1u << i : 0u;
+                    passed[i] = ({step.passes}) ? -1 : 0;
                 }}
-                mask &= passed;
+                mask &= wrt_bits(passed);
                 if (!mask) return mask;
             }}
         """
