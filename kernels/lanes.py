@@ -77,8 +77,8 @@ LANE_BITS = """
     };
 #endif
 """
-"""`wrt_bits(flags)`: a bit for each of W ints that is not 0: one comparison, where a loop that collects bits by `|=` becomes a chain
-of shuffles."""
+"""`wrt_bits(flags)`: a bit for each of W ints that is not 0. That is one comparison; a loop that collects bits by `|=` becomes
+a chain of shuffles."""
 
 
 @wp.func_native("""

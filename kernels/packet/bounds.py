@@ -5,7 +5,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 FEW = 6
-"""Rays at a leaf up to which each of them is tested on its own (`wrt.kernels.traversal.few_rays`)."""
+"""Rays at a leaf up to which each is tested on its own, against W triangles at a time (`wrt.kernels.traversal.few_rays`)."""
 
 FewRays = wp.types.vector(length=FEW, dtype=wp.int32)
 

@@ -1,4 +1,16 @@
-"""Rays that are nearly alone at a leaf: each against W triangles at a time."""
+"""Rays that are nearly alone at a leaf: each against W triangles at a time.
+
+**Problem.** Where triangles are as small as pixels, a packet of 32 rays comes to a leaf of which it knows only that one of
+them meets its box: of the leaves that shadow rays on a dragon of 7 million triangles arrive at, half are met by none and a
+third by one to six. A triangle that is tested there fills 32 lanes for them.
+
+**Idea.** Lanes hold rays or triangles, whichever are more. Up to `FEW` rays (`wrt.kernels.packet.bounds`) are taken out of the
+packet and tested as a single ray is, by `block_step`: a vector for each 16 triangles, and no frustum before it.
+
+**Measured** (one thread, the time against packets alone, 2 cores of a Zen 5): reflected rays 0.83 on the bunny, 0.76 on the
+dragon, 0.72 on the large one, 0.87 in the atrium; shadow rays 1.02, 1.00, 0.97 and 0.93. With 9 or more rays for 6, reflected
+rays gain another 3-9 %, and shadow rays lose 4-8 %: the frustum leaves them few triangles.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -8,6 +20,7 @@ import warp as wp
 from wrt.kernels.boxes import RaySlabs
 from wrt.kernels.packet.block import SHORTEN
 from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.counting import active_lanes
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN
 from wrt.kernels.traversal.config import ANY, TraversalConfig
@@ -45,7 +58,7 @@ _GIVE = """
 
 @cache
 def take_ray(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few` as single rays are traced."""
+    """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few`, as `block_step` takes it."""
     test = TRIANGLE_TESTS[layout.triangle_test]
     RayState = test.ray_state
 
@@ -64,7 +77,7 @@ def take_ray(layout: PacketLayout) -> wp.Function:
 
 @cache
 def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(packet, bounds, place, best)`: writes back its hit."""
+    """`wp.func(packet, bounds, place, best)`: a hit of a ray of `bounds.few` goes into the packet."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
     @wp.func_native(layout.head + constant + _GIVE + SHORTEN)
@@ -73,11 +86,51 @@ def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
     return give_ray_native
 
 
+@wp.func_native("bounds.few.c[place] = ray;")
+def put_few(bounds: wp.ref[PacketBounds], place: int, ray: int):
+    """One of the rays that `few_step` tests, by its number in the packet."""
+    ...
+
+
+@cache
+def few_counts(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: counts what `few_step` is about to do."""
+    active_in, width = active_lanes(packet_layout(config)), config.width
+
+    @wp.func
+    def count_work(
+        triangles: TriangleBlocks,
+        first: int,
+        count: int,
+        meet: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        if meet == 0:
+            work.culled += count
+        else:
+            work.triangles += count
+            block = int(first)
+            rest = int(count)
+            while rest > 0:
+                used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))
+                work.lanes += meet * wp.static(width)
+                work.active += active_in(triangles.records, block, used, packet, bounds)
+                block += 1
+                rest -= wp.static(width)
+
+    return count_work
+
+
 @cache
 def few_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: the `meet` rays of `bounds.few` at a leaf."""
+    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: the `meet` rays of `bounds.few` at a leaf.
+
+    Its `count` triangles begin at the block `first`.
+    """
     layout, any_hit = packet_layout(config), config.query == ANY
-    take, give = take_ray(layout), give_ray(layout, any_hit)
+    take, give, count_work = take_ray(layout), give_ray(layout, any_hit), few_counts(config)
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
     test_block = block_step(replace(config, one_by_one=False))
     width, counting = config.width, config.counters
@@ -94,6 +147,7 @@ def few_step(config: TraversalConfig) -> wp.Function:
     ):
         if wp.static(counting):
             work.leaves += 1
+            count_work(triangles, first, count, meet, packet, bounds, work)
         for place in range(meet):
             ray = RayState()
             slabs = RaySlabs()

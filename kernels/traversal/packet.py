@@ -6,8 +6,8 @@
 the child's box: one step for all rays, W children at a time. At a leaf the triangles that no ray can hit are culled, W at a
 time, and only then are rays tested, W at a time against each triangle that is left (Wald et al. 2001 for rays in lanes;
 Reshetov et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of
-the rays' best hits. At a leaf that few rays meet, they are tested one by one (`few_rays`). Rays that ask for any hit begin where
-the last packet ended (`wrt.kernels.packet.occluder`).
+the rays' best hits. Where few rays meet a leaf, they are tested one by one (`few_rays`). Rays that ask for any hit begin
+where the last packet ended (`wrt.kernels.packet.occluder`).
 
 **Any rays.** Rays of a packet need not share an origin or signs. Where all three axes have both signs, boxes bound
 nothing worth having, and a packet whose rays have parted company (one in fifty does, where neighbouring pixels see
