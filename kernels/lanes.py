@@ -46,6 +46,40 @@ names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are 
 must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even. `WRT_SCALAR` before a loop keeps
 Clang from making gathers of it."""
 
+BITS = """
+#if defined(__CUDA_ARCH__)
+    auto wrt_lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
+    auto wrt_count_bits = [](unsigned bits) { return __popc(bits); };
+#else
+    auto wrt_lowest_bit = [](unsigned bits) { return __builtin_ctz(bits); };
+    auto wrt_count_bits = [](unsigned bits) { return __builtin_popcount(bits); };
+#endif
+"""
+"""C++ of `lowest_bit` and `count_bits`."""
+
+LANE_BITS = """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef int wrt_flags __attribute__((ext_vector_type(W)));
+    typedef bool wrt_bools __attribute__((ext_vector_type(W)));
+    auto wrt_bits = [](const int* flags) {
+        wrt_flags v;
+        __builtin_memcpy(&v, flags, sizeof(v));
+        const wrt_bools set = __builtin_convertvector(v != 0, wrt_bools);
+        unsigned mask = 0;
+        __builtin_memcpy(&mask, &set, sizeof(set));
+        return mask & ((1u << W) - 1u);
+    };
+#else
+    auto wrt_bits = [](const int* flags) {
+        unsigned mask = 0;
+        for (int i = 0; i < W; ++i) mask |= flags[i] ? 1u << i : 0u;
+        return mask;
+    };
+#endif
+"""
+"""`wrt_bits(flags)`: a bit for each of W ints that is not 0. That is one comparison; a loop that collects bits by `|=` becomes
+a chain of shuffles."""
+
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)

@@ -45,8 +45,8 @@ class Culling:
         slopes: whether it looks at the bounds of slopes, or at where lines go through a plane across the main axis.
         every_ray: whether `boxes` tests each ray on its own, rather than the packet as a whole.
         start: `wp.func(low, high, packet, bounds)`, once a packet; low, high: the scene.
-        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node; 0 if
-            no ray meets it.
+        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node: how
+            many rays meet it, or any number above `FEW`. Up to `FEW` are listed in `bounds.few`, and nothing else is set.
     """
 
     name: str

@@ -89,16 +89,16 @@ BOXES = f"""
 
 TRIANGLES = f"""
     const float* r = &records.data[(size_t)block * (RECORD * W)];{_ENDS}
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {{
         float low[3], high[3];{vertex_box("r", "i")}
         const float near_x = back_x ? high[0] : low[0], far_x = back_x ? low[0] : high[0];
         const float near_y = back_y ? high[1] : low[1], far_y = back_y ? low[1] : high[1];
         const float near_z = back_z ? high[2] : low[2], far_z = back_z ? low[2] : high[2];{_INTERVAL}
         // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
-        mask |= ((enter <= leave) & (r[i] == r[i])) ? 1u << i : 0u;
+        kept[i] = ((enter <= leave) & (r[i] == r[i])) ? -1 : 0;
     }}
-    return mask;
+    return wrt_bits(kept);
 """
 """C++ of `cull_triangles`."""
 

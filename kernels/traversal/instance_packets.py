@@ -22,6 +22,7 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.instances import Placement, ray_mask
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.packet import occluder
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.interval import cull_boxes
 from wrt.kernels.packet.load import load_packet
@@ -159,6 +160,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     Traces the packet through one instance. own, found: where its transformed rays and their hits go, from `slot` on.
     """
     step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
+    keep_leaf = occluder.keep_leaf(packet_layout(config))
     transform, take, packet_rays = transform_packet(config.packet), make_take(config), config.packet
 
     @wp.func
@@ -187,6 +189,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
                     own.t_max[slot + k] = -INFINITY
         batch = own
         batch.count = slot + wp.static(packet_rays)
+        keep_leaf(room, 0)  # what the last packet met is of another instance
         step(part.tree, part.tree, part.triangles, batch, slot, room, memory, found, counters, work)
         return take(placement, found, slot, number, bound, hits)
 

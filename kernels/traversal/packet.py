@@ -6,7 +6,8 @@
 the child's box: one step for all rays, W children at a time. At a leaf the triangles that no ray can hit are culled, W at a
 time, and only then are rays tested, W at a time against each triangle that is left (Wald et al. 2001 for rays in lanes;
 Reshetov et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of
-the rays' best hits.
+the rays' best hits. Where few rays meet a leaf, they are tested one by one (`few_rays`). Rays that ask for any hit begin
+where the last packet ended (`wrt.kernels.packet.occluder`).
 
 **Any rays.** Rays of a packet need not share an origin or signs. Where all three axes have both signs, boxes bound
 nothing worth having, and a packet whose rays have parted company (one in fifty does, where neighbouring pixels see
@@ -30,9 +31,10 @@ from wrt.kernels.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.bvh import WideNodes
 from wrt.kernels.mailbox import MAILBOXES
 from wrt.kernels.memory import CACHE_LINE, first_line, load_int, store_int
-from wrt.kernels.packet import CULLINGS
-from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.traversal.config import TraversalConfig
+from wrt.kernels.packet import CULLINGS, occluder
+from wrt.kernels.packet.bounds import FEW, PacketBounds
+from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.traversal.few_rays import few_step
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.single_bvh import make_walk
@@ -54,14 +56,43 @@ def walk_memory(config: TraversalConfig) -> int:
 
 
 @cache
+def visit_leaf(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: the leaf that is a lane of a node."""
+    culling, width = CULLINGS[config.culling], config.width
+    start_leaf, looks_at_leaves = culling.leaf(packet_layout(config)), culling.needs_boxes
+    test_leaf, test_few = leaf_step(config), few_step(config)
+
+    @wp.func
+    def visit(
+        tree: wp.ref[WideNodes],
+        triangles: wp.ref[TriangleBlocks],
+        node: int,
+        lane: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        mailbox: wp.array(dtype=int),
+        work: wp.ref[Counters],
+    ):
+        child = load_int(tree.child, node * wp.static(width) + lane)
+        first = bvh.first_block(child)
+        count = bvh.leaf_triangles(child)
+        meet = start_leaf(tree.bounds, node, lane, packet, bounds)
+        if meet > wp.static(FEW):
+            test_leaf(triangles, first, count, packet, bounds, mailbox, work)
+        elif wp.static(looks_at_leaves):
+            test_few(triangles, first, count, meet, packet, bounds, work)
+
+    return visit
+
+
+@cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up."""
     culling, layout = CULLINGS[config.culling], packet_layout(config)
-    cull_boxes, start_leaf = culling.boxes(layout), culling.leaf(layout)
+    cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
     box_tests = config.width * (config.packet if culling.every_ray else 1)
-    test_leaf = leaf_step(config)
     remembered = MAILBOXES[config.mailbox].size
-    nearest = nearest_child(config.width)
+    last_leaf, keep_leaf, any_hit = occluder.last_leaf(layout), occluder.keep_leaf(layout), config.query == ANY
     width, counting = config.width, config.counters
     row, patience = config.levels * config.width, PATIENCE * config.packet
 
@@ -80,11 +111,20 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         path = keys + wp.static(row)
         store_int(memory, path, 0)
         steps = int(0)
-        key = cull_boxes(tree.bounds, 0, packet, bounds, memory, keys)
-        level = wp.where(entry_of(key, wp.static(width)) <= bounds.t_max, 0, -1)
-        if wp.static(counting):
-            work.nodes += 1
-            work.boxes += wp.static(box_tests)
+        leaf = int(0)
+        if wp.static(any_hit):
+            leaf = last_leaf(packet)
+            if leaf > 0:
+                node = (leaf - 1) // wp.static(width)
+                visit(tree, triangles, node, (leaf - 1) % wp.static(width), packet, bounds, memory, work)
+        key = int(NO_CHILD)
+        level = int(-1)
+        if bounds.t_max >= 0.0:
+            key = cull_boxes(tree.bounds, 0, packet, bounds, memory, keys)
+            level = wp.where(entry_of(key, wp.static(width)) <= bounds.t_max, 0, -1)
+            if wp.static(counting):
+                work.nodes += 1
+                work.boxes += wp.static(box_tests)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= bounds.t_max:
                 steps += 1
@@ -100,18 +140,16 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                         work.nodes += 1
                         work.boxes += wp.static(box_tests)
                 else:
-                    count = bvh.leaf_triangles(child)
-                    if start_leaf(tree.bounds, node, lane, packet, bounds) != 0:
-                        test_leaf(triangles, bvh.first_block(child), count, packet, bounds, memory, work)
-                    elif wp.static(counting):
-                        work.leaves += 1
-                        work.culled += count
+                    visit(tree, triangles, node, lane, packet, bounds, memory, work)
+                    leaf = node * wp.static(width) + lane + 1
                     key = nearest(memory, keys + level * wp.static(width))
                 level = wp.where(steps <= wp.static(patience), level, -1)
             else:
                 level -= 1
                 if level >= 0:
                     key = nearest(memory, keys + level * wp.static(width))
+        if wp.static(any_hit):
+            keep_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0))
         return steps <= wp.static(patience)
 
     return walk
