@@ -21,10 +21,6 @@ FOR_LANES = """
 #define WRT_UNROLLED _Pragma("clang loop unroll(full)")
 #define WRT_SCALAR _Pragma("clang loop vectorize(disable)")
 #define WRT_LANES(name, pointer) const float* name = pointer
-#define WRT_BITS(flags) ([&] { typedef int wrt_i_ __attribute__((ext_vector_type(W))); \\
-    typedef bool wrt_b_ __attribute__((ext_vector_type(W))); wrt_i_ v_; __builtin_memcpy(&v_, flags, sizeof(v_)); \\
-    const wrt_b_ b_ = __builtin_convertvector(v_, wrt_b_); unsigned m_ = 0; __builtin_memcpy(&m_, &b_, sizeof(b_)); \\
-    return m_ & ((2u << (W - 1)) - 1u); }())
 #else
 #define WRT_LANES(name, pointer) float name[W]; \\
     if (W % 4 == 0) for (int j_ = 0; j_ < W / 4; ++j_) { const float4 v_ = ((const float4*)(pointer))[j_]; \\
@@ -32,8 +28,6 @@ FOR_LANES = """
     else if (W % 2 == 0) for (int j_ = 0; j_ < W / 2; ++j_) { const float2 v_ = ((const float2*)(pointer))[j_]; \\
         name[2 * j_] = v_.x; name[2 * j_ + 1] = v_.y; } \\
     else for (int j_ = 0; j_ < W; ++j_) name[j_] = (pointer)[j_]
-#define WRT_BITS(flags) ([&] { unsigned m_ = 0; \\
-    for (int j_ = 0; j_ < W; ++j_) m_ |= (flags)[j_] ? 1u << j_ : 0u; return m_; }())
 #define WRT_UNROLLED
 #define WRT_SCALAR
 #define WRT_FOR_LANES(i) for (int i = 0; i < W; ++i)
@@ -52,8 +46,45 @@ FOR_LANES = """
 would be put together again lane by lane, at a third of the speed). W is a constant of the snippet. `WRT_LANES(name, pointer)`
 names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are loaded four at a time, so a block of W floats
 must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even. `WRT_SCALAR` before a loop keeps
-Clang from making gathers of it. `WRT_BITS(flags)`: a bit for each of W ints that is not 0, all bits set or none; from
-comparisons, that is one instruction where the device has masks. `WRT_FETCH(pointer)` asks for a cache line, on CPUs."""
+Clang from making gathers of it. `WRT_FETCH(pointer)` asks for a cache line, on CPUs."""
+
+BITS = """
+#if defined(__CUDA_ARCH__)
+    auto wrt_lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
+    auto wrt_count_bits = [](unsigned bits) { return __popc(bits); };
+#else
+    auto wrt_lowest_bit = [](unsigned bits) { return __builtin_ctz(bits); };
+    auto wrt_count_bits = [](unsigned bits) { return __builtin_popcount(bits); };
+#endif
+"""
+"""C++ of `lowest_bit` and `count_bits`."""
+
+
+def lane_bits(lanes: str = "W") -> str:
+    """C++ of `wrt_bits(flags)`: a bit for each of the lanes' ints that is not 0; lanes: the name of the constant.
+
+    That is one comparison; a loop that collects bits by `|=` becomes a chain of shuffles.
+    """
+    return f"""
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef int wrt_ints __attribute__((ext_vector_type({lanes})));
+    typedef bool wrt_bools __attribute__((ext_vector_type({lanes})));
+    auto wrt_bits = [](const int* flags) {{
+        wrt_ints v;
+        __builtin_memcpy(&v, flags, sizeof(v));
+        const wrt_bools set = __builtin_convertvector(v != 0, wrt_bools);
+        unsigned mask = 0;
+        __builtin_memcpy(&mask, &set, sizeof(set));
+        return mask & ((1u << {lanes}) - 1u);
+    }};
+#else
+    auto wrt_bits = [](const int* flags) {{
+        unsigned mask = 0;
+        for (int i = 0; i < {lanes}; ++i) mask |= flags[i] ? 1u << i : 0u;
+        return mask;
+    }};
+#endif
+"""
 
 
 @wp.func_native("""

@@ -8,6 +8,15 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+CACHE_LINE = 16
+"""Floats or ints of a cache line: vectors that lie across two lines take longer to load and to store."""
+
+
+@wp.func_native(f"return start + (int)(-((size_t)(values.data + start) / 4) & {CACHE_LINE - 1});")
+def first_line(values: wp.array(dtype=int), start: int) -> int:
+    """The first element from `start` on that begins a cache line."""
+    ...
+
 
 @wp.func_native("return values.data[i];")
 def load_int(values: wp.array(dtype=int), i: int) -> int:

@@ -43,10 +43,11 @@ class Culling:
         boxes: `wp.func(boxes, node, packet, bounds, keys, first) -> key of the nearest child`.
         triangles: `wp.func(records, block, bounds) -> mask` of the triangles to be tested.
         accurate: whether `triangles` looks at the vertices, so that it holds only for tests that find no hits beside them.
+        slopes: whether it looks at the bounds of slopes, or at where lines go through a plane across the main axis.
         every_ray: whether `boxes` tests each ray on its own, rather than the packet as a whole.
         start: `wp.func(low, high, packet, bounds)`, once a packet; low, high: the scene.
-        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node; 0 if
-            no ray meets it.
+        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node: how
+            many rays meet it, or any number above `FEW`. Up to `FEW` are listed in `bounds.few`, and nothing else is set.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Culling:
     boxes: Callable[[PacketLayout], wp.Function]
     triangles: Callable[[PacketLayout], wp.Function]
     accurate: bool = False
+    slopes: bool = False
     every_ray: bool = False
     start: Callable[[PacketLayout], wp.Function] = no_start
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
@@ -90,12 +92,14 @@ CULLINGS: dict[str, Culling] = {
             interval.cull_boxes,
             corner_rays.cull_triangles,
             accurate=True,
+            slopes=True,
         ),
         Culling(
             "frustum",
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), inverse frustum culling",
             frustum.cull_boxes,
             frustum.cull_triangles,
+            slopes=True,
             start=frustum.start,
         ),
         Culling(
@@ -104,6 +108,7 @@ CULLINGS: dict[str, Culling] = {
             interval.cull_boxes,
             vertices.cull_triangles,
             accurate=True,
+            slopes=True,
         ),
         Culling(
             "transient_frustum",

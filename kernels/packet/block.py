@@ -4,6 +4,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.lanes import BITS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN, SLABS
@@ -49,19 +50,22 @@ _BLOCK = """
             }
         }
     }
-    // as integers: in the order of the floats that are not negative (adding 0 turns -0 into +0), and -inf below them
-    int most = (int)0x80000000;
-    WRT_FOR(P, k) { const int bits = __builtin_bit_cast(int, t[k] + 0.0f); most = bits > most ? bits : most; }
-    bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
+    WRT_SHORTEN
 """
 
-LOWEST_BIT = """
-#if defined(__CUDA_ARCH__)
-    auto wrt_lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
-#else
-    auto wrt_lowest_bit = [](unsigned bits) { return __builtin_ctz(bits); };
-#endif
+SHORTEN = """
+    if (ANY_HIT) {  // whose rays get no shorter, but done
+        int left = 0;
+        WRT_FOR(P, k) { left |= t[k] >= -0.0f ? 1 : 0; }
+        bounds.t_max = left ? bounds.t_max : -INF;
+    } else {
+        // as integers: in the order of the floats that are not negative (adding 0 turns -0 into +0), and -inf below them
+        int most = (int)0x80000000;
+        WRT_FOR(P, k) { const int bits = __builtin_bit_cast(int, t[k] + 0.0f); most = bits > most ? bits : most; }
+        bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
+    }
 """
+"""Rays have found hits: sets `bounds.t_max`. ANY_HIT: whether a hit is all that a ray wants."""
 
 
 @cache
@@ -73,12 +77,13 @@ def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"
     pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
+    pieces["WRT_SHORTEN"] = SHORTEN
     pieces["WRT_BOX"] = vertex_box("corner", "0")
     body = _BLOCK
     for name, piece in pieces.items():
         body = body.replace(name, piece)
 
-    @wp.func_native(layout.head + constants + SHARED_ORIGIN + LOWEST_BIT + body)
+    @wp.func_native(layout.head + constants + SHARED_ORIGIN + BITS + body)
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),

@@ -4,6 +4,11 @@ import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+FEW = 6
+"""Rays at a leaf up to which each is tested on its own, against W triangles at a time (`wrt.kernels.traversal.few_rays`)."""
+
+FewRays = wp.types.vector(length=FEW, dtype=wp.int32)
+
 
 @wp.struct
 class PacketBounds:
@@ -68,3 +73,5 @@ class PacketBounds:
     rise_high: wp.vec2
     margin: float
     """What these four planes may err by, and a hit may lie beside its triangle (`wrt.kernels.packet.frustum`)."""
+    few: FewRays
+    """Numbers of the rays that meet the leaf at hand, if they are no more than `FEW` (`Culling.leaf`)."""

@@ -53,7 +53,7 @@ _TRIANGLES = f"""
     const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
     const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
     const float wide = {MARGIN!r}f * bounds.slack;
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {{
         float px[3], qx[3], py[3], qy[3], size[3];  // sheared by the least and by the greatest slope
         for (int k = 0; k < 3; ++k) {{
@@ -74,9 +74,9 @@ _TRIANGLES = f"""
             front = front & !((a < -margin) & (b < -margin) & (c < -margin) & (d < -margin));
             back = back & !((a > margin) & (b > margin) & (c > margin) & (d > margin));
         }}
-        mask |= (front | back) ? 1u << i : 0u;
+        kept[i] = (front | back) ? -1 : 0;
     }}
-    return mask & met;
+    return wrt_bits(kept) & met;
 """
 
 

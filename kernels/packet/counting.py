@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.packet.block import LOWEST_BIT
+from wrt.kernels.lanes import BITS
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN, SLABS
@@ -40,7 +40,7 @@ _LANES = """
 def active_lanes(layout: PacketLayout) -> wp.Function:
     """`wp.func(records, block, mask, packet, bounds) -> int`: pairs of a triangle in `mask` and a ray that meets its box."""
 
-    @wp.func_native(layout.head + SHARED_ORIGIN + LOWEST_BIT + _ACTIVE)
+    @wp.func_native(layout.head + SHARED_ORIGIN + BITS + _ACTIVE)
     def count_active_lanes(
         records: wp.array(dtype=float),
         block: int,

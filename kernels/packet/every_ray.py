@@ -47,9 +47,9 @@ _BOXES = f"""
 
 _TRIANGLES = """
     const float* r = &records.data[(size_t)block * (RECORD * W)];
-    unsigned mask = 0;
-    WRT_FOR_LANES(i) { mask |= r[i] == r[i] ? 1u << i : 0u; }
-    return mask;
+    int kept[W];
+    WRT_FOR_LANES(i) { kept[i] = r[i] == r[i] ? -1 : 0; }
+    return wrt_bits(kept);
 """
 
 

@@ -126,7 +126,7 @@ _TRIANGLES = f"""
     const unsigned met = [&]() -> unsigned {{{interval.TRIANGLES}}}();  // the two tests at a leaf
     if (bounds.frame < 0 || !met) return met;
     const float* r = &records.data[(size_t)block * (RECORD * W)];{SIDES}
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {{
         float lows[3], highs[3];
         for (int a = 0; a < 3; ++a) {{
@@ -138,9 +138,9 @@ _TRIANGLES = f"""
         const float box_x0 = lows[0], box_y0 = lows[1], box_x1 = highs[0], box_y1 = highs[1];
         const float near_z = back ? highs[2] : lows[2], far_z = back ? lows[2] : highs[2];
         {_SEPARATE}
-        mask |= beside ? 0u : 1u << i;
+        kept[i] = beside ? 0 : -1;
     }}
-    return mask & met;
+    return wrt_bits(kept) & met;
 """
 
 

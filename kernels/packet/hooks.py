@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -14,11 +14,11 @@ def _nothing(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds:
     ...
 
 
-@wp.func_native("return 1;")
+@wp.func_native(f"return {FEW + 1};")
 def _every_leaf(
     boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
 ) -> int:
-    """Some ray may meet the leaf."""
+    """More than few rays may meet the leaf."""
     ...
 
 

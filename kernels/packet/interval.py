@@ -32,7 +32,7 @@ _ENDS = """
     const float large_x = bounds.inverse_large.c[0], large_y = bounds.inverse_large.c[1], large_z = bounds.inverse_large.c[2];
     const float small_x = bounds.inverse_small.c[0], small_y = bounds.inverse_small.c[1], small_z = bounds.inverse_small.c[2];
     const float t_min = bounds.t_min, t_max = bounds.t_max;
-    const int back_x = bounds.backward.c[0], back_y = bounds.backward.c[1], back_z = bounds.backward.c[2];
+    const bool back_x = large_x < 0.0f, back_y = large_y < 0.0f, back_z = large_z < 0.0f;  // NaN, of both signs: false
 """
 
 _INTERVAL = """
@@ -89,16 +89,16 @@ BOXES = f"""
 
 TRIANGLES = f"""
     const float* r = &records.data[(size_t)block * (RECORD * W)];{_ENDS}
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {{
         float low[3], high[3];{vertex_box("r", "i")}
         const float near_x = back_x ? high[0] : low[0], far_x = back_x ? low[0] : high[0];
         const float near_y = back_y ? high[1] : low[1], far_y = back_y ? low[1] : high[1];
         const float near_z = back_z ? high[2] : low[2], far_z = back_z ? low[2] : high[2];{_INTERVAL}
         // an unused lane holds NaN, which bounds nothing: it is told by its first vertex
-        mask |= ((enter <= leave) & (r[i] == r[i])) ? 1u << i : 0u;
+        kept[i] = ((enter <= leave) & (r[i] == r[i])) ? -1 : 0;
     }}
-    return mask;
+    return wrt_bits(kept);
 """
 """C++ of `cull_triangles`."""
 

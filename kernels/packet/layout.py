@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.lanes import FOR_LANES, lane_bits
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -66,12 +66,17 @@ class PacketLayout:
         return len(self.components) * self.rays + CACHE_LINE
 
     @property
+    def occluder(self) -> int:
+        """Index of the last of these floats, before which the components end: `wrt.kernels.packet.occluder` has it."""
+        return self.size - 1
+
+    @property
     def constants(self) -> str:
-        """C++ that opens a native function: the lane loop, W, P, floats a triangle's record has, SHARED, INF."""
+        """C++ that opens a native function: the lane loop, `wrt_bits`, W, P, floats a triangle's record has, SHARED, INF."""
         record = TRIANGLE_TESTS[self.triangle_test].record.components
         sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
         shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
-        return FOR_LANES + sizes + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
+        return FOR_LANES + sizes + lane_bits() + shared + "    const float INF = __builtin_bit_cast(float, 0x7f800000);\n"
 
     @property
     def head(self) -> str:

@@ -5,9 +5,8 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import SLACK
-from wrt.kernels.packet.bounding import BOUND
+from wrt.kernels.packet.bounding import BOUND, bounding_head
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.numbers import NUMBERS
 from wrt.kernels.rays import TINY, RayBatch
@@ -16,17 +15,29 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _LOAD = """
-    const bool consecutive = here == P && !picture;
     const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];
-    float dx[P], dy[P], dz[P];
-    if (consecutive && rays.direction_stride) {
-        const float* d = (const float*)(rays.directions.data + first);
-        WRT_FOR(P, k) { dx[k] = d[3 * k]; dy[k] = d[3 * k + 1]; dz[k] = d[3 * k + 2]; }
-    } else for (int k = 0; k < P; ++k) {
-        const wp::vec3 d = rays.directions.data[number[k] * rays.direction_stride];
-        dx[k] = d.c[0]; dy[k] = d.c[1]; dz[k] = d.c[2];
-    }
-    float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f, slack0 = 0.0f;
+    // in memory of their own, so that no component of the packet may lie in their way
+    float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
+    auto fetch = [&](int stride, auto take) {  // take(k, n): ray k has what is at place n
+        if (stride) for_rays(take);
+        else { WRT_FOR(P, k) take(k, 0); }
+    };
+    fetch(rays.direction_stride, [&](int k, int n) {
+        const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
+        to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
+    });
+    for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+    auto centred = [&](int n, float& x, float& y, float& z) {
+        const float* o = (const float*)rays.origins.data + 3 * (size_t)n;
+        x = (float)((double)o[0] - center_x); y = (float)((double)o[1] - center_y); z = (float)((double)o[2] - center_z);
+    };
+    float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f;
+    if (SHARED) centred(0, ox0, oy0, oz0);
+    else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
+    fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
+    fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
+    auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
+    const bool ranged = rays.t_min_stride || rays.t_max_stride;
     auto reach = [&](float x, float y, float z) {
         float far = WRT_ABS(low.c[0] - x), f;
         f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;
@@ -36,44 +47,26 @@ _LOAD = """
         f = WRT_ABS(high.c[2] - z); far = f > far ? f : far;
         return far;
     };
-    if (SHARED) {
-        const wp::vec3 o = rays.origins.data[0];
-        ox0 = (float)((double)o.c[0] - center_x);
-        oy0 = (float)((double)o.c[1] - center_y);
-        oz0 = (float)((double)o.c[2] - center_z);
-        slack0 = SLACK * reach(ox0, oy0, oz0);
-    } else if (consecutive && rays.origin_stride) {
-        const float* o = (const float*)(rays.origins.data + first);
-        WRT_FOR(P, k) {
-            origin_x[k] = (float)((double)o[3 * k] - center_x);
-            origin_y[k] = (float)((double)o[3 * k + 1] - center_y);
-            origin_z[k] = (float)((double)o[3 * k + 2] - center_z);
-        }
-    } else for (int k = 0; k < P; ++k) {
-        const wp::vec3 o = rays.origins.data[number[k] * rays.origin_stride];
-        origin_x[k] = (float)((double)o.c[0] - center_x);
-        origin_y[k] = (float)((double)o.c[1] - center_y);
-        origin_z[k] = (float)((double)o.c[2] - center_z);
-    }
-    if (!rays.t_min_stride) { const float value = rays.t_min.data[0]; WRT_FOR(P, k) t_min[k] = value; }
-    else if (consecutive) { WRT_FOR(P, k) t_min[k] = rays.t_min.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t_min[k] = rays.t_min.data[number[k]];
-    if (!rays.t_max_stride) { const float value = rays.t_max.data[0]; WRT_FOR(P, k) t[k] = value; }
-    else if (consecutive) { WRT_FOR(P, k) t[k] = rays.t_max.data[first + k]; }
-    else for (int k = 0; k < P; ++k) t[k] = rays.t_max.data[number[k]];
+    float slack0 = SHARED ? SLACK * reach(ox0, oy0, oz0) : 0.0f;
+    float lows[3] = {ox0, oy0, oz0}, highs[3] = {ox0, oy0, oz0};
 
     WRT_FOR(P, k) {
-        const float x = dx[k], y = dy[k], z = dz[k];
-        const float ox = SHARED ? ox0 : origin_x[k], oy = SHARED ? oy0 : origin_y[k], oz = SHARED ? oz0 : origin_z[k];
-        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
-        float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
-        const bool valid = (k < here) & (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
+        const float x = to_x[k], y = to_y[k], z = to_z[k];
+        const float ox = SHARED ? ox0 : from_x[k], oy = SHARED ? oy0 : from_y[k], oz = SHARED ? oz0 : from_z[k];
+        // sizes as integers, in the order of the floats: NaN and infinity are beyond all numbers
+        const int size_x = wrt_size(x), size_y = wrt_size(y), size_z = wrt_size(z);
+        int size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
+        const bool valid = (size >= wrt_size(TINY)) & (size < wrt_size(INF))
             & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
-            & (size >= TINY) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
+            & (least[k] >= 0.0f) & (least[k] <= most[k]);
+        if (!SHARED) {
+            origin_x[k] = ox; origin_y[k] = oy; origin_z[k] = oz;
+            slack[k] = SLACK * reach(ox, oy, oz);
+        }
         const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
         inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
-        if (!SHARED) slack[k] = SLACK * reach(ox, oy, oz);
-        t[k] = valid ? t[k] : -INF;
+        t_min[k] = least[k];
+        t[k] = valid ? most[k] : -INF;
         ((int*)primitive)[k] = -1;
         u[k] = 0.0f; v[k] = 0.0f;
         const bool xy = size_x >= size_y, xz = size_x >= size_z, yz = size_y >= size_z;
@@ -84,20 +77,21 @@ _LOAD = """
         ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
         WRT_PREPARE
     }
-    float lows[3] = {ox0, oy0, oz0}, highs[3] = {ox0, oy0, oz0};
 """
 
 
 @cache
-def load_packet(layout: PacketLayout) -> wp.Function:
+def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """`wp.func(rays, first, low, high, packet, bounds)`: P rays of a batch (`numbers`); low, high: the scene.
 
-    Rays that are bad or beyond the end of the batch are not active: no hit improves on their t of -inf.
+    slopes: whether bounds of the slopes are asked for (`Culling.slopes`). Rays that are bad or beyond the end of
+    the batch are not active: no hit improves on their t of -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n    constexpr int PASSES = {form.passes};\n"
+    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n"
+    head = layout.head + constants + NUMBERS + bounding_head(layout, slopes)
 
-    @wp.func_native(layout.head + constants + NUMBERS + INTERVALS + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
+    @wp.func_native(head + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
     def load_packet_native(
         rays: RayBatch,
         first: int,

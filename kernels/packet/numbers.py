@@ -15,27 +15,33 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 TILE_COLUMNS = wp.constant(8)
 
 NUMBERS = """
-    // the number of ray k is number[k] if the rays are a picture's, else first + k; `here` of them exist
-    const int rest = rays.count - first, here = rest < P ? rest : P;
+    const int rest = rays.count - first, here = rest < P ? rest : P;  // how many of them exist
     const bool picture = rays.columns > 0;
-    int number[P];
+    // `whole` packets are runs of ACROSS consecutive rays, from `begin` on, so many rays `apart`
+    constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
+    int begin = first, apart = ACROSS, number[P];
+    bool whole = here == P;
     if (picture) {
-        constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
-        const int columns = rays.columns, rows = rays.count / columns;
-        auto band_of = [&](int place) { return place / (DOWN * columns); };
-        auto height_of = [&](int band) { return rows - band * DOWN < DOWN ? rows - band * DOWN : DOWN; };
-        const int band = band_of(first), height = height_of(band), within = first - band * DOWN * columns;
-        const int left = within / (ACROSS * height) * ACROSS, begin = band * DOWN * columns + left;
-        if (here == P && height == DOWN && left + ACROSS <= columns && within == left * height) {
-            for (int y = 0; y < DOWN; ++y) for (int x = 0; x < ACROSS; ++x) number[y * ACROSS + x] = begin + y * columns + x;
-        } else for (int k = 0; k < P; ++k) {
-            const int place = first + (k < here ? k : 0), b = band_of(place), h = height_of(b);
-            int offset = place - b * DOWN * columns;
+        const int columns = rays.columns, rows = DOWN * columns, band = first / rows, within = first - band * rows;
+        const int left = within / P * ACROSS;  // if the band has all its rows
+        begin = band * rows + left;
+        apart = columns;
+        whole = whole && band * rows <= rays.count - rows && left + ACROSS <= columns && within % P == 0;
+        if (!whole) for (int k = 0; k < P; ++k) {
+            const int place = first + (k < here ? k : 0), b = place / rows, below = rays.count / columns - b * DOWN;
+            const int h = below < DOWN ? below : DOWN;
+            int offset = place - b * rows;
             const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
             offset -= l * h;
             number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
         }
-    } else for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
+    } else if (!whole) for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
+    // visit(k, n) for each ray k of the packet, n being its number in the batch
+    auto for_rays = [&](auto visit) {
+        if (whole && !picture) { WRT_FOR(P, k) visit(k, first + k); }
+        else if (whole) for (int y = 0; y < DOWN; ++y) { WRT_FOR(ACROSS, x) visit(y * ACROSS + x, begin + y * apart + x); }
+        else { WRT_SCALAR for (int k = 0; k < here; ++k) visit(k, number[k]); }
+    };
 """
 """C++ for the head of a native function with parameters `rays` and `first`, and the constant P."""
 

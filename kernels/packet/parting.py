@@ -25,11 +25,9 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.packet.bounding import BOUND
+from wrt.kernels.packet.bounding import BOUND, bounding_head
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -70,15 +68,15 @@ _TAKE = """
         t[k] = of[k] == number ? t[k] : -INF;
     }
     float lows[3], highs[3], slack0;
+    const bool ranged = true;
 """
 
 
 @cache
-def take_part(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, number)`: only the rays of a part are active, and the bounds theirs."""
-    passes = f"    constexpr int PASSES = {TRIANGLE_TESTS[layout.triangle_test].packet_form.passes};\n"
+def take_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
+    """`wp.func(packet, bounds, number)`: only rays of a part are active, and the bounds theirs; slopes: see `load_packet`."""
 
-    @wp.func_native(layout.head + _CONSTANTS + passes + INTERVALS + _TAKE + BOUND)
+    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _TAKE + BOUND)
     def take_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
     return take_part_native

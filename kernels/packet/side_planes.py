@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _TRIANGLES = f"""
     if (bounds.frame < 0) {{{interval.TRIANGLES}}}
     const float* r = &records.data[(size_t)block * (RECORD * W)];{SIDES}
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {{
         const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
         float least = az < bz ? az : bz, most = az > bz ? az : bz;
@@ -44,9 +44,9 @@ _TRIANGLES = f"""
             above = above & (vy > (high_y + rise_high_y * depth) + margin);
         }}
         // an unused lane holds NaN, which is beyond nothing: it is told by its first vertex
-        mask |= (!(left | right | below | above | late | early) & (r[i] == r[i])) ? 1u << i : 0u;
+        kept[i] = (!(left | right | below | above | late | early) & (r[i] == r[i])) ? -1 : 0;
     }}
-    return mask;
+    return wrt_bits(kept);
 """
 
 

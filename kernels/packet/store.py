@@ -13,22 +13,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _STORE = """
     const int* found = (const int*)primitive;
     if (ANY_HIT) {
-        for (int k = 0; k < here; ++k) hits.occluded.data[number[k]] = found[k] >= 0;
+        bool* __restrict__ occluded = hits.occluded.data;
+        for_rays([&](int k, int n) { occluded[n] = found[k] >= 0; });
         return;
     }
-    if (picture) {
-        for (int k = 0; k < here; ++k) {
-            hits.t.data[number[k]] = found[k] < 0 ? INF : t[k];
-            hits.primitive.data[number[k]] = found[k];
-            hits.uv.data[number[k]] = wp::vec2(u[k], v[k]);
-        }
-        return;
-    }
-    float* t_out = hits.t.data + first;
-    int* primitive_out = hits.primitive.data + first;
-    float* uv_out = (float*)(hits.uv.data + first);
-    WRT_FOR(here, k) { t_out[k] = found[k] < 0 ? INF : t[k]; primitive_out[k] = found[k]; }
-    WRT_FOR(here, k) { uv_out[2 * k] = u[k]; uv_out[2 * k + 1] = v[k]; }
+    float* __restrict__ t_out = hits.t.data;
+    int* __restrict__ primitive_out = hits.primitive.data;
+    float* __restrict__ uv_out = (float*)hits.uv.data;
+    for_rays([&](int k, int n) { t_out[n] = found[k] < 0 ? INF : t[k]; });
+    for_rays([&](int k, int n) { primitive_out[n] = found[k]; });
+    for_rays([&](int k, int n) { uv_out[2 * (size_t)n] = u[k]; uv_out[2 * (size_t)n + 1] = v[k]; });
 """
 
 

@@ -11,7 +11,7 @@ import warp as wp
 from wrt.kernels.boxes import SLACK
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.load import INTERVALS
+from wrt.kernels.packet.intervals import INTERVALS
 from wrt.kernels.rays import TINY, RayBatch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

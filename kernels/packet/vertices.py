@@ -40,7 +40,7 @@ _TRIANGLES = """
     const float large = bounds.inverse_large.c[z], small = bounds.inverse_small.c[z];
     const float t_min = bounds.t_min, t_max = bounds.t_max;
     const bool back = bounds.backward.c[z];
-    unsigned mask = 0;
+    int kept[W];
     WRT_FOR_LANES(i) {
         const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
         float least = az < bz ? az : bz, most = az > bz ? az : bz;
@@ -61,9 +61,9 @@ _TRIANGLES = """
             below = below | ((vy - y_low) - (p < q ? p : q) >= 0.0f);
             above = above | ((vy - y_high) - (p > q ? p : q) <= 0.0f);
         }
-        mask |= (left & right & below & above & !late & !early) ? 1u << i : 0u;
+        kept[i] = (left & right & below & above & !late & !early) ? -1 : 0;
     }
-    return mask;
+    return wrt_bits(kept);
 """
 
 

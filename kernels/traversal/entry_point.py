@@ -56,7 +56,7 @@ from wrt.kernels.packet.tile import bound_rays
 from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
-from wrt.kernels.traversal.packet_kdtree import MIXED_AXES, make_walk_packet
+from wrt.kernels.traversal.packet_kdtree import MIXED_AXES, make_walk_packet, walk_memory
 from wrt.kernels.traversal.packet_kernel import packet_layout, packet_step
 from wrt.kernels.traversal.single import Cell, make_walk, step_guessing
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -232,7 +232,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
     packet_rays, small, large = config.packet, PACKETS * config.packet, rays_per_item(config)
-    size = packet_layout(config).size
+    size, room = packet_layout(config).size, walk_memory(config)
 
     @wp.func
     def look(
@@ -257,6 +257,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
+        memory = wp.zeros(shape=(room,), dtype=int)
         tile = (first + wp.tid()) * wp.static(large)
         end = wp.min(tile + wp.static(large), rays.count)
         work = Counters()
@@ -280,7 +281,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
             begin = int(part)
             while begin < part_end:
                 if here:
-                    trace_packet(tree, below, triangles, rays, begin, packet, hits, counters, work)
+                    trace_packet(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)
                 else:
                     for i in range(begin, wp.min(begin + wp.static(packet_rays), part_end)):
                         store(hits, i, start(0.0))

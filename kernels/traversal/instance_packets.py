@@ -22,6 +22,7 @@ from wrt.kernels.bvh import WideNodes
 from wrt.kernels.instances import Placement, ray_mask
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.memory import load_int, store_int
+from wrt.kernels.packet import occluder
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.interval import cull_boxes
 from wrt.kernels.packet.load import load_packet
@@ -84,7 +85,7 @@ def make_begin(config: TraversalConfig) -> wp.Function:
     number, bound: get each ray's number, and its t_max, -inf if it is not valid. bounds: get the packet's, with the slack of
     the upper tree.
     """
-    load, packet_rays = load_packet(packet_layout(config)), config.packet
+    load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet
 
     @wp.func
     def start_packet(
@@ -154,11 +155,12 @@ def make_take(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(top, parts, instance, rays, number, bound, room, own, slot, found, hits, counters, work) -> t_max`.
+    """`wp.func(top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work) -> t_max`.
 
     Traces the packet through one instance. own, found: where its transformed rays and their hits go, from `slot` on.
     """
     step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
+    keep_leaf = occluder.keep_leaf(packet_layout(config))
     transform, take, packet_rays = transform_packet(config.packet), make_take(config), config.packet
 
     @wp.func
@@ -170,6 +172,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         number: wp.array(dtype=int),
         bound: wp.array(dtype=float),
         room: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         own: RayBatch,
         slot: int,
         found: HitBatch,
@@ -186,7 +189,8 @@ def make_visit(config: TraversalConfig) -> wp.Function:
                     own.t_max[slot + k] = -INFINITY
         batch = own
         batch.count = slot + wp.static(packet_rays)
-        step(part.tree, part.tree, part.triangles, batch, slot, room, found, counters, work)
+        keep_leaf(room, 0)  # what the last packet met is of another instance
+        step(part.tree, part.tree, part.triangles, batch, slot, room, memory, found, counters, work)
         return take(placement, found, slot, number, bound, hits)
 
     return visit
@@ -211,6 +215,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         counters: CounterRows,
     ):
         room = wp.zeros(shape=(size,), dtype=float)
+        memory = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
         keys = wp.zeros(shape=(row,), dtype=int)
@@ -235,7 +240,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                     else:
                         instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
                         bounds.t_max = visit(
-                            top, parts, instance, rays, number, bound, room, own, slot, found, hits, counters, work
+                            top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work
                         )
                         key = nearest(keys, level * wp.static(width))
                 else:

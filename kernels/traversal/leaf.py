@@ -8,7 +8,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
-from wrt.kernels.lanes import FOR_LANES, lanes, lowest_bit
+from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
 from wrt.kernels.rays import HitBatch, store_hit
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -119,16 +119,16 @@ _CLAMP = """
     const float in_x = slabs.origin_in.c[0], in_y = slabs.origin_in.c[1], in_z = slabs.origin_in.c[2];
     const float out_x = slabs.origin_out.c[0], out_y = slabs.origin_out.c[1], out_z = slabs.origin_out.c[2];
     const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
-    unsigned kept = 0;
+    int hit[W];
     WRT_FOR_LANES(i) {
         float low[3], high[3];
         VERTEX_BOX
         float at = t.c[i];
         BOX_INTERVAL
         t.c[i] = at;
-        kept |= ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? 1u << i : 0u;
+        hit[i] = ((enter <= leave) & (at >= t_min) & (at <= t_max)) ? -1 : 0;
     }
-    kept &= mask;
+    unsigned kept = wrt_bits(hit) & mask;
     if (CULLING) for (int i = 0; i < W; ++i) {
         if (!(kept >> i & 1u)) continue;
         const float ax = r[i], ay = r[W + i], az = r[2 * W + i], bx = r[3 * W + i], by = r[4 * W + i], bz = r[5 * W + i];
@@ -175,7 +175,7 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
     )
     code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL).replace("FRONT", _FRONT)
 
-    @wp.func_native(FOR_LANES + constants + code)
+    @wp.func_native(FOR_LANES + constants + lane_bits() + code)
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,

@@ -12,7 +12,7 @@ rays does not end the search, it is only left for the next one that waits.
 from which this is written, does not give the paper's.)
 
 **Leaves.** W rays are tested against a triangle at a time where more than `FEW` rays of the packet have arrived; the others
-go one by one against W triangles at a time. Lanes are filled either way.
+go one by one against W triangles at a time (`few_rays`). Lanes are filled either way.
 
 **What we changed.** A waiting cell is its node and its box, not P intervals: when its turn comes, the intervals are worked
 out from the box, already cut at the best hits found in between. The stack does not grow with the packet. Rays with one sign
@@ -35,75 +35,22 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels import kdtree
-from wrt.kernels.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.mailbox import MAILBOXES
-from wrt.kernels.memory import load_float, load_int, store_float, store_int
-from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.memory import load_float, load_int, store_int
+from wrt.kernels.packet import CULLINGS
+from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.lane_cells import enter_cell, split_cell
-from wrt.kernels.packet.layout import first_row
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.rays import HitBatch, RayBatch
 from wrt.kernels.traversal.config import ANY, TraversalConfig
-from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step
+from wrt.kernels.traversal.few_rays import few_step, put_few
+from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet_kernel import leaf_step, packet_layout
-from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-FEW = 4
-"""Rays in a leaf up to which each is tested alone, against W triangles at a time."""
-
-
-@cache
-def leaf_by_ray(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, node, rays, begin, packet, cells, work)`: the rays in a leaf, one by one."""
-    components, P = packet_layout(config).components, config.packet
-    t_at, primitive_at, u_at, v_at = (P * components.index(name) for name in ("t", "primitive", "u", "v"))
-    prepare, test_block = TRIANGLE_TESTS[config.triangle_test].prepare, block_step(config)
-    width, any_hit, counting = config.width, config.query == ANY, config.counters
-
-    @wp.func
-    def test(
-        tree: KdNodes,
-        triangles: TriangleBlocks,
-        node: wp.vec2i,
-        rays: RayBatch,
-        begin: int,
-        packet: wp.array(dtype=float),
-        cells: wp.array(dtype=float),
-        work: wp.ref[Counters],
-    ):
-        if wp.static(counting):
-            work.leaves += 1
-            work.triangles += kdtree.leaf_triangles(node)
-        row = first_row(packet)
-        for k in range(wp.static(P)):
-            if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
-                ray = load_ray(rays, begin + k)
-                slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
-                state = prepare(ray.origin, ray.direction)
-                best = Candidate()
-                best.t = load_float(packet, row + wp.static(t_at) + k)
-                best.primitive = wp.cast(load_float(packet, row + wp.static(primitive_at) + k), wp.int32)
-                best.u = load_float(packet, row + wp.static(u_at) + k)
-                best.v = load_float(packet, row + wp.static(v_at) + k)
-                block = int(kdtree.first_block(node))
-                rest = int(kdtree.leaf_triangles(node))
-                while rest > 0:
-                    best = test_block(triangles, block, state, slabs, ray.t_min, best)
-                    block += 1
-                    rest -= wp.static(width)
-                if wp.static(any_hit):
-                    best.t = wp.where(best.primitive < 0, best.t, -INFINITY)
-                store_float(packet, row + wp.static(t_at) + k, best.t)
-                store_float(packet, row + wp.static(primitive_at) + k, wp.cast(best.primitive, wp.float32))
-                store_float(packet, row + wp.static(u_at) + k, best.u)
-                store_float(packet, row + wp.static(v_at) + k, best.v)
-
-    return test
 
 
 def rays_per_item(config: TraversalConfig) -> int:
@@ -115,9 +62,9 @@ def rays_per_item(config: TraversalConfig) -> int:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
-    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
+    load, store = load_packet(layout, CULLINGS[config.culling].slopes), store_packet(layout, config.query == ANY)
     enter, split = enter_cell(layout), split_cell(layout)
-    leaf_together, leaf_alone = leaf_step(config), leaf_by_ray(config)
+    leaf_together, leaf_alone = leaf_step(config), few_step(config)
     counting, size_of_packet, P = config.counters, layout.size, config.packet
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
@@ -169,11 +116,13 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 if count > 0:
                     arrived = int(0)
                     for k in range(wp.static(P)):
-                        arrived += wp.where(load_float(cells, k) <= load_float(cells, wp.static(P) + k), 1, 0)
+                        if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
+                            put_few(bounds, wp.min(arrived, wp.static(FEW - 1)), k)
+                            arrived += 1
                     if arrived > wp.static(FEW):
                         leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
                     else:
-                        leaf_alone(tree, triangles, node, rays, begin, packet, cells, work)
+                        leaf_alone(triangles, kdtree.first_block(node), count, arrived, packet, bounds, work)
                 searching = bool(False)
                 while size > 0 and not searching:
                     size -= 1

@@ -35,7 +35,7 @@ import warp as wp
 from wrt.kernels import kdtree
 from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.mailbox import MAILBOXES
-from wrt.kernels.memory import load_float, load_int
+from wrt.kernels.memory import load_float, load_int, store_int
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.cells import cross_plane, enter_box
 from wrt.kernels.traversal.config import TraversalConfig
@@ -53,21 +53,26 @@ MIXED_AXES = 2
 """Axes with both signs with which a packet still stays together: all but those whose rays go every way."""
 
 
+def walk_memory(config: TraversalConfig) -> int:
+    """Ints of memory that a walk asks for: its mailbox."""
+    return MAILBOXES[config.mailbox].size
+
+
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
+    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up.
 
     The walk begins at `tree.root`; if that is not the whole tree's, no ray of the packet may have a hit elsewhere.
     """
     test_leaf = leaf_step(config)
-    memory = MAILBOXES[config.mailbox].size
-    counting, patience = config.counters, PATIENCE * config.packet
+    remembered, counting, patience = MAILBOXES[config.mailbox].size, config.counters, PATIENCE * config.packet
 
     @wp.func
     def walk(
         tree: wp.ref[KdNodes],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
@@ -79,7 +84,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-        mailbox = wp.zeros(shape=(memory,), dtype=int)
+        for i in range(wp.static(remembered)):
+            store_int(memory, i, 0)
         size = int(0)
         steps = int(0)
         searching = cell.entry <= cell.leave
@@ -94,7 +100,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                 if wp.static(counting):
                     work.nodes += 1
             else:
-                test_leaf(triangles, kdtree.first_block(node), kdtree.leaf_triangles(node), packet, bounds, mailbox, work)
+                test_leaf(triangles, kdtree.first_block(node), kdtree.leaf_triangles(node), packet, bounds, memory, work)
                 searching = bool(False)
                 size = wp.where(steps <= wp.static(patience), size, 0)
                 while size > 0 and not searching:
@@ -111,4 +117,4 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_packet_kernel(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
+    return make_packet_kernel(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES, walk_memory(config))

@@ -125,12 +125,13 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
 
 @cache
 def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function) -> wp.Function:
-    """`wp.func(tree, below, triangles, packet, bounds, work) -> bool`: traces a packet, in parts if it cannot stay together.
+    """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, in parts if need be.
 
     False if rays are left over (`parting.goes_alone`). trace_together: the same for one that is not to part.
     """
     layout = packet_layout(config)
-    take, settle, count_alone = parting.take_part(layout), parting.settle_part(layout), parting.count_alone(layout)
+    take = parting.take_part(layout, CULLINGS[config.culling].slopes)
+    settle, count_alone = parting.settle_part(layout), parting.count_alone(layout)
 
     @wp.func
     def trace(
@@ -138,6 +139,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
         below: wp.ref[Tree],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
@@ -147,7 +149,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
         while number < parts:
             if number > 0:
                 take(packet, bounds, number)
-            together = trace_together(tree, below, triangles, packet, bounds, work)
+            together = trace_together(tree, below, triangles, packet, memory, bounds, work)
             apart = apart or not together
             parts += settle(packet, bounds, number, parts, together)
             number += 1
@@ -160,21 +162,22 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
 def packet_step(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, hits, counters, work)`: the packet whose first ray is `begin`.
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: the packet that begins at `begin`.
 
-    below: the tree, or the part of it where all hits of the packet are. packet: room for it. `work` is what was done for it
-    before.
+    below: the tree, or the part of it where all hits of the packet are. packet: room for it. memory: room for its walk.
+    `work` is what was done for it before.
 
     Args:
         config: the specialisation.
         Tree: struct of the tree.
-        walk_packet: `wp.func(tree, triangles, packet, bounds, work) -> bool`: traces one packet; False if it gave up.
+        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up.
         walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
         mixed_axes: axes with both signs with which a packet is still walked together.
     """
     layout = packet_layout(config)
-    load, store = load_packet(layout), store_packet(layout, config.query == ANY)
-    start_packet = CULLINGS[config.culling].start(layout)
+    culling = CULLINGS[config.culling]
+    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
+    start_packet = culling.start(layout)
 
     @wp.func
     def trace_together(
@@ -182,13 +185,14 @@ def packet_step(
         below: wp.ref[Tree],
         triangles: wp.ref[TriangleBlocks],
         packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
         together = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
         if together and bounds.active > 0:
             start_packet(tree.low, tree.high, packet, bounds)
-            together = walk_packet(below, triangles, packet, bounds, work)
+            together = walk_packet(below, triangles, packet, memory, bounds, work)
         return together
 
     alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.shared_origin
@@ -202,13 +206,14 @@ def packet_step(
         rays: wp.ref[RayBatch],
         begin: int,
         packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
         hits: wp.ref[HitBatch],
         counters: CounterRows,
         work: wp.ref[Counters],
     ):
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
-        together = trace(tree, below, triangles, packet, bounds, work)
+        together = trace(tree, below, triangles, packet, memory, bounds, work)
         if together or wp.static(parts):  # rays that are left over are stored again, one by one
             store(packet, rays, begin, hits)
         if not together:
@@ -222,9 +227,9 @@ def packet_step(
 
 @cache
 def make_packet_kernel(
-    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, room: int
 ) -> wp.Kernel:
-    """The kernel for one specialisation; arguments as those of `packet_step`."""
+    """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as those of `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
     packet_rays, run, size = config.packet, rays_per_item(config), packet_layout(config).size
 
@@ -237,11 +242,12 @@ def make_packet_kernel(
         counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
+        memory = wp.zeros(shape=(room,), dtype=int)
         begin = (first + wp.tid()) * wp.static(run)
         end = wp.min(begin + wp.static(run), rays.count)
         while begin < end:
             work = Counters()
-            step(tree, tree, triangles, rays, begin, packet, hits, counters, work)
+            step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
             begin += wp.static(packet_rays)
 
     return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -61,7 +61,7 @@ _TEST = """
             near[i] = ((enter <= leave) & (at >= words[9][i]) & (at <= words[10][i]) & (first + i < count)) ? -1 : 0;
         }
         for (unsigned mask = wrt_bits(near); mask; mask &= mask - 1u) {
-            const int i = wrt_lowest(mask);
+            const int i = wrt_lowest_bit(mask);
             auto& best = rays.data[pairs.candidate_rays.c[first + i]].best;
             TAKE
         }

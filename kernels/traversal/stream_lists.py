@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.lanes import BITS, FOR_LANES, lane_bits
 from wrt.kernels.traversal.stream import LIST_LANES, RAY_BITS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -55,29 +55,7 @@ def load_candidate(pairs: wp.ref[Pairs], p: int, slot: wp.ref[int]) -> int:
 
 LISTS = f"""{FOR_LANES}
     constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-    typedef int wrt_ints __attribute__((ext_vector_type(L)));
-    typedef bool wrt_bools __attribute__((ext_vector_type(L)));
-    auto wrt_bits = [](const int* flags) {{
-        wrt_ints v;
-        __builtin_memcpy(&v, flags, sizeof(v));
-        return (unsigned)__builtin_bit_cast(unsigned short, __builtin_convertvector(v, wrt_bools));
-    }};
-#else
-    auto wrt_bits = [](const int* flags) {{
-        unsigned mask = 0;
-        for (int i = 0; i < L; ++i) mask |= flags[i] ? 1u << i : 0u;
-        return mask;
-    }};
-#endif
-    auto wrt_lowest = [](unsigned mask) {{
-#if defined(__CUDA_ARCH__)
-        return __ffs(mask) - 1;
-#else
-        return __builtin_ctz(mask);
-#endif
-    }};
-#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
+{lane_bits("L")}{BITS}#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
     auto wrt_append = [](int* to, const int* from, unsigned mask) {{
         wrt_ints v;
         __builtin_memcpy(&v, from, sizeof(v));
@@ -93,8 +71,8 @@ LISTS = f"""{FOR_LANES}
     }};
 #endif
 """
-"""Head of a list snippet. `wrt_bits(flags)`: a bit for each of L flags that is not 0, all bits set or none.
-`wrt_lowest(mask)`: index of the lowest bit set. `wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how
+"""Head of a list snippet. `wrt_bits(flags)`: a bit for each of L flags that is not 0.
+`wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how
 many."""
 
 

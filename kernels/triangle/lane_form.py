@@ -18,7 +18,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES, lanes
+from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.operations import Operations, count_operations
 from wrt.kernels.triangle.records import VERTEX_COMPONENTS, Record
 
@@ -54,6 +54,7 @@ class PacketForm:
         inside: for the W rays from f on: declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
             goes on with `continue` if it meets none.
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
+        ray: for ray k alone: sets what `block_test` reads of `ray`, the struct that the test's `prepare` returns.
     """
 
     state: tuple[str, ...]
@@ -62,6 +63,7 @@ class PacketForm:
     triangle: str
     inside: str
     hit: str
+    ray: str
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,13 @@ class LaneForm:
             triangle="".join(f"            const float {n} = corner[{c} * W];\n" for n, c in self.components.items()),
             inside=self.packet_steps(),
             hit="at = kept_t[i]; hit_u = kept_u[i]; hit_v = kept_v[i];",
+            ray="".join(f"    {value.scalar} = {source};\n" for value, source in zip(self.ray, self.sources, strict=True)),
         )
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Where a packet has the numbers of its ray k, in the order of `ray`."""
+        return tuple(f"ray_{value.name}[k]" if value.packet else PACKET_ORIGIN[value.name] for value in self.ray)
 
     @property
     def components(self) -> dict[str, int]:
@@ -223,7 +231,7 @@ class LaneForm:
 
     def packet_steps(self) -> str:
         """C++ of `PacketForm.inside`."""
-        values = {value.name: PACKET_ORIGIN[value.name] if not value.packet else f"ray_{value.name}[k]" for value in self.ray}
+        values = {value.name: source for value, source in zip(self.ray, self.sources, strict=True)}
 
         def declare(step: Step) -> list[str]:
             return ["const int k = f + i;", *(f"const float {name} = {values[name]};" for name in step.reads(values))]
@@ -251,19 +259,19 @@ def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
     def declare(step: Step) -> list[str]:
         return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
 
-    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n"
+    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n{lane_bits()}"
     text += "    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n    unsigned mask = ~0u;\n"
     text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
     text += "".join(f"    float kept_{name}[W];\n" for name in form.kept())
     for number, step in enumerate(form.steps):
         text += f"""
             {{
-                unsigned passed = 0;
+                int passed[W];
                 WRT_FOR_LANES(i) {{
                     {form.lane_code(number, declare)}
-                    passed |= ({step.passes}) ? 1u << i : 0u;
+                    passed[i] = ({step.passes}) ? -1 : 0;
                 }}
-                mask &= passed;
+                mask &= wrt_bits(passed);
                 if (!mask) return mask;
             }}
         """

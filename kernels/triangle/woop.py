@@ -34,7 +34,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES, lanes
+from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
 from wrt.kernels.triangle.operations import Operations
@@ -191,7 +191,7 @@ _BLOCK = """
     const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
     const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
     float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W];
-    int is_inside[W], is_on_edge[W];
+    int within[W], edge[W];
     WRT_FOR_LANES(i) {
         float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
         float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
@@ -201,11 +201,10 @@ _BLOCK = """
         depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
         bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
         bool on_edge = ON_EDGE;
-        is_inside[i] = inside ? -1 : 0;
-        is_on_edge[i] = on_edge ? -1 : 0;
+        within[i] = inside ? -1 : 0;
+        edge[i] = on_edge ? -1 : 0;
     }
-    unsigned mask = WRT_BITS(is_inside);
-    const unsigned edges = WRT_BITS(is_on_edge);
+    unsigned mask = wrt_bits(within), edges = wrt_bits(edge);
     if (edges) {
         for (int i = 0; i < W; ++i) {
             if (!(edges >> i & 1u)) continue;
@@ -254,7 +253,7 @@ def _block(width: int, rule: dict[str, str]) -> str:
     body = _BLOCK
     for name, piece in rule.items():
         body = body.replace(name, piece)
-    return f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n{body}"
+    return f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n{lane_bits()}{body}"
 
 
 @cache
@@ -352,6 +351,13 @@ PACKET = PacketForm(
                         + area_c[i] * (sz * (cz - from))) * scale;
                     hit_u = area_b[i] * scale;
                     hit_v = area_c[i] * scale;
+    """,
+    ray="""
+    const float* origins[3] = {origin_x, origin_y, origin_z};
+    ray.z = ((const int*)main_axis)[k]; ray.x = ray.z == 2 ? 0 : ray.z + 1; ray.y = ray.x == 2 ? 0 : ray.x + 1;
+    const int axes[3] = {ray.x, ray.y, ray.z};
+    for (int a = 0; a < 3; ++a) ray.origin.c[a] = SHARED ? origin0[axes[a]] : origins[axes[a]][k];
+    ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
     """,
 )
 """W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""

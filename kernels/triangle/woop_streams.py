@@ -59,7 +59,7 @@ CANDIDATE_LANES = f"""
             edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f)) ? -1 : 0;
         }}
         for (unsigned left = wrt_bits(edges); left; left &= left - 1u) {{
-            const int i = wrt_lowest(left);
+            const int i = wrt_lowest_bit(left);
             const double px = x[0][i], qx = x[1][i], rx = x[2][i], py = y[0][i], qy = y[1][i], ry = y[2][i];
             const double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
             {INCLUSIVE_SIDE}
