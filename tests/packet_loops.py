@@ -14,9 +14,10 @@ from conftest import SCENES, snapped_soup
 
 import wrt
 from wrt.kernels.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
+from wrt.kernels.memory import CACHE_LINE
 from wrt.kernels.packet import block as packet_block
 from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.layout import CACHE_LINE, PacketLayout
+from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.store import store_packet
 from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray

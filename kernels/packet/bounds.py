@@ -12,7 +12,7 @@ FewRays = wp.types.vector(length=FEW, dtype=wp.int32)
 
 @wp.struct
 class PacketBounds:
-    """Intervals over the active rays.
+    """Intervals over the active rays; if there are none, nothing but `active` means anything.
 
     Along an axis on which the directions have both signs, slabs bound nothing: `inverse_large` and `inverse_small` are NaN,
     and every comparison with what follows from them is false. What bounds boxes in front of all origins, or behind them, is
@@ -48,7 +48,8 @@ class PacketBounds:
     origin_low: wp.vec3
     origin_high: wp.vec3
     slope_low: wp.vec2
-    """Of the two slopes against the main axis. The next three mean something only if all rays have the same main axis."""
+    """Of the two slopes against the main axis. The next three mean something only if all rays have the same
+    main axis, and the culling asks for them (`Culling.slopes`)."""
     slope_high: wp.vec2
     plane: float
     """A plane across the main axis, near the origins."""

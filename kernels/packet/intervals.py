@@ -38,6 +38,6 @@ PACKET_INTERVALS = """
     auto wrt_least = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a < b; }); };
     auto wrt_greatest = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a > b; }); };
 """
-"""C++ likewise, over `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares a lane's ends of an interval over the active
-rays of a packet. `WRT_BOUND(name, value)`, in a loop over the lanes i, finds them; the value is that of ray `k`, and ray `one`,
-an active one, stands in for those that are not. `wrt_least(name_low)` and `wrt_greatest(name_high)` are the ends of all."""
+"""C++ likewise, over `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares each lane's ends of an interval
+over the active rays. `WRT_BOUND(name, value)`, in a loop over the lanes i, finds them; the value is that of ray `k`, and ray
+`one`, an active one, stands in for those that are not. `wrt_least(name_low)`, `wrt_greatest(name_high)` are the ends of all."""

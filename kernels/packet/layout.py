@@ -18,16 +18,18 @@ from dataclasses import dataclass
 
 import warp as wp
 
+<<<<<<< ours
 from wrt.kernels.lanes import FOR_LANES, lane_bits
+=======
+from wrt.kernels.lanes import FOR_LANES
+from wrt.kernels.memory import CACHE_LINE
+>>>>>>> theirs
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y", "main_axis")
 OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack", "part", "kept")
-
-CACHE_LINE = 16
-"""Floats of a cache line, at which the components begin: vectors that lie across two lines take longer to load and to store."""
 
 _FIRST_ROW = f"(-((size_t)packet.data / 4) & {CACHE_LINE - 1})"
 

@@ -151,6 +151,8 @@ def test_alone(config: TraversalConfig) -> wp.Function:
         state = RayState()
         best = Candidate()
         t_min = get(stream, k, slabs, state, best)
+        if wp.static(any_hit) and best.primitive >= 0:
+            return  # it has had its hit
         hit = candidate(triangles.records, slot, state, slabs)
         primitive = load_int(triangles.primitive, slot)
         if wp.static(crossing):

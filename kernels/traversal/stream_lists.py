@@ -78,9 +78,8 @@ many."""
 
 _APPEND_CANDIDATES = """
     WRT_FETCH(primitives.data + (size_t)block * W);
-    int number[L], slot[L];
-    WRT_FOR(L, i) { number[i] = ray; slot[i] = block * W + i; }
-    __builtin_memcpy(pairs.candidate_rays.c + count, number, sizeof(number));
+    int slot[L];
+    WRT_FOR(L, i) { pairs.candidate_rays.c[count + i] = ray; slot[i] = block * W + i; }
     return count + wrt_append(pairs.candidates.c + count, slot, mask);
 """
 
