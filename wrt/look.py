@@ -71,7 +71,7 @@ def look_at(rays: RayBatch | RayArrays, device: wp.Device, is_list: bool = False
         is_list: whether the rays have no shape that says what is a row.
     """
     count = len(rays.directions)
-    sampled = count >= 2 * PAIRS  # a sampled batch is larger than its sample
+    sampled = count >= 2 * PAIRS
     listed = is_list and count >= LEAST_RAYS and rays.origin_stride == 0 and rays.direction_stride == 1
     if device.is_cuda or not (sampled or listed):
         return Look(True, False, 0)
