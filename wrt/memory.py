@@ -36,7 +36,7 @@ GRAIN = 1 << 21
 KEPT_BYTES = 1 << 28
 """Most memory that is kept for later; the blocks unused for longest go first."""
 
-STAGGER = 4096 + 256
+STAGGER = 4096 + 1088
 """Bytes by which a block begins later in its first page than the one before, 16 in turn. Arrays that a kernel reads and writes
 at the same index would otherwise share the same few lines of the cache (measured: camera rays took 1.26 times as long)."""
 
