@@ -122,6 +122,47 @@ def test_sizes_and_ranges(vectors, tree, device):
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
+def test_what_hides_a_packet_is_where_the_next_one_begins_and_no_more(device):
+    """A wall with holes between packets and their light: some are hidden by what hid the last one, some end before it, some go
+    through. Large triangles, of which one hides packet after packet, and small ones, of which it takes many."""
+    rng = np.random.default_rng(7)
+    for cells in (2, 60):
+        corners = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, cells + 1), np.linspace(-1.0, 1.0, cells + 1)), -1).reshape(-1, 2)
+        first = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
+        quads = np.stack([first, first + 1, first + cells + 2, first + cells + 1], 1)
+        faces = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
+        faces = faces[rng.random(len(faces)) < 0.8]
+        floor = np.float64([[-3.0, -3.0, -0.5], [3.0, -3.0, -0.5], [0.0, 4.0, -0.5]])  # below all origins
+        vertices = np.concatenate([np.column_stack([corners, np.full(len(corners), 1.0)]), floor])
+        mesh = wrt.TriangleMesh(vertices, np.concatenate([faces, [np.arange(3) + len(corners)]]))
+        scene = wrt.Scene(mesh, "bvh", device=device)
+        origins = np.repeat(np.cumsum(rng.normal(size=(96, 1, 3)) * 0.1, axis=0) * (1.0, 1.0, 0.0), 64, axis=1)
+        origins = (origins + rng.normal(size=origins.shape) * 0.02).clip(-0.9, 0.9).astype(np.float32).reshape(-1, 3)
+        directions = np.float32([0.2, 0.1, 2.0]) - origins
+        t_max = np.repeat(rng.choice([0.3, 1.0], 192), 32).astype(np.float32)  # in whole packets, half of them
+        rays = wrt.Rays(origins, directions, 0.0, t_max)
+        plan = packet_plan(scene, rays, "woop", culling="transient_frustum")
+        expected = brute_force(scene, rays).is_hit
+        assert 0.2 < expected.mean() < 0.8
+        np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected)
+
+
+def test_few_rays_at_a_leaf_are_tested_one_by_one():
+    """Triangles as small as the gaps between rays: most leaves are met by few, for which fewer lanes are filled."""
+    rng = np.random.default_rng(3)
+    mesh = SCENES["wood"]()
+    low, high = mesh.bounds
+    scene = wrt.Scene(mesh, "bvh", device="cpu")
+    origins = (rng.uniform(low, high, (60, 1, 3)) + rng.normal(size=(60, 64, 3)) * 0.1 * (high - low)).reshape(-1, 3)
+    directions = np.repeat(rng.normal(size=(60, 3)), 64, axis=0)
+    rays = wrt.Rays(origins.astype(np.float32), directions.astype(np.float32))
+    plan = packet_plan(scene, rays, "woop", culling="transient_frustum")
+    hits = scene.intersect(rays, traversal=plan, counters=True)
+    assert_same_hits(hits, brute_force(scene, rays))
+    work = {name: int(values.sum()) for name, values in hits.counters.items()}
+    assert 0 < work["active"] <= work["lanes"] < 0.5 * plan.packet * work["triangles"]
+
+
 def apart(mesh: wrt.TriangleMesh, places: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Packets of `size` rays to a light; those of packet i start in turn at, or near, `places[i]` places; some rays are bad."""
     rng = np.random.default_rng(0)
