@@ -18,12 +18,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
-<<<<<<< ours
 from wrt.kernels.lanes import FOR_LANES, lane_bits
-=======
-from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.memory import CACHE_LINE
->>>>>>> theirs
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
