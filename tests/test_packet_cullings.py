@@ -9,7 +9,7 @@ from packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, Pla
 
 from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.packet import CULLINGS
-from wrt.kernels.packet.bounds import PacketBounds
+from wrt.kernels.packet.bounds import FEW, PacketBounds
 from wrt.kernels.packet.cells import enter_box
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.twins import (
@@ -170,7 +170,7 @@ def leaf_lanes(packets: Packets) -> np.ndarray:
 
 
 def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
-    """Sets the packets up, and for a leaf if the culling looks at leaves; the packets with rays to go on with."""
+    """Sets the packets up, and for a leaf if the culling looks at leaves; the packets that triangles are culled for."""
     run(packets, START, culling)
     if not CULLINGS[culling].needs_boxes:
         return packets.bounds()["active"] > 0
@@ -178,7 +178,7 @@ def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     answers[:, 1] = leaf_lanes(packets)
     packets.loop.answers.assign(answers)
     run(packets, LEAF, culling)
-    return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] != 0)
+    return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] > FEW)
 
 
 def kept_lanes(packets: Packets, culling: str, there: np.ndarray) -> np.ndarray:
@@ -283,9 +283,21 @@ def check_planes(packets: Packets, bounds: np.ndarray, lane: np.ndarray, framed:
     assert (faces.max(axis=1) <= bounds["depth"] - bounds["slack"]).all()
 
 
+def check_few(packets: Packets, meet: np.ndarray, there: np.ndarray) -> None:
+    """How many rays meet a leaf, and which if they are few; meet: (packets, P) whether a ray does."""
+    active, few = packets.bounds()["active"] > 0, packets.bounds()["few"]
+    count = meet.sum(axis=1)
+    np.testing.assert_array_equal(packets.loop.answers.numpy()[active, 0], count[active])
+    np.testing.assert_array_equal(there, active & (count > FEW))
+    listed = np.flatnonzero((count > 0) & (count <= FEW))
+    assert len(listed) > 0
+    for packet in listed:
+        np.testing.assert_array_equal(few[packet, : count[packet]], np.flatnonzero(meet[packet]))
+
+
 @pytest.mark.parametrize("culling", FRUSTA)
 def test_frusta(packets, culling):
-    """Frusta hold the rays: of the whole packet, or those that meet a leaf's box, whose packet goes on if there is one."""
+    """Frusta hold the rays: of the whole packet, or those that meet a leaf's box, which are listed if they are few."""
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
     counts, bounds = plain.valid, packets.bounds()
@@ -293,8 +305,7 @@ def test_frusta(packets, culling):
         enter, leave = meeting(packets, plain)
         lane = leaf_lanes(packets)[:, None, None]
         counts = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
-        np.testing.assert_array_equal(there, counts.any(axis=1))
-        assert not there[bounds["active"] > 0].all()
+        check_few(packets, counts, there)
         check_planes(packets, bounds, lane[:, 0, 0], there & (bounds["frame"] >= 0))
     axes = bounds["main_axes"]
     framed = there & (bounds["frame"] >= 0)
