@@ -246,6 +246,16 @@ def test_cullings_save_tests():
     assert all(work["none"]["leaves"] <= work[culling]["leaves"] for culling in chosen[1:])
 
 
+def test_plans_of_fine_and_rough_views():
+    """The fewer rays a triangle, the more is looked at at each leaf, and then of each ray."""
+    mesh = wrt.scenes.build("teapot")
+    scene = wrt.Scene(mesh, device="cpu")
+    for share, traversal, culling in ((0.1, "stream", ""), (1.0, "packet", "transient_frustum"), (4.0, "packet", "vertex")):
+        size = int((share * mesh.triangle_count) ** 0.5)
+        plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
+        assert (plan.traversal, plan.culling) == (traversal, culling)
+
+
 def test_plans_that_do_not_fit():
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, "bvh", device="cpu")

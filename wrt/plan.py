@@ -39,9 +39,14 @@ PACKET_VECTORS = 2
 it for views and shadow rays of the bunny, the dragon (two sizes) and the atrium."""
 
 RAYS_PER_TRIANGLE = 0.125
-"""Rays a triangle of the scene from which on coherent rays with origins of their own go in packets: where triangles are smaller
-than the gaps between rays, streams lose less on rays that part company. (Shadow rays, time of packets against streams: 0.6 at
-3 rays a triangle, 0.8 at 0.25, 1.3 at 0.06.)"""
+"""Rays a triangle of the scene from which on coherent rays go in packets: where triangles are smaller than the gaps between
+rays, streams lose less on rays that part company. (Time of packets against streams, shadow rays: 0.6 at 3 rays a triangle, 0.8
+at 0.25, 1.3 at 0.06; views: 0.6 at 1.3, 0.9 at 0.24, 1.3 at 0.08.)"""
+
+ROUGH_RAYS_PER_TRIANGLE = 2.0
+"""Rays a triangle of the scene up to which views, too, are culled anew at each leaf, which a packet then meets with few of its
+rays. (Views of four scenes from afar and from near by, 128 x 128 to 1024 x 1024 pixels, time against vertex culling: 0.5 to 0.8
+at a quarter of a ray a triangle, 0.85 to 1.05 at 1.3, 0.7 to 1.1 at 3, 0.9 to 1.13 from 5 on.)"""
 
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
 """Rays of a stream: the longer, the better its lanes are used, as long as each thread has several. On CUDA, where a stream
@@ -221,8 +226,8 @@ def choose_traversal(scene: Scene, rays: RayBuffers, query: str, cull_backfaces:
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
     if not rays.coherent:
         return stream, DIFFERENT
-    if rays.laid_out.origin_stride != 0 and rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
-        return stream, f"{ALIKE}, but each has its own origin and triangles are small"
+    if rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
+        return stream, f"{ALIKE}, but triangles are small"
     return packet, ALIKE
 
 
@@ -253,11 +258,14 @@ def stream_size(scene: Scene, rays: RayBuffers) -> int:
 
 
 def choose_culling(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
-    """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide."""
+    """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide, or leaves small."""
     if not test.accurate:
         return "interval"
-    shared = rays.laid_out.origin_stride == 0 and not scene.instances
-    return "vertex" if shared or not (way.wide or scene.accelerator.kind == "bvh") else "transient_frustum"
+    if not (way.wide or scene.accelerator.kind == "bvh"):
+        return "vertex"
+    narrow = rays.laid_out.origin_stride == 0 and not scene.instances
+    fine = rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
+    return "vertex" if narrow and fine else "transient_frustum"
 
 
 def choose_order(scene: Scene, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:

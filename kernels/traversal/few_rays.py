@@ -7,7 +7,7 @@ third by one to six. A triangle that is tested there fills 32 lanes for them.
 **Idea.** Lanes hold rays or triangles, whichever are more. Up to `FEW` rays (`wrt.kernels.packet.bounds`) are taken out of the
 packet and tested as a single ray is, by `block_step`: a vector for each 16 triangles, and no frustum before it.
 
-**Measured** (one thread, the time against packets alone, 2 cores of a Zen 5): reflected rays 0.83 on the bunny, 0.76 on the
+**Measured** (one thread, the time against packets alone, on a Zen 4): reflected rays 0.83 on the bunny, 0.76 on the
 dragon, 0.72 on the large one, 0.87 in the atrium; shadow rays 1.02, 1.00, 0.97 and 0.93. With 9 or more rays for 6, reflected
 rays gain another 3-9 %, and shadow rays lose 4-8 %: the frustum leaves them few triangles.
 """
