@@ -153,8 +153,12 @@ class Repeated:
         self.kernel, self.inputs, self.device = kernel, inputs, device
         self._free: deque[wp.Launch] = deque()
 
-    def launch(self, bounds: Sequence[int]) -> None:
-        """Runs the kernel for the items of chunks that lie between these numbers (`cut`)."""
+    def launch(self, bounds: Sequence[int], used: Any = None) -> None:
+        """Runs the kernel for the items of chunks that lie between these numbers (`cut`).
+
+        used: owners of memory whose addresses were written into the arguments: they live until the last helper is done, also
+        if the caller is interrupted again while it waits for that.
+        """
 
         def run(number: int) -> None:
             first, end = bounds[number : number + 2]
@@ -164,7 +168,9 @@ class Repeated:
             part.launch()
             self._free.append(part)
 
+        run.used = used
         run_tasks(run, len(bounds) - 1)
+        del run.used  # at once: the pool may hold the function for a moment longer
 
     def _take(self) -> wp.Launch:
         """A recorded launch that no other thread has."""

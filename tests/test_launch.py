@@ -6,6 +6,8 @@ import os
 import subprocess
 import sys
 import threading
+import weakref
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -69,6 +71,37 @@ def test_repeated():
         for bounds in ([0, 1000], [0, 1, 2, 1000], list(range(1001))):
             repeated.launch(bounds)
     assert (values.numpy() == 3).all()
+
+
+def test_an_interrupted_wait_frees_nothing_that_helpers_use(monkeypatch):
+    """After a second Ctrl-C, while the first one waits for a helper, what the helper writes to is still there."""
+    values, owner = wp.zeros(2, dtype=int, device="cpu"), threading.Event()
+    repeated, alive = Repeated(count_visits, [values], values.device), weakref.ref(owner)
+    caller, begun, free, helpers = threading.get_ident(), threading.Event(), threading.Event(), []
+    original = wp.Launch.set_dim
+
+    def set_dim(part: wp.Launch, dim: int) -> None:
+        if threading.get_ident() == caller:
+            assert begun.wait(10)
+            raise KeyboardInterrupt
+        begun.set()
+        assert free.wait(10)
+        original(part, dim)
+
+    def interrupted(futures: list) -> None:
+        helpers.extend(futures)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(wp.Launch, "set_dim", set_dim)
+    monkeypatch.setattr(launching, "wait", interrupted)
+    with use_threads(2), suppress(KeyboardInterrupt):  # pytest.raises would keep the traceback, and what its frames hold
+        repeated.launch([0, 1, 2], owner)
+    del owner
+    assert begun.is_set()
+    assert alive() is not None
+    free.set()
+    helpers[0].result(10)
+    assert values.numpy().tolist() == [0, 1]
 
 
 def test_small_batches_stay_in_the_calling_thread():

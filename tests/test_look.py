@@ -120,3 +120,12 @@ def test_what_is_ready_goes_with_its_tree(scene):
     moving.update(0, vertices=moving.meshes[0].vertices * 1.5)
     asked = moving.intersect(*rays, traversal="single")
     assert_same_hits(asked, moving.intersect(*rays, traversal="single", counters=True))
+
+
+def test_nothing_stale(scene):
+    """What was kept ready for a tree and its records is not used for others, also if the scene is the same one."""
+    one, moved = (wrt.Scene(scene.meshes[0].transformed(np.diag([s, s, s, 1.0])), device="cpu") for s in (1.0, 0.5))
+    rays = rays_of(one, 0)
+    one.intersect(*rays, traversal="single")
+    one.tree, one.device_mesh, one.center, one._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    assert_same_hits(one.intersect(*rays, traversal="single"), moved.intersect(*rays, traversal="single"))

@@ -272,6 +272,7 @@ BAD_QUERIES = {
     "traversal": (lambda s: s.intersect(ORIGIN, DIRECTION, traversal="x"), ValueError, "choose from brute, single"),
     "triangle test": (lambda s: s.intersect(ORIGIN, DIRECTION, triangle_test="x"), ValueError, "choose from woop"),
     "name type": (lambda s: s.occluded(ORIGIN, DIRECTION, traversal=3), TypeError, "traversal must be a name"),
+    "list of names": (lambda s: s.count(ORIGIN, DIRECTION, triangle_test=["woop"]), TypeError, "triangle_test must be a name"),
     "Warp dtype": (
         lambda s: s.intersect(wp.zeros(3, dtype=wp.vec2, device="cpu"), wp.zeros(3, dtype=wp.vec3, device="cpu")),
         TypeError,

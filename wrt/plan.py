@@ -141,8 +141,10 @@ def make_plan(
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
         return check_plan(replace(traversal, cull_backfaces=culled), scene, rays, query)
-    if not scene.device.is_cuda and (scene.instances or scene.growing is not None or can_be_wide(scene)):
-        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)  # it depends on what came before
+    named = isinstance(traversal, str) and isinstance(triangle_test, str)
+    changing = not scene.device.is_cuda and (scene.instances or scene.growing is not None or can_be_wide(scene))
+    if changing or not named:  # it depends on what came before, or it is refused
+        return choose_plan(scene, rays, traversal, triangle_test, query, cull_backfaces)
     # The longer Python takes for a plan, the longer a GPU waits for its kernel, and cores for theirs.
     found = rays.coherent, rays.scattered, rays.columns > 0, get_num_threads()
     key = traversal, triangle_test, query, cull_backfaces, rays.shape, rays.laid_out.origin_stride, found

@@ -69,7 +69,7 @@ class ReadyKernel:
         self.rays.columns = columns
         self.rays.run, items, chunks = divide(scene, self.plan, self.config, rays.count)
         answer = self._answer(rays.count, scene.device)
-        self.launches.launch(cut(items, **chunks))
+        self.launches.launch(cut(items, **chunks), (rays, answer))
         return answer
 
     def _answer(self, count: int, device: wp.Device) -> HitArrays:

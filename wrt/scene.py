@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from wrt.kernels.rays import RayBatch
     from wrt.kernels.triangle.records import TriangleBlocks
     from wrt.local_trees import LocalTrees
+    from wrt.ready import ReadyKernel
     from wrt.recorded import Recording
     from wrt.statistics import SceneStatistics
     from wrt.storage import TreeSource
@@ -142,8 +143,8 @@ class Scene(Queries):
         """All triangles on the device, for kernels."""
         self.plans: dict[tuple[Any, ...], Plan] = {}
         """Those that were made for rays so far."""
-        self.desks: dict[Hashable, deque[Desk | Recording]] = {}
-        """What is kept ready and free, for each query: see `wrt.few_rays` and `wrt.recorded`."""
+        self.desks: dict[Hashable, deque[Desk | Recording | ReadyKernel]] = {}
+        """What is kept ready and free, for each query: see `wrt.few_rays`, `wrt.recorded` and `wrt.ready`."""
         self._blocks: KnownRecords = {}
         self.wide: WideForm | None = None
         """The wide form of a kd-tree, if there is one, and what the rays so far would have saved with it (`wrt.wide_trees`)."""

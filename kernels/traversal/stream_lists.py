@@ -72,8 +72,7 @@ LISTS = f"""{FOR_LANES}
 #endif
 """
 """Head of a list snippet. `wrt_bits(flags)`: a bit for each of L flags that is not 0.
-`wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how
-many."""
+`wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how many."""
 
 
 _APPEND_CANDIDATES = """

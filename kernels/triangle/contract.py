@@ -36,8 +36,9 @@ class TestForm:
             inverses ix, iy, iz, all indexed by the ray, it fills words[14], words[15] .. with the words of the ray's state,
             in order; empty if rays are prepared one by one.
         candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once: from vertices corner[0] .. corner[8]
-            and the words of the rays' states, as of `prepare_lanes`, all indexed by the pair, it fills t, u and v; t is NaN for
-            a miss. Empty if streams test their candidates one by one.
+            and the words of the rays' states, as of `prepare_lanes`, all indexed by the pair, it fills t, u and v. The block
+            test has found that each ray's line meets its triangle, and must be right: t is clamped to the triangle's box, which
+            makes a hit of a NaN. Empty if streams test their candidates one by one.
         lanes: one ray x W triangles, and W rays x one triangle.
     """
 
