@@ -28,7 +28,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 LAYOUTS = [
     PacketLayout(64, 16, True, "woop"),
     PacketLayout(32, 8, False, "woop"),
-    PacketLayout(16, 4, False, "moeller_trumbore"),
+    PacketLayout(12, 4, False, "moeller_trumbore"),  # whose tiles, 8 x 1, are smaller than packets
     PacketLayout(16, 16, True, "komatsu"),
 ]
 
