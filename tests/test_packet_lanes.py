@@ -16,6 +16,7 @@ from packet_loops import (
     STORE_ANY,
     Packets,
     PlainRays,
+    bits,
     loops,
     make_packets,
     plain_rays,
@@ -44,10 +45,6 @@ def packets(request, layout, device) -> Packets:
     made = make_packets(layout, 6400 // layout.rays, device, request.param)
     made.run(loops(layout), LOAD)
     return made
-
-
-def bits(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values).view(np.int32)
 
 
 def scalar_state(layout: PacketLayout, plain: PlainRays) -> dict[str, np.ndarray]:
