@@ -280,6 +280,11 @@ def make_packets(layout: PacketLayout, count: int, device: str, columns: int = 0
     return Packets(layout, loop, count, shuffled.reshape(-1, width), device)
 
 
+def bits(values: np.ndarray) -> np.ndarray:
+    """Of float32 values, to tell -0 from 0."""
+    return np.ascontiguousarray(values).view(np.int32)
+
+
 @dataclass
 class PlainRays:
     """The rays of packets as `load_ray` and `prepare` make them, and all candidates for hits; rows of P rays."""

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
+from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, bits, loops, make_packets, plain_rays
 
 from wrt.kernels.packet.cells import cross_plane, enter_box
 from wrt.kernels.packet.counting import active_lanes
@@ -120,10 +120,6 @@ def case(request, device) -> Case:
     cells.answers = wp.zeros(packets.count, dtype=int, device=device)
     plain = plain_rays(packets)
     return Case(packets, cells, plain, corners.reshape(-1, 6), plain.valid.any(axis=1))
-
-
-def bits(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values).view(np.int32)
 
 
 def test_lanes_in_cells(case):

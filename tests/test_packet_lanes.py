@@ -16,6 +16,7 @@ from packet_loops import (
     STORE_ANY,
     Packets,
     PlainRays,
+    bits,
     loops,
     make_packets,
     plain_rays,
@@ -28,7 +29,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 LAYOUTS = [
     PacketLayout(64, 16, True, "woop"),
     PacketLayout(32, 8, False, "woop"),
-    PacketLayout(16, 4, False, "moeller_trumbore"),
+    PacketLayout(12, 4, False, "moeller_trumbore"),  # whose tiles, 8 x 1, are smaller than packets
     PacketLayout(16, 16, True, "komatsu"),
 ]
 
@@ -44,10 +45,6 @@ def packets(request, layout, device) -> Packets:
     made = make_packets(layout, 6400 // layout.rays, device, request.param)
     made.run(loops(layout), LOAD)
     return made
-
-
-def bits(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values).view(np.int32)
 
 
 def scalar_state(layout: PacketLayout, plain: PlainRays) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.records import vertex_box
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -16,12 +17,7 @@ _ACTIVE = f"""
     int active = 0;
     for (; mask; mask &= mask - 1u) {{
         const float* corner = &records.data[(size_t)block * (RECORD * W)] + wrt_lowest_bit(mask);
-        float low[3], high[3];
-        for (int a = 0; a < 3; ++a) {{
-            const float p = corner[a * W], q = corner[(3 + a) * W], r = corner[(6 + a) * W];
-            float least = q < r ? q : r, most = q > r ? q : r;
-            low[a] = p < least ? p : least; high[a] = p > most ? p : most;
-        }}
+        float low[3], high[3];{vertex_box("corner", "0")}
         for (int k = 0; k < P; ++k) {{
             float enter = t_min[k], leave = t[k];
 {SLABS}

@@ -7,7 +7,9 @@ its origin, which hide nothing, before it comes to what does.
 packet of the run looks there first. If that hides all of its rays, they have seen no node and no other leaf.
 
 **Data.** One int behind a packet's components: the number of the leaf's lane (node * width + lane) + 1, or 0 if rays of the
-last packet went through, or there was none. What is found does not depend on it: the answer is whether there is a hit.
+last packet went through, it gave up, or there was none: each run of packets begins with 0, and so does each instance, whose
+tree is another (`wrt.kernels.traversal.instance_packets`). The parts of a packet (`parting`) are packets here. What is found
+does not depend on it: the answer is whether there is a hit.
 
 **What it is worth.** 80 % of the packets that are hidden in the atrium (large triangles) end there, a quarter of the time of
 all; on the bunny, where several leaves hide a packet, one in ten, which pays for the others, and next to none on the dragon.
