@@ -100,6 +100,11 @@ def test_blocks_do_without_large_pages(monkeypatch, advice):
     assert (block == 3).all()
 
 
+def test_too_large_a_block_is_a_memory_error():
+    with pytest.raises(MemoryError):
+        large_pages(1 << 60)
+
+
 @pytest.mark.skipif(not hasattr(mmap, "MADV_HUGEPAGE"), reason="elsewhere blocks begin where NumPy likes")
 def test_blocks_begin_at_different_lines_of_the_cache():
     blocks = [large_pages(GRAIN) for _ in range(16)]

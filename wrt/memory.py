@@ -47,7 +47,10 @@ def large_pages(size: int) -> np.ndarray:
     """(size,) fresh bytes in large pages, if the operating system has any to give; `size` is a multiple of `GRAIN`."""
     if not hasattr(mmap, "MADV_HUGEPAGE"):
         return np.empty(size, dtype=np.uint8)
-    space = mmap.mmap(-1, size + GRAIN, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    try:
+        space = mmap.mmap(-1, size + GRAIN, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    except OSError as error:
+        raise MemoryError(f"no {size} bytes are left") from error
     with suppress(OSError):  # a Linux that has only small ones
         space.madvise(mmap.MADV_HUGEPAGE)
     begin = next(_begins)
