@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
+from wrt.desks import MOST_KEYS
 from wrt.look import look_at
 from wrt.ready import ReadyKernel
 
@@ -120,6 +122,17 @@ def test_what_is_ready_goes_with_its_tree(scene):
     moving.update(0, vertices=moving.meshes[0].vertices * 1.5)
     asked = moving.intersect(*rays, traversal="single")
     assert_same_hits(asked, moving.intersect(*rays, traversal="single", counters=True))
+
+
+def test_so_many_kinds_of_queries_are_kept(scene):
+    """The one after the last that there is room for begins anew, and the answers stay."""
+    rays, own = rays_of(scene, 0), wrt.Scene(scene.meshes, device="cpu")
+    expected = own.intersect(*rays, traversal="single")
+    own.desks.update((number, deque()) for number in range(MOST_KEYS - len(own.desks)))
+    assert_same_hits(own.intersect(*rays, traversal="single"), expected)
+    assert len(own.desks) == MOST_KEYS
+    np.testing.assert_array_equal(own.occluded(*rays, traversal="single"), expected.is_hit)
+    assert len(own.desks) == 1
 
 
 def test_nothing_stale(scene):

@@ -11,9 +11,14 @@ from wrt.kernels.launch import use_threads
 if TYPE_CHECKING:
     from wrt.scene import Scene
 
+MOST_KEYS = 64
+"""Kinds of queries that a scene keeps something ready for; with one more, all begin anew."""
+
 
 def take(scene: Scene, key: Hashable, make: Callable[[], Any]) -> tuple[Any, deque[Any]]:
     """What is kept under a key, for the caller alone, and where to put it back; made if nothing is free that still suits."""
+    if key not in scene.desks and len(scene.desks) >= MOST_KEYS:
+        scene.desks.clear()  # what other threads hold meanwhile goes with them
     waiting = scene.desks.setdefault(key, deque())
     try:
         ready = waiting.pop()
