@@ -119,6 +119,18 @@ def test_octree_in_slices_and_within_bounds(monkeypatch):
     assert len(octree.build_octree(structs, *root, 3)[0]) == len(shallow)
 
 
+def test_what_regions_enclose_is_not_cut():
+    """A cell is a leaf above the last level if all regions that touch it hold it whole."""
+    low, high = np.full(3, 10.0), np.full(3, 14.0)
+    structs = [region_of(area, low, high).struct(np.full(3, 12.0), 1e-5) for area in random_areas(30, low, high)]
+    child, lists = octree.build_octree(structs, np.full(3, -9.0), np.full(3, 9.0), DEPTH := 6)
+    level = np.zeros(len(child), dtype=int)
+    for cell in np.flatnonzero(child >= 0):
+        level[child[cell] : child[cell] + 8] = level[cell] + 1
+    assert level.max() == DEPTH
+    assert any(len(lists[~child[cell]]) for cell in np.flatnonzero((child < 0) & (level < DEPTH)))
+
+
 @pytest.mark.parametrize("top_level", ["octree", "array"])
 def test_areas_of_rays(device, top_level):
     """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
