@@ -2,7 +2,7 @@
 
 **Problem.** Where triangles are as small as pixels, a packet of 32 rays comes to a leaf of which it knows only that one of
 them meets its box: of the leaves that shadow rays on a dragon of 810,080 triangles arrive at, half are met by none and a
-third by one to six. A triangle that is tested there fills 32 lanes for them.
+third by one to eight. A triangle that is tested there fills 32 lanes for them.
 
 **Idea.** Lanes hold rays or triangles, whichever are more. Up to `FEW` rays (`wrt.kernels.packet.bounds`) are taken out of the
 packet and tested as a single ray is, by `block_step`: a vector for each 16 triangles, and no frustum before it.
