@@ -1,12 +1,10 @@
-"""How a kernel is run over N items: a pool of threads on the CPU, one launch on CUDA.
+"""How a kernel is run over N items: the thread pool on the CPU, one launch on CUDA.
 
-Warp runs a CPU kernel on the calling thread, but lets go of the interpreter lock while it does. So the items are cut
-into contiguous chunks, some eight a thread (the chunks of a ray batch differ in cost: smaller ones balance the load),
-and the caller and its helpers take chunks from one queue until it is empty. The caller works too, so that a call from
-inside another call's chunk cannot wait for itself, and small batches never leave the calling thread. Towards the end
-chunks get smaller (Polychronopoulos and Kuck), down to a quarter, so that threads end together.
-
-Arguments are packed once a thread, not once a chunk: a thread repeats its recorded launch, with another first item.
+Warp runs a CPU kernel on the calling thread and releases the interpreter lock meanwhile. So items are cut into contiguous
+chunks, which the caller and the pool's helpers claim in native code (`wrt.kernels.runtime.pool`). Chunks shrink towards the end
+(Polychronopoulos and Kuck), so that threads end together. The caller works too: a call from inside another call cannot wait for
+itself, and small batches never leave the calling thread. Where native helpers are not to be had, Python threads do the same,
+which scales to some four threads.
 
 Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
 What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
@@ -25,9 +23,15 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import warp as wp
+
+from wrt.kernels.runtime import pool as native
+from wrt.kernels.runtime.cores import available_cores
+from wrt.kernels.runtime.packed import PackedKernel
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 
 Config = TypeVar("Config")
 
@@ -48,11 +52,7 @@ _loaded: set[tuple[wp.Kernel, str]] = set()
 _executor: ThreadPoolExecutor | None = None
 _num_threads: int | None = None
 _local_threads: ContextVar[int | None] = ContextVar("wrt_threads", default=None)
-
-
-def available_threads() -> int:
-    """Cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+_schedule: ContextVar[str] = ContextVar("wrt_schedule", default=DEFAULT_SCHEDULE)
 
 
 def get_num_threads() -> int:
@@ -67,7 +67,7 @@ def get_num_threads() -> int:
     if _num_threads is None:
         text = os.environ.get("WRT_NUM_THREADS", "").strip()
         if not text:
-            return available_threads()
+            return available_cores()
         if not text.isdigit():
             raise ValueError(f"WRT_NUM_THREADS is {text!r}; set it to a whole number from 1 to {MAX_THREADS}")
         _num_threads = check_num_threads(int(text), "WRT_NUM_THREADS")
@@ -132,52 +132,96 @@ def launch(
     if device.is_cuda:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
         return
-    bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=chunks_per_thread)
-    if len(bounds) == 2 or device.is_capturing:  # threads that record launches side by side lose some
+    if device.is_capturing:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
     else:
-        Repeated(kernel, inputs, device).launch(bounds)
+        chunks = Chunks(chunk, longest, chunks_per_thread)
+        PreparedLaunch(kernel, inputs, device).run(count, chunks)
 
 
-class Repeated:
+@dataclass(frozen=True)
+class Chunks:
+    """How items are cut into chunks on the CPU; attributes as the arguments of `launch`."""
+
+    chunk: int = 256
+    longest: int = MAX_CHUNK
+    chunks_per_thread: int = CHUNKS_PER_THREAD
+
+    def sizes(self, count: int, threads: int) -> tuple[int, int]:
+        """Items of the largest and of the smallest chunk of `count` items."""
+        if threads == 1:
+            return min(count, self.longest), min(count, self.longest)
+        chunks = min(self.chunks_per_thread * threads, -(-count // self.chunk))
+        largest = min(-(-count // max(1, chunks)), self.longest)
+        falls = self.chunks_per_thread >= CHUNKS_PER_THREAD
+        return largest, min(largest, max(self.chunk, -(-largest // SMALLEST_SHARE))) if falls else largest
+
+
+class PreparedLaunch:
     """A kernel with its arguments packed, which one caller at a time runs on the CPU, as often as it wants.
-
-    Each thread repeats a recorded launch of its own. All share the packed form of the structs among the inputs: what is
-    written there holds for the next run.
 
     Args:
         kernel, inputs, device: as of `launch`.
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
-        self.kernel, self.inputs, self.device = kernel, inputs, device
-        self._free: deque[wp.Launch] = deque()
+        load([kernel], device)
+        self._packed = PackedKernel(kernel, [0, *inputs], device)
 
-    def launch(self, bounds: Sequence[int], used: Any = None) -> None:
-        """Runs the kernel for the items of chunks that lie between these numbers (`cut`).
+    def argument(self, index: int) -> Any:
+        """The packed form of a struct among the kernel's arguments: what is written there holds for the next run."""
+        return self._packed.argument(index)
 
-        used: owners of memory whose addresses were written into the arguments: they live until the last helper is done, also
-        if the caller is interrupted again while it waits for that.
+    def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
+        """Runs the kernel for the items 0 .. count - 1.
+
+        Args:
+            count: number of items.
+            chunks: how they are cut.
+            used: owners of memory whose addresses were written into the arguments: they live until the last helper is done,
+                also if the caller is interrupted again while it waits for that.
         """
+        threads = get_num_threads()
+        largest, smallest = chunks.sizes(count, threads)
+        threads = min(threads, -(-count // smallest))
+        if threads == 1:
+            for first in range(0, count, largest):
+                self._packed.call_range(first, min(largest, count - first))
+        elif native.is_available():
+            schedule = SCHEDULES[_schedule.get()]
+            job, memory = native.new_job(
+                self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=schedule
+            )
+            native.the_pool().run(job, (memory, used))
+        else:
+            self._run_in_python(count, largest, used)
+
+    def _run_in_python(self, count: int, largest: int, used: Any) -> None:
+        """Chunks handed out by Python."""
 
         def run(number: int) -> None:
-            first, end = bounds[number : number + 2]
-            part = self._take()
-            part.set_param_at_index_from_ctype(0, first)
-            part.set_dim(end - first)
-            part.launch()
-            self._free.append(part)
+            first = number * largest
+            self._packed.call_range(first, min(largest, count - first))
 
         run.used = used
-        run_tasks(run, len(bounds) - 1)
+        run_tasks(run, -(-count // largest))
         del run.used  # at once: the pool may hold the function for a moment longer
 
-    def _take(self) -> wp.Launch:
-        """A recorded launch that no other thread has."""
-        try:
-            return self._free.pop()
-        except IndexError:
-            return record(self.kernel, self.inputs, self.device)
+
+@contextmanager
+def use_schedule(name: str) -> Iterator[None]:
+    """Sets the schedule (a key of `SCHEDULES`) of launches inside the `with` block, of the calling thread only.
+
+    Raises:
+        ValueError: there is no such schedule.
+    """
+    if name not in SCHEDULES:
+        raise ValueError(f"schedule {name!r} is not known; choose from {', '.join(SCHEDULES)}")
+    token = _schedule.set(name)
+    try:
+        yield
+    finally:
+        _schedule.reset(token)
 
 
 def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
@@ -207,22 +251,6 @@ def kept(device: wp.Device) -> Iterator[None]:
     yield
     if device.is_cuda:
         wp.synchronize_stream(device.stream)
-
-
-def cut(count: int, *, chunk: int, longest: int, chunks_per_thread: int) -> list[int]:
-    """Where chunks of items begin, and where the last one ends: enough to balance the load, none too small to pay.
-
-    Args: as of `launch`.
-    """
-    threads = get_num_threads()
-    chunks = min(chunks_per_thread * threads, -(-count // chunk)) if threads > 1 else 1
-    size = min(-(-count // max(1, chunks)), longest)
-    falls = threads > 1 and chunks_per_thread >= CHUNKS_PER_THREAD
-    smallest = min(size, max(chunk, -(-size // SMALLEST_SHARE))) if falls else size
-    bounds = [0]
-    while (rest := count - bounds[-1]) > 0:
-        bounds.append(bounds[-1] + min(rest, max(smallest, min(size, rest // (2 * threads)))))
-    return bounds
 
 
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:

@@ -6,8 +6,6 @@ import os
 import subprocess
 import sys
 import threading
-import weakref
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -15,7 +13,7 @@ import warp as wp
 
 import wrt
 from wrt.kernels import launch as launching
-from wrt.kernels.launch import MAX_CHUNK, Repeated, cut, launch, run_tasks, use_threads
+from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
 
 
 @wp.kernel(enable_backward=False)
@@ -33,29 +31,34 @@ def test_every_item_once(count, threads, device):
     assert (visits.numpy()[:count] == 1).all()
 
 
+@wp.kernel(enable_backward=False)
+def note_chunk(first: int, begins: wp.array(dtype=int)):
+    begins[first + wp.tid()] = first
+
+
+def chunk_sizes(count: int, chunks: Chunks, threads: int) -> np.ndarray:
+    """Sizes of the chunks in which `count` items were run, in order of the items."""
+    begins = wp.full(count, -1, dtype=int, device="cpu")
+    with use_threads(threads):
+        PreparedLaunch(note_chunk, [begins], begins.device).run(count, chunks)
+    firsts, sizes = np.unique(begins.numpy(), return_counts=True)
+    assert (firsts == np.concatenate([[0], np.cumsum(sizes)[:-1]])).all()
+    return sizes
+
+
 @pytest.mark.parametrize("count", [2, 5, 40])
-def test_one_by_one(count, monkeypatch):
+def test_one_by_one(count):
     """With as many chunks as items, every item is a launch of its own."""
-    launched = []
-    original = wp.Launch.set_dim
-    monkeypatch.setattr(wp.Launch, "set_dim", lambda part, dim: (launched.append(dim), original(part, dim)))
-    visits = wp.zeros(count, dtype=int, device="cpu")
-    with use_threads(2):
-        launch(count_visits, count, [visits], device=wp.get_device("cpu"), chunk=1, chunks_per_thread=count)
-    assert launched == [1] * count
-    assert (visits.numpy() == 1).all()
+    assert chunk_sizes(count, Chunks(1, MAX_CHUNK, count), 2).tolist() == [1] * count
 
 
 @pytest.mark.parametrize("threads", [1, 2, 7, 64])
 @pytest.mark.parametrize(("chunk", "longest", "per_thread"), [(1, MAX_CHUNK, 8), (32, 2048, 8), (256, 300, 2), (1, 1, 16)])
 def test_chunks(threads, chunk, longest, per_thread):
-    """They are all the items, in order, no longer than allowed, and fall in size where items are uneven."""
-    for count in (0, 1, 31, 32, 33, 1000, 32_768, 100_003):
-        with use_threads(threads):
-            bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=per_thread)
-        sizes = np.diff(bounds)
-        assert (bounds[0], bounds[-1]) == (0, count)
-        assert (sizes > 0).all()
+    """They are all the items, no longer than allowed, and fall in size where items are uneven."""
+    for count in (1, 31, 32, 33, 1000, 32_768, 100_003):
+        sizes = chunk_sizes(count, Chunks(chunk, longest, per_thread), threads)
+        assert sizes.sum() == count
         assert (sizes <= longest).all()
         assert (np.diff(sizes) <= 0).all()
         assert (2 * sizes[:-1] >= min(chunk, longest)).all()
@@ -64,44 +67,13 @@ def test_chunks(threads, chunk, longest, per_thread):
 
 
 def test_repeated():
-    """Every run does every item once, with whatever cut."""
+    """Every run does every item once, with whatever chunks."""
     values = wp.zeros(1000, dtype=int, device="cpu")
-    repeated = Repeated(count_visits, [values], values.device)
+    launch = PreparedLaunch(count_visits, [values], values.device)
     with use_threads(3):
-        for bounds in ([0, 1000], [0, 1, 2, 1000], list(range(1001))):
-            repeated.launch(bounds)
+        for chunks in (Chunks(1000), Chunks(100, 300), Chunks(1, 1)):
+            launch.run(1000, chunks)
     assert (values.numpy() == 3).all()
-
-
-def test_an_interrupted_wait_frees_nothing_that_helpers_use(monkeypatch):
-    """After a second Ctrl-C, while the first one waits for a helper, what the helper writes to is still there."""
-    values, owner = wp.zeros(2, dtype=int, device="cpu"), threading.Event()
-    repeated, alive = Repeated(count_visits, [values], values.device), weakref.ref(owner)
-    caller, begun, free, helpers = threading.get_ident(), threading.Event(), threading.Event(), []
-    original = wp.Launch.set_dim
-
-    def set_dim(part: wp.Launch, dim: int) -> None:
-        if threading.get_ident() == caller:
-            assert begun.wait(10)
-            raise KeyboardInterrupt
-        begun.set()
-        assert free.wait(10)
-        original(part, dim)
-
-    def interrupted(futures: list) -> None:
-        helpers.extend(futures)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(wp.Launch, "set_dim", set_dim)
-    monkeypatch.setattr(launching, "wait", interrupted)
-    with use_threads(2), suppress(KeyboardInterrupt):  # pytest.raises would keep the traceback, and what its frames hold
-        repeated.launch([0, 1, 2], owner)
-    del owner
-    assert begun.is_set()
-    assert alive() is not None
-    free.set()
-    helpers[0].result(10)
-    assert values.numpy().tolist() == [0, 1]
 
 
 def test_small_batches_stay_in_the_calling_thread():
@@ -175,7 +147,7 @@ assert scene.intersect([0, 0, 9.0], [0, 0, -1.0]).t >= 0
 def test_number_of_threads(monkeypatch):
     monkeypatch.setattr(launching, "_num_threads", None)
     monkeypatch.delenv("WRT_NUM_THREADS", raising=False)
-    assert wrt.get_num_threads() == launching.available_threads() >= 1
+    assert wrt.get_num_threads() == launching.available_cores() >= 1
     wrt.set_num_threads(3)
     assert wrt.get_num_threads() == 3
     with use_threads(5):
@@ -184,7 +156,7 @@ def test_number_of_threads(monkeypatch):
             assert wrt.get_num_threads() == 5
     assert wrt.get_num_threads() == 3
     wrt.set_num_threads(None)
-    assert wrt.get_num_threads() == launching.available_threads()
+    assert wrt.get_num_threads() == launching.available_cores()
 
 
 @pytest.mark.parametrize("bad", [0, -1, 10_000])
@@ -209,7 +181,7 @@ except ValueError as problem:
 """
     environment = {**os.environ, "WRT_NUM_THREADS": value}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
-    assert result.stdout.split()[-1] == (printed or str(launching.available_threads()))
+    assert result.stdout.split()[-1] == (printed or str(launching.available_cores()))
 
 
 def test_results_after_fork():

@@ -49,9 +49,9 @@ def queries(scene: wrt.Scene) -> dict[str, Callable[[], list[np.ndarray]]]:
     return asked
 
 
-def from_threads(work: Callable[[int], None]) -> None:
+def from_threads(work: Callable[[int], None], count: int = THREADS) -> None:
     """Calls `work` with the number of each thread, all at a time; raises what any of them raises."""
-    barrier, errors = threading.Barrier(THREADS), []
+    barrier, errors = threading.Barrier(count), []
 
     def run(number: int) -> None:
         try:
@@ -60,7 +60,7 @@ def from_threads(work: Callable[[int], None]) -> None:
         except BaseException as error:
             errors.append(error)
 
-    threads = [threading.Thread(target=run, args=(number,)) for number in range(THREADS)]
+    threads = [threading.Thread(target=run, args=(number,)) for number in range(count)]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING
 import warp as wp
 
 from wrt.desks import take
-from wrt.kernels.launch import Repeated, cut, load
+from wrt.kernels.launch import PreparedLaunch
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ANY, COUNT, traversal_config, way_of
 from wrt.rays import RayArrays, new_batch
-from wrt.tracing import divide, kernel_and_inputs, no_work
+from wrt.tracing import HITS, RAYS, divide, kernel_and_inputs, no_work
 from wrt.wide_trees import saved, walked_tree
 
 if TYPE_CHECKING:
@@ -54,10 +54,9 @@ class ReadyKernel:
         rays, hits = new_batch(layout, scene.center), HitBatch()
         work = no_work(way_of(plan).counters, scene.device.alias)
         kernel, inputs = kernel_and_inputs(scene, plan, self.config, rays, hits, work)
-        load([kernel], scene.device)
         self.tree, self.blocks = walked_tree(plan, scene), inputs[1]
-        self.launches = Repeated(kernel, inputs, scene.device)
-        self.rays, self.hits = rays.__ctype__(), hits.__ctype__()
+        self.launch = PreparedLaunch(kernel, inputs, scene.device)
+        self.rays, self.hits = self.launch.argument(RAYS), self.launch.argument(HITS)
 
     def suits(self, scene: Scene) -> bool:
         """Whether the scene still has what this was made for."""
@@ -69,7 +68,7 @@ class ReadyKernel:
         self.rays.columns = columns
         self.rays.run, items, chunks = divide(scene, self.plan, self.config, rays.count)
         answer = self._answer(rays.count, scene.device)
-        self.launches.launch(cut(items, **chunks), (rays, answer))
+        self.launch.run(items, chunks, (rays, answer))
         return answer
 
     def _answer(self, count: int, device: wp.Device) -> HitArrays:

@@ -4,12 +4,13 @@ Most calls on the CPU find all that ready (`wrt.ready`).
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, get_num_threads, kept, launch, specialise
+from wrt.kernels.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, get_num_threads, kept, launch, specialise
 from wrt.kernels.rays import HitBatch
 from wrt.memory import empty
 from wrt.plan import ALL, ANY, CLOSEST, COUNT, Plan, kernel_factory, plan_for, stack_levels, traversal_config, way_of
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
+
+LEAST_CHUNK = 256
+"""Rays that are worth a chunk of their own on the CPU: tens of microseconds, where claiming a chunk takes less than one."""
 
 STREAMS_IN_A_ROW = 16
 """Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
@@ -142,18 +146,17 @@ def run_kernel(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: 
     config = traversal_config(plan, scene, query, counters)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits, work)
     rays.run, items, chunks = divide(scene, plan, config, rays.count)
-    launch(kernel, items, inputs, device=scene.device, **chunks)
+    launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
 
 
-def divide(scene: Scene, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, dict[str, int]]:
-    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks, as `launch` takes them."""
+def divide(scene: Scene, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:
+    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks."""
     way, grain = way_of(plan), way_of(plan).rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if way.streams:
         grain *= streams_in_a_row(count, grain, scene.device)
     chunks_per_thread = 2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
-    chunks = {"chunk": max(1, 1024 // grain), "longest": max(1, longest // grain), "chunks_per_thread": chunks_per_thread}
-    return grain, -(-count // grain), chunks
+    return grain, -(-count // grain), Chunks(max(1, LEAST_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
 
 def run_instances(scene: Scene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str, work: wp.array, counters: bool) -> None:

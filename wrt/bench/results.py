@@ -15,7 +15,7 @@ import warp as wp
 
 from wrt.bench.measure import Agreement, Timing
 from wrt.kernels.lanes import cpu_features
-from wrt.kernels.launch import available_threads
+from wrt.kernels.runtime.cores import available_cores
 
 FORMAT = 1
 """Version of the layout of `Report.to_dict`."""
@@ -123,7 +123,7 @@ def machine(device: str) -> dict[str, Any]:
     found = wp.get_device(device)
     return {
         "cpu": cpu_name(),
-        "threads": available_threads(),
+        "threads": available_cores(),
         "simd_bits": simd_bits(),
         "gpu": found.name if found.is_cuda else None,
         "system": f"{platform.system()} {platform.machine()}",

@@ -1,0 +1,289 @@
+"""The Python half of the thread pool: helper threads, the slots of those who ask, interrupts, fork, and exit.
+
+A launch on the CPU is a job of the pool (`wrt.kernels.runtime.board` has the protocol). Helpers are started when a job first
+wants them, make one call into compiled code each and stay there, so Python takes no part in handing out chunks. Every Python
+thread that asks has a slot of its own on the board, so jobs of several callers are worked on at the same time; a caller that
+finds its slot in use (a signal handler that asks while its thread does) works alone.
+
+**Interrupts.** A leader is back in Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread takes
+a further chunk, and the caller waits for those under way. If it is interrupted again while it waits, the job's memory is kept
+in `_interrupted` until the last helper has left.
+
+**Fork.** A child has none of the helpers: it gets a new pool when it first asks. **Exit.** Helpers leave before the interpreter
+frees compiled code; a query of a daemon thread that is under way then ends with a RuntimeError.
+
+Linux only; elsewhere `wrt.kernels.launch` hands out chunks in Python (`is_available`).
+"""
+
+from __future__ import annotations
+
+import atexit
+import ctypes
+import os
+import sys
+import threading
+import time
+from collections import deque
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime import board as layout
+from wrt.kernels.runtime.cores import available_cores
+from wrt.kernels.runtime.packed import PackedKernel
+from wrt.kernels.runtime.schedules import Schedule
+
+SPIN_SECONDS = 0.001
+"""How long a helper without work waits awake: longer than Python takes from one call to the next in a loop."""
+
+QUEUE_WORDS = 16
+"""64-bit words of a queue of the schedules that have some: a pair of cache lines."""
+
+EXIT_SECONDS = 1.0
+"""How long the interpreter's exit waits for threads in compiled code to return."""
+
+
+class Job(ctypes.Structure):
+    """What native code needs to know of a launch; all addresses must stay valid until the job has ended."""
+
+    _fields_ = (
+        ("entry", ctypes.c_int64),  # compiled code of the kernel
+        ("bounds", ctypes.c_int64),  # address of its launch bounds
+        ("arguments", ctypes.c_int64),  # address of its packed arguments
+        ("argument_bytes", ctypes.c_int64),
+        ("count", ctypes.c_int64),  # items
+        ("largest", ctypes.c_int64),  # items of a chunk at most
+        ("smallest", ctypes.c_int64),  # and at least
+        ("divisor", ctypes.c_int64),  # a chunk is this share of what is left, between the two
+        ("helpers", ctypes.c_int64),  # threads beside the caller's, at most
+        ("schedule", ctypes.c_int64),  # `Schedule.code`
+        ("queues", ctypes.c_int64),  # address of the queues of schedules that have some
+        ("queue_count", ctypes.c_int64),
+        ("unused", ctypes.c_int64 * (layout.JOB_WORDS - 12)),
+    )
+
+
+class Slot:
+    """A slot of a board, for the jobs of one thread.
+
+    Args:
+        board: where it is.
+        index: which one it is.
+        free: gets the index back when nobody holds the slot any longer.
+    """
+
+    def __init__(self, board: wp.array, index: int, free: deque[int] | None = None) -> None:
+        self._index, self._free = index, free
+        first = layout.FIRST_SLOT + index * layout.SLOT_WORDS
+        self._words = board.numpy()[first : first + layout.SLOT_WORDS]
+        self._lead = PackedKernel(layout.lead, [board, index, 0], board.device)
+        self._stop = PackedKernel(layout.stop, [board, index], board.device)
+        self.is_busy = False
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether the slot has no job, and no helper is inside."""
+        return self._words[layout.PHASE] == layout.IDLE
+
+    def begin(self, job: Job) -> None:
+        """Names the job that the next turn begins."""
+        self._lead.arguments.p2 = ctypes.addressof(job)
+
+    def turn(self) -> None:
+        """Works on the job for `TURN_NS` at most, or the chunk under way."""
+        self._lead.call()
+
+    def stop(self) -> None:
+        """Lets nobody take a further chunk."""
+        self._stop.call()
+
+    @property
+    def has_helpers(self) -> bool:
+        """Whether a helper is inside."""
+        return self._words[layout.ACTIVE] != 0
+
+    def __del__(self) -> None:
+        if self._free is not None:
+            self._free.append(self._index)
+
+
+class Pool:
+    """Helper threads and the board on which they find jobs; safe to use from several threads."""
+
+    def __init__(self) -> None:
+        self._board = wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu")
+        words = self._board.numpy()
+        words[layout.MOST_SPINNING] = available_cores() - 1
+        words[layout.SPIN_NS] = int(SPIN_SECONDS * 1e9)
+        self._words = words
+        self._lock = threading.Lock()
+        self._threads: list[threading.Thread] = []
+        self._free = deque(range(layout.SLOTS))
+        self._local = threading.local()
+        self._interrupted: deque[tuple[Slot, Any]] = deque()
+        self.closed = False
+
+    def run(self, job: Job, used: Any) -> None:
+        """Runs a job to its end.
+
+        Args:
+            job: with addresses that are valid as long as `used` is alive.
+            used: owners of all memory that the job reads or writes.
+
+        Raises:
+            RuntimeError: the interpreter exits, or the process was forked while it worked on this.
+        """
+        self._reap()
+        if job.helpers > len(self._threads):
+            self._start(job.helpers)
+        slot = self._slot()
+        slot.is_busy = True
+        try:
+            slot.begin(job)
+            slot.turn()
+            while not slot.is_idle:
+                if self.closed:
+                    raise RuntimeError("the query was stopped: the interpreter exits, or this is a fork of its process")
+                slot.turn()
+            slot.is_busy = False
+        except BaseException:
+            self._interrupted.append((slot, (job, used)))
+            if not self.closed:
+                self._finish(slot)
+            self._reap()
+            raise
+
+    def close(self) -> None:
+        """Makes helpers leave, and waits for them and for leaders, for some time."""
+        if self.closed:  # or a fork's copy of its parent's pool
+            return
+        self.closed = True
+        PackedKernel(layout.close, [self._board], self._board.device).call()
+        until = time.monotonic() + EXIT_SECONDS
+        for thread in self._threads:
+            thread.join(max(0.0, until - time.monotonic()))
+        phases = self._words[layout.FIRST_SLOT :].reshape(layout.SLOTS, layout.SLOT_WORDS)[:, layout.PHASE]
+        while phases.any() and time.monotonic() < until:
+            time.sleep(0.001)
+
+    def _slot(self) -> Slot:
+        """A slot for a job of the calling thread."""
+        slot = getattr(self._local, "slot", None)
+        if slot is None:
+            slot = self._local.slot = self._new_slot()
+        return _private_slot() if slot.is_busy else slot
+
+    def _new_slot(self) -> Slot:
+        """A slot of the board; one of a board of its own, whose jobs get no helpers, if all are taken."""
+        try:
+            return Slot(self._board, self._free.popleft(), self._free)
+        except IndexError:
+            return _private_slot()
+
+    @staticmethod
+    def _finish(slot: Slot) -> None:
+        """Waits for the helpers of a job that is not to go on."""
+        slot.stop()
+        while not slot.is_idle:
+            slot.turn()
+
+    def _reap(self) -> None:
+        """Frees what interrupted jobs used, of those that all helpers have left."""
+        for _ in range(len(self._interrupted)):
+            try:
+                entry = self._interrupted.popleft()
+            except IndexError:  # another thread was faster
+                return
+            slot = entry[0]
+            if not slot.is_idle:
+                slot.stop()
+                if not slot.has_helpers:
+                    slot.turn()
+            if slot.is_idle:
+                slot.is_busy = False
+            else:
+                self._interrupted.append(entry)
+
+    def _start(self, helpers: int) -> None:
+        """Starts helpers until there are so many; fewer if the system gives no more threads."""
+        with self._lock:
+            while len(self._threads) < helpers and not self.closed:
+                serve = PackedKernel(layout.serve, [self._board], self._board.device)
+                thread = threading.Thread(target=serve.call, name=f"wrt-{len(self._threads)}", daemon=True)
+                try:
+                    thread.start()
+                except RuntimeError:  # no more threads, or the interpreter exits
+                    return
+                self._threads.append(thread)
+
+
+def _private_slot() -> Slot:
+    return Slot(wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu"), 0)
+
+
+def is_available() -> bool:
+    """Whether this system has what native helpers need."""
+    return sys.platform == "linux"
+
+
+def new_job(
+    packed: PackedKernel, count: int, *, largest: int, smallest: int, threads: int, schedule: Schedule
+) -> tuple[Job, Any]:
+    """A job, and what must live as long as it does.
+
+    Args:
+        packed: the kernel; its first parameter is the number of the first item.
+        count: items.
+        largest, smallest: items of a chunk.
+        threads: that work on it, the caller's included.
+        schedule: how they share it.
+    """
+    size = ctypes.sizeof(packed.arguments)
+    if size > layout.MOST_ARGUMENT_BYTES:
+        raise ValueError(f"the kernel's arguments take {size} bytes; the pool copies at most {layout.MOST_ARGUMENT_BYTES}")
+    queues = np.zeros(threads * QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
+    job = Job(
+        entry=packed.entry,
+        bounds=ctypes.addressof(packed.bounds),
+        arguments=ctypes.addressof(packed.arguments),
+        argument_bytes=size,
+        count=count,
+        largest=largest,
+        smallest=smallest,
+        divisor=2 * threads,
+        helpers=threads - 1,
+        schedule=schedule.code,
+        queues=0 if queues is None else queues.ctypes.data,
+        queue_count=0 if queues is None else threads,
+    )
+    return job, (packed, queues)
+
+
+_pool: Pool | None = None
+_pool_lock = threading.Lock()
+
+
+def the_pool() -> Pool:
+    """The process's pool, made when first asked for."""
+    global _pool
+    if _pool is None:
+        with _pool_lock:
+            if _pool is None:
+                wp.load_module(layout, device="cpu")
+                pool = Pool()
+                atexit.register(pool.close)  # after Warp's own, and so called before it
+                _pool = pool
+    return _pool
+
+
+def _forget() -> None:
+    """A forked child has none of the helpers, and its copy of the lock may be held by a thread that is not there."""
+    global _pool, _pool_lock
+    if _pool is not None:
+        _pool.closed = True
+    _pool, _pool_lock = None, threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
