@@ -32,8 +32,8 @@ LEAST_CHUNK = 256
 STREAMS_IN_A_ROW = 16
 """Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
 
-ITEMS_PER_THREAD = 8
-"""Items of streams that a thread has at least, if rays are many: enough to balance the load, each being a launch."""
+ITEMS_PER_THREAD = 32
+"""Items of streams that a thread has at least, if rays are many: enough to balance the load."""
 
 RAYS, HITS = 3, 4
 """Which of a traversal kernel's arguments they are."""
@@ -155,7 +155,7 @@ def divide(scene: Scene, plan: Plan, config: TraversalConfig, count: int) -> tup
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if way.streams:
         grain *= streams_in_a_row(count, grain, scene.device)
-    chunks_per_thread = 2 * ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
+    chunks_per_thread = ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
     return grain, -(-count // grain), Chunks(max(1, LEAST_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
 

@@ -46,7 +46,7 @@ TASKS_PER_THREAD = 4
 LEAST_LARGE = 4096
 """Triangles below which a node is not worth more than one thread."""
 
-CHUNKS_PER_THREAD = 2
+CHUNKS_PER_THREAD = 4
 """Chunks per thread on a level."""
 
 LEAST_CHUNK = 2048

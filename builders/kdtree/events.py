@@ -8,8 +8,9 @@ position; at equal positions ends come first, then planar ones, then starts, and
 import numpy as np
 import warp as wp
 
+from wrt.builders.radix_sort import sort_rows
 from wrt.builders.triangles import Boxes, TriangleBoxes
-from wrt.kernels.launch import launch, run_tasks
+from wrt.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -19,6 +20,9 @@ START = wp.constant(2)
 
 CHUNK = 4096
 """Triangles that are counted together before a scan."""
+
+EVENT_CHUNK = 2048
+"""Events that an item of a kernel takes together at least."""
 
 
 @wp.struct
@@ -30,6 +34,8 @@ class Events:
     value: wp.array2d(dtype=int)
     """(3, capacity): triangle << 2 | type."""
     count: wp.vec3i
+    chunk: int
+    """Events that an item of a kernel takes together; no result depends on it."""
 
 
 @wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
@@ -82,7 +88,7 @@ def emit_events(
 
 
 def sorted_events(triangles: TriangleBoxes) -> Events:
-    """All events, sorted; the sorts of the three axes run side by side."""
+    """All events, sorted."""
     boxes, count = triangles.boxes, triangles.count
     device = boxes.low.device
     chunks = -(-count // CHUNK)
@@ -92,17 +98,14 @@ def sorted_events(triangles: TriangleBoxes) -> Events:
     total = planar.sum(axis=1)
     before = wp.array(np.cumsum(planar, axis=1) - planar, dtype=int, device=device)
     events = Events()
+    events.chunk = EVENT_CHUNK
     events.position = wp.empty((3, 4 * count), dtype=float, device=device)
     events.value = wp.empty((3, 4 * count), dtype=int, device=device)
     events.count = wp.vec3i(*(int(2 * count - n) for n in total))
     launch(emit_events, chunks, [boxes, count, before, wp.vec3i(*map(int, total)), events], device=device, chunk=1)
-
-    def sort(axis: int) -> None:
-        wp.utils.radix_sort_pairs(events.position[axis], events.value[axis], int(events.count[axis]))
-
     if device.is_cpu:
-        run_tasks(sort, 3)
+        sort_rows(events.position, events.value, events.count)
     else:
         for axis in range(3):
-            sort(axis)
+            wp.utils.radix_sort_pairs(events.position[axis], events.value[axis], int(events.count[axis]))
     return events

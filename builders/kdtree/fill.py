@@ -9,7 +9,7 @@ import warp as wp
 
 from wrt.builders.kdtree.event_lists import EventLists
 from wrt.builders.kdtree.events import CHUNK, Events, event_position, event_value
-from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
+from wrt.builders.kdtree.levels import LiveNode, Membership
 from wrt.builders.kdtree.subtrees import Frame, Task
 from wrt.kernels.memory import load_int, store_pair
 
@@ -71,7 +71,7 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
     row = counts[axis, chunk]
     for task in range(counts.shape[2]):
         row[task] = 0
-    for i in range(chunk * EVENT_CHUNK, wp.min(events.count[axis], (chunk + 1) * EVENT_CHUNK)):
+    for i in range(chunk * events.chunk, wp.min(events.count[axis], (chunk + 1) * events.chunk)):
         triangle = event_value(events, axis, i) >> 2
         for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
             row[load_int(membership.node, m)] += 1
@@ -109,7 +109,7 @@ def fill_task_events(
     axis = item / places.shape[1]
     chunk = item % places.shape[1]
     row = places[axis, chunk]
-    for i in range(chunk * EVENT_CHUNK, wp.min(events.count[axis], (chunk + 1) * EVENT_CHUNK)):
+    for i in range(chunk * events.chunk, wp.min(events.count[axis], (chunk + 1) * events.chunk)):
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)
         triangle = value >> 2

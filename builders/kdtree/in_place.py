@@ -33,8 +33,8 @@ from wrt.builders.kdtree.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.clipped_events import arrays_of, events_method, lists_for
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.event_lists import EventLists
-from wrt.builders.kdtree.events import CHUNK, Events, emit_events, sorted_events
-from wrt.builders.kdtree.levels import EVENT_CHUNK, LiveNode, Membership
+from wrt.builders.kdtree.events import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
+from wrt.builders.kdtree.levels import LiveNode, Membership
 from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
@@ -52,11 +52,17 @@ MAX_LEVELS = 12
 SPARE_ROOM = 1.5
 """Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
 
-EVEN = 2
-"""Chunks per thread of kernels whose items all cost the same."""
+LAUNCHED = 8
+"""Chunks of items per thread: enough to balance the load, as claiming one costs next to nothing."""
 
-TRIANGLES = 1 << 16
-"""Triangles whose classification is worth a second thread."""
+TRIANGLES = 1 << 11
+"""Triangles whose classification is worth a chunk of its own."""
+
+EVENTS_PER_NODE = 256
+"""Events of a chunk for each live node: a chunk keeps some hundred bytes for each of them."""
+
+CHUNKS_PER_THREAD = 4
+"""Chunks of all axes together that a thread has at least, if there are enough events."""
 
 KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module: compiling them is no phase of the build."""
@@ -94,6 +100,14 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
 
 
+def cut_events(events: Events, nodes: int) -> int:
+    """Sets the size of chunks that suits so many live nodes; returns the number of chunks of an axis."""
+    most = max(events.count)
+    longest = max(EVENT_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
+    events.chunk = min(max(EVENT_CHUNK, EVENTS_PER_NODE * nodes), longest)
+    return max(1, -(-most // events.chunk))
+
+
 class InPlaceBuilder:
     """The state of one build."""
 
@@ -116,7 +130,7 @@ class InPlaceBuilder:
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
-        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=EVEN)
+        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=LAUNCHED)
 
     def build_levels(self, events: Events, least_tasks: int) -> Membership:
         """Builds level after level until there are enough live nodes; returns which of them each triangle lies in."""
@@ -139,8 +153,8 @@ class InPlaceBuilder:
 
     def split_level(self, events: Events, membership: Membership) -> None:
         """Finds the split of every live node."""
-        chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
         nodes = len(self.live)
+        chunks = cut_events(events, nodes)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
         reached = wp.empty((3, nodes), dtype=float, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
@@ -184,7 +198,7 @@ class InPlaceBuilder:
         self.run(fill_phase.count_task_triangles, chunks, count, membership, places)
         self.run(fill_phase.scan_task_triangles, len(tasks), tasks, places, chunk=64)
         self.run(fill_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, lists)
-        chunks = max(1, -(-max(events.count) // EVENT_CHUNK))
+        chunks = cut_events(events, len(tasks))
         places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)
         self.run(fill_phase.count_task_events, 3 * chunks, events, membership, places)
         self.run(fill_phase.scan_task_events, len(tasks), tasks, places, frames, chunk=64)

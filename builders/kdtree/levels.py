@@ -12,9 +12,10 @@ Data does not move: events stay in the order in which they were sorted once, and
 Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
 of the axes and positions. So neither threads nor chunks show in the result.
 
-**What we changed.** Most chunks are not searched. The counts before and behind a chunk bound the cost of all its planes from
-below; planes at which chunks begin have their true cost already. A chunk whose bound is above the least of these cannot hold a
-node's best plane (`may_win`). On the bunny's first three levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+**What we changed.** Most chunks are not searched, and in the others only for nodes that may have their best plane there. The
+counts before and behind a chunk bound the cost of all its planes from below; planes at which chunks begin have their true cost
+already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_win`). On the bunny's first three
+levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
 
 References:
     B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
@@ -33,8 +34,6 @@ from wrt.kernels.memory import load_int
 from wrt.kernels.structs import with_known_layout
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
-
-EVENT_CHUNK = 2048
 
 SLACK = 1.0 + 1e-5
 """By how much the least cost that a chunk can have must exceed a cost that another has: far more than rounding."""
@@ -70,7 +69,7 @@ class Membership:
 @wp.func
 def chunk_begin(events: Events, axis: int, chunk: int):
     """First event of a chunk: its nominal one, or the next at which the position changes."""
-    begin = wp.min(chunk * EVENT_CHUNK, events.count[axis])
+    begin = wp.min(chunk * events.chunk, events.count[axis])
     while (
         begin > 0
         and begin < events.count[axis]
@@ -183,16 +182,19 @@ def sweep_chunk(
     along: wp.array(dtype=AxisFrame),
     sweeps: wp.array(dtype=Sweep),
 ):
-    """Evaluates the planes of the events begin .. end - 1 for each node that their triangles lie in."""
+    """Evaluates the planes of the events begin .. end - 1 for each node that their triangles lie in, but for those nodes whose
+    frame is empty."""
     for i in range(begin, end):
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)
         triangle = value >> 2
         for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
             node = load_int(membership.node, m)
-            sweep_event(cost, along[node], value & 3, position, sweeps[node])
+            if along[node].low <= along[node].high:
+                sweep_event(cost, along[node], value & 3, position, sweeps[node])
     for node in range(sweeps.shape[0]):
-        close_planar(cost, along[node], sweeps[node])
+        if along[node].low <= along[node].high:
+            close_planar(cost, along[node], sweeps[node])
 
 
 @wp.kernel
@@ -227,11 +229,16 @@ def search_planes(
             behind = before[axis, chunk + 1, index]
         row[index] = start_sweep(counts[0], node.triangles - counts[1])
         along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
+        promising = bool(False)
         if not node.finished and begin < end:
             at = event_position(events, axis, begin)
             to = event_position(events, axis, end - 1)
-            if may_win(cost, along[index], at, to, counts[0], node.triangles - behind[1], index, reached):
-                hopeful = True
+            promising = may_win(cost, along[index], at, to, counts[0], node.triangles - behind[1], index, reached)
+        if promising:
+            hopeful = True
+        else:
+            along[index].low = INFINITY
+            along[index].high = -INFINITY
     if hopeful:
         sweep_chunk(cost, events, axis, begin, end, membership, along, row)
 

@@ -4,6 +4,7 @@ import ctypes
 from collections.abc import Sequence
 from functools import cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import warp as wp
 
@@ -14,9 +15,55 @@ def arguments_type(types: tuple[type, ...]) -> type[ctypes.Structure]:
     return type("Arguments", (ctypes.Structure,), {"_fields_": [(f"p{i}", kind) for i, kind in enumerate(types)]})
 
 
+class Compiled:
+    """A kernel's compiled code, and what packing its arguments needs to know, kept from its first launch.
+
+    Attributes:
+        code: keeps the compiled code loaded.
+        forward: the entry point.
+        bounds, bounds_type: launch bounds of one item, as bytes, and their type.
+        arguments: the struct of packed arguments.
+        packers: for each parameter, its declared type, the class of its values if that is a struct, and its packed type.
+    """
+
+    def __init__(self, kernel: wp.Kernel, launch: wp.Launch) -> None:
+        self.code, self.forward = launch.module_exec, launch.hooks.forward
+        self.bounds = bytes(launch.params[0])
+        self.bounds_type = type(launch.params[0])
+        packed = tuple(map(type, launch.params[1:]))
+        self.arguments = arguments_type(packed)
+        declared = [argument.type for argument in kernel.adj.args]
+        self.packers = [(kind, getattr(kind, "instance_type", None), how) for kind, how in zip(declared, packed, strict=True)]
+
+    def pack(self, inputs: Sequence[Any]) -> ctypes.Structure | None:
+        """Packed arguments; None if a value is not plainly of its parameter's type, which is for Warp to convert or refuse."""
+        if len(inputs) != len(self.packers):
+            return None
+        packed = []
+        for value, (declared, struct, kind) in zip(inputs, self.packers, strict=True):
+            if struct is not None and isinstance(value, struct):
+                packed.append(value.__ctype__())
+            elif type(value) is wp.array:
+                if type(declared) is not wp.array or value.dtype is not declared.dtype or value.ndim != declared.ndim:
+                    return None
+                packed.append(value.__ctype__())
+            elif (type(value) is int and kind in INTEGERS) or (type(value) is float and kind is ctypes.c_float):
+                packed.append(kind(value))
+            elif type(value) is kind:
+                packed.append(value)
+            else:
+                return None
+        return self.arguments(*packed)
+
+
+INTEGERS = (ctypes.c_int32, ctypes.c_int64)
+_compiled: WeakKeyDictionary[wp.Kernel, Compiled] = WeakKeyDictionary()
+
+
 class PackedKernel:
     """A CPU kernel's compiled code, its launch bounds and its packed arguments.
 
+    Warp packs and checks the arguments of a kernel's first launch; for the later ones that takes a fifth of the time here.
     The first parameter of the kernel is the number of the first item if it is to be called for ranges (`call_range`).
 
     Attributes:
@@ -25,12 +72,17 @@ class PackedKernel:
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
-        launch = wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True)
-        self._code = launch.module_exec  # keeps the compiled code loaded
         self._inputs = inputs  # keeps the arrays alive
-        self._forward = launch.hooks.forward
-        self.bounds = launch.params[0]
-        self.arguments = arguments_type(tuple(map(type, launch.params[1:])))(*launch.params[1:])
+        compiled = _compiled.get(kernel)
+        arguments = compiled.pack(inputs) if compiled is not None else None
+        if arguments is None:
+            launch = wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True)
+            compiled = Compiled(launch.kernel, launch)
+            if launch.kernel is kernel:  # else it is one of many that a generic kernel stands for
+                _compiled[kernel] = compiled
+            arguments = compiled.arguments(*launch.params[1:])
+        self._compiled, self._forward, self.arguments = compiled, compiled.forward, arguments
+        self.bounds = compiled.bounds_type.from_buffer_copy(compiled.bounds)
 
     @property
     def entry(self) -> int:

@@ -5,9 +5,9 @@ wants them, make one call into compiled code each and stay there, so Python take
 thread that asks has a slot of its own on the board, so jobs of several callers are worked on at the same time; a caller that
 finds its slot in use (a signal handler that asks while its thread does) works alone.
 
-**Interrupts.** A leader is back in Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread takes
-a further chunk, and the caller waits for those under way. If it is interrupted again while it waits, the job's memory is kept
-in `_interrupted` until the last helper has left.
+**Interrupts.** A leader is back in Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread
+takes a further chunk, and the caller waits for those under way. If it is interrupted again while it waits, the job's memory is
+kept in `_interrupted` until the last helper has left.
 
 **Fork.** A child has none of the helpers: it gets a new pool when it first asks. **Exit.** Helpers leave before the interpreter
 frees compiled code; a query of a daemon thread that is under way then ends with a RuntimeError.

@@ -26,6 +26,8 @@ COMPARISONS = {
     "ray-aware": ("wrt.bench.ray_aware_command", "ray_aware_command"),
     "layouts": ("wrt.bench.layouts", "layouts_command"),
     "animation": ("wrt.bench.animation", "animation_command"),
+    "scaling": ("wrt.bench.scaling", "scaling_command"),
+    "scheduling": ("wrt.bench.scaling", "scheduling_command"),
 }
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 
@@ -86,7 +88,8 @@ def bench(
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
-    animation` ways to follow what moves; each has options of its own.
+    animation` ways to follow what moves, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
+    divide work among them; each has options of its own.
     """
     from wrt.bench.plot import matplotlib_missing, save_plot
     from wrt.bench.report import print_report

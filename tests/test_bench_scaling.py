@@ -1,0 +1,63 @@
+"""`wrt bench scaling` and `wrt bench scheduling`: all contenders in all jobs, and figures that fit together."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from wrt import scenes
+from wrt.bench import scaling
+from wrt.cli import main
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    """Few rays: here it is not the time that counts."""
+    monkeypatch.setattr(scaling, "VIEWS", (16,))
+    monkeypatch.setattr(scaling, "RANDOM", (2000,))
+
+
+def test_numbers_of_threads():
+    assert scaling.powers_of_two(1) == [1]
+    assert scaling.powers_of_two(2) == [1, 2]
+    assert scaling.powers_of_two(12) == [1, 2, 4, 8, 12]
+    assert scaling.powers_of_two(16) == [1, 2, 4, 8, 16]
+
+
+def test_jobs_run_with_the_threads_they_are_given(monkeypatch):
+    mesh = scenes.build("teapot", level=2)
+    seen = []
+    monkeypatch.setattr(scaling, "Scene", lambda *args, num_threads, **options: seen.append(num_threads))
+    for job in scaling.make_jobs(mesh):
+        if not job.amount:
+            job.prepare(3)()
+    assert seen == [3, 3]
+
+
+def test_scaling(tmp_path):
+    command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "1"]
+    result = CliRunner().invoke(
+        main, [*command, "--json", str(tmp_path / "figures.json"), "--plot", str(tmp_path / "plot.png")]
+    )
+    assert result.exit_code == 0, result.output
+    assert "build kdtree" in result.output
+    jobs = json.loads((tmp_path / "figures.json").read_text())["jobs"]
+    assert [job["job"] for job in jobs] == ["view 16 x 16", "random 2,000", "build bvh", "build kdtree"]
+    for job in jobs:
+        assert job["names"] == ["1 threads", "2 threads", "3 threads"]
+        assert job["gains"][0] == 1.0
+        assert all(figure > 0 for figure in job["figures"])
+        ratio = job["figures"][1] / job["figures"][0]
+        assert job["gains"][1] == pytest.approx(ratio if job["unit"] == "Mrays/s" else 1 / ratio)
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_scheduling(tmp_path):
+    command = ["bench", "scheduling", "teapot", "--threads", "2", "--rounds", "1"]
+    result = CliRunner().invoke(main, [*command, "--json", str(tmp_path / "figures.json")])
+    assert result.exit_code == 0, result.output
+    jobs = json.loads((tmp_path / "figures.json").read_text())["jobs"]
+    assert all(set(job["names"]) == set(SCHEDULES) and job["names"][0] == DEFAULT_SCHEDULE for job in jobs)
