@@ -13,7 +13,7 @@ import warp as wp
 
 import wrt
 from wrt.kernels import launch as launching
-from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
+from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, Step, launch, launch_loop, run_tasks, use_threads
 
 
 @wp.kernel(enable_backward=False)
@@ -202,3 +202,56 @@ if child == 0:
 assert os.waitpid(child, 0)[1] == 0
 """
     subprocess.run([sys.executable, "-W", "ignore", "-c", code], check=True, timeout=120)
+
+
+@wp.kernel(enable_backward=False)
+def halve(first: int, by: int, numbers: wp.array(dtype=int), turns: wp.array(dtype=int)):
+    numbers[0] = numbers[0] / by
+    turns[by] = turns[by] + 1
+
+
+@pytest.mark.parametrize("threads", [1, 2, 7])
+@pytest.mark.parametrize("is_native", [True, False])
+def test_a_loop_of_launches(threads, is_native, device, monkeypatch):
+    """Two turns in a circle: as many items as a number says, which shrinks until it is 0; every step sees the one before."""
+    if not is_native:
+        monkeypatch.setattr(launching.native, "is_available", lambda: False)
+    visits, turns = wp.zeros(5000, dtype=int, device=device), wp.zeros(4, dtype=int, device=device)
+    numbers = wp.array([5000, 3], dtype=int, device=device)
+
+    def turn(by: int) -> list[Step]:
+        return [Step(count_visits, [visits], number=0), Step(halve, [by, numbers, turns], count=1)]
+
+    with use_threads(threads):
+        launch_loop([turn(2), turn(3)], numbers, wp.get_device(device))
+    expected, left = np.zeros(5000, dtype=int), 5000
+    for level in range(100):
+        expected[:left] += 1
+        left //= 2 if level % 2 == 0 else 3
+        if left == 0:
+            break
+    assert (visits.numpy() == expected).all()
+    assert turns.numpy().tolist() == [0, 0, level // 2 + 1, (level + 1) // 2]
+    assert numbers.numpy().tolist() == [0, 3]
+
+
+def test_ctrl_c_stops_a_loop_of_launches():
+    """Also between two steps, and one that would never end."""
+    code = """
+import signal, time
+import warp as wp
+wp.config.log_level = wp.LOG_WARNING
+from test_launch import Step, count_visits, launch_loop, use_threads
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+visits, numbers = wp.zeros(64, dtype=int, device="cpu"), wp.array([64], dtype=int, device="cpu")
+for _ in range(20):
+    signal.setitimer(signal.ITIMER_REAL, 0.05)
+    try:
+        with use_threads(2):
+            launch_loop([[Step(count_visits, [visits])]], numbers, visits.device)
+    except KeyboardInterrupt:
+        continue
+    raise SystemExit("the loop ended")
+assert len(set(visits.numpy().tolist())) <= 21
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=os.path.dirname(__file__))

@@ -38,7 +38,7 @@ from wrt.builders.bvh.subtrees import STACK, make_build_subtrees
 from wrt.builders.bvh.tree import Frame, empty_tree
 from wrt.builders.common import Bvh, Phases
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import get_num_threads, launch, load
+from wrt.kernels.launch import Step, get_num_threads, launch, launch_loop, load
 
 TASKS_PER_THREAD = 4
 """A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
@@ -52,8 +52,8 @@ CHUNKS_PER_THREAD = 4
 LEAST_CHUNK = 2048
 """Triangles that are worth a chunk of their own."""
 
-SEARCHES = 8
-"""Nodes whose search for a plane is worth a second thread."""
+NODES, CHUNKS = 0, 1
+"""Where `Totals` has the live nodes and their chunks."""
 
 MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks in any case."""
@@ -140,27 +140,32 @@ class BinnedBuilder:
         root.part_count = chunks
         most_nodes = count // self.large + 1
         most_chunks = chunks + most_nodes
-        nodes, new_nodes = (wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2))
-        lists, new_lists = (wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2))
+        nodes = [wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2)]
+        lists = [wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2)]
         tasks = wp.empty(2 * most_nodes * MAX_LEVELS, dtype=Frame, device=device)
         top = wp.empty(most_nodes * MAX_LEVELS, dtype=int, device=device)
-        totals = wp.zeros(1, dtype=Totals, device=device)
+        numbers = wp.array([1, chunks, 0, 0, 0], dtype=int, device=device)
+        totals = wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=device)
         scratch = make_scratch(most_chunks + most_nodes, device)
         domain = wp.empty(8 * most_chunks, dtype=float, device=device)
-        nodes, live = wp.array([root], dtype=LiveNode, device=device), 1
-        self.run(level_phase.cut_root, 1, nodes, size, lists)
-        for level in range(MAX_LEVELS):
-            self.run(level_phase.bin_chunks, chunks, self.rules, self.references, nodes, lists, self.parts, domain, scratch)
-            work = [count, nodes, lists, domain, scratch, most_chunks, self.tree]
-            self.run(self.search_planes, live, self.rules, self.rays, *work, chunk=SEARCHES)
-            large = self.large if level < MAX_LEVELS - 1 else count
-            self.run(level_phase.emit_children, 1, count, live, large, size, nodes, new_nodes, new_lists, tasks, top, totals)
-            self.run(level_phase.partition_chunks, chunks, self.references, nodes, lists, self.parts)
-            live, chunks, done, pairs = totals.numpy()[0].tolist()  # the one round trip of a level
-            nodes, new_nodes = new_nodes, nodes if level else wp.empty(most_nodes, dtype=LiveNode, device=device)
-            lists, new_lists = new_lists, lists
-            if live == 0:
-                break
+        wp.copy(nodes[0], wp.array([root], dtype=LiveNode, device=device), count=1)
+        self.run(level_phase.cut_root, 1, nodes[0], size, lists[0])
+
+        def level(nodes: wp.array, lists: wp.array, next_nodes: wp.array, next_lists: wp.array) -> list[Step]:
+            binned = [self.rules, self.references, nodes, lists, self.parts, domain, scratch]
+            searched = [self.rules, self.rays, count, nodes, lists, domain, scratch, most_chunks, self.tree]
+            moved = [self.references, nodes, lists, self.parts]
+            emitted = [count, self.large, size, MAX_LEVELS, nodes, next_nodes, next_lists, tasks, top, totals]
+            return [
+                Step(level_phase.bin_chunks, binned, number=CHUNKS),
+                Step(self.search_planes, searched, number=NODES),
+                Step(level_phase.partition_chunks, moved, number=CHUNKS),
+                Step(level_phase.emit_children, emitted, count=1),
+            ]
+
+        even, odd = (nodes[0], lists[0]), (nodes[1], lists[1])
+        launch_loop([level(*even, *odd), level(*odd, *even)], numbers, device)
+        _, _, done, pairs, _ = numbers.numpy().tolist()
         self.top = top[:pairs] if pairs else None
         made = tasks[:done].numpy()
         self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)

@@ -374,9 +374,9 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     nodes, blocks = 1, 0
     while level_first[-1] < nodes:
         first, count = level_first[-1], nodes - level_first[-1]
-        launch(pick_children, count, [first, rules, rays, tree, costs, wide], device=device, chunk=256)
+        launch(pick_children, count, [first, rules, rays, tree, costs, wide], device=device, chunk=16)
         launch(scan_level, 1, [first, nodes, wide, totals], device=device)
-        launch(list_children, count, [first, width, wide], device=device, chunk=1024)
+        launch(list_children, count, [first, width, wide], device=device, chunk=128)
         level_first.append(nodes)
         nodes, blocks = totals.numpy().tolist()  # the one round trip of a level
     if blocks > MAX_BLOCKS:
@@ -385,7 +385,7 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)
     inputs = [tree, rules.cost.width_bits, wide, bounds, child, primitive]
-    launch(write_nodes, nodes, inputs, device=device, chunk=256)
+    launch(write_nodes, nodes, inputs, device=device, chunk=16)
     work = [*binary.arrays(), wide.source, wide.pick, wide.first]
     stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))

@@ -6,8 +6,8 @@ A level takes four launches:
                 level before left
     search      every node merges the bins of its chunks, finds its best plane, and says where each of its chunks has to
                 write: the counts in the chunk's own bins tell how many of its triangles go to the left
-    emit        lists the children that are still large, with their chunks; the others become tasks (`subtrees`)
     partition   every chunk moves its triangles to the other buffer, in order, and leaves the centroid boxes of both sides
+    emit        lists the children that are still large, with their chunks; the others become tasks (`subtrees`)
 
 Minima and counts are the same in any order and grouping, so neither chunks nor threads show in the result, and a node gets
 the split that a task would give it.
@@ -174,6 +174,8 @@ class Totals:
     chunks: int
     tasks: int
     pairs: int
+    levels: int
+    """Levels that are done."""
 
 
 @wp.func
@@ -197,9 +199,9 @@ def cut_root(first: int, nodes: wp.array(dtype=LiveNode), size: int, chunks: wp.
 def emit_children(
     first: int,
     triangles: int,
-    live: int,
     large: int,
     size: int,
+    most_levels: int,
     nodes: wp.array(dtype=LiveNode),
     next_nodes: wp.array(dtype=LiveNode),
     next_chunks: wp.array(dtype=Chunk),
@@ -207,11 +209,13 @@ def emit_children(
     top: wp.array(dtype=int),
     totals: wp.array(dtype=Totals),
 ):
-    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split.
-    top: the pairs made."""
+    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split, and
+    as do all children of the last level. top: the pairs made."""
     total = totals[0]
+    live = total.nodes
     total.nodes = 0
     total.chunks = 0
+    total.levels += 1
     for index in range(live):
         node = nodes[index]
         if node.plane.price < INFINITY:
@@ -224,7 +228,7 @@ def emit_children(
                 child.frame.node = 2 * (node.frame.first + node.plane.left) + side
                 child.frame.buffer = triangles - node.frame.buffer
                 child.frame.depth = node.frame.depth + 1
-                if child.frame.count > large:
+                if child.frame.count > large and total.levels < most_levels:
                     child.chunk_first = total.chunks
                     child.chunk_count = (child.frame.count + size - 1) / size
                     child.part_first = 2 * node.chunk_first + side

@@ -17,7 +17,7 @@ of 64-bit words:
       GENERATION        odd while the job takes helpers; each change ends or begins a job
       ACTIVE            helpers inside
       NEXT              first item that nobody has claimed ("guided", "fixed", "locked")
-      LOCK, JOINED, LEADER_QUEUE, PHASE
+      LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED
       job               JOB_WORDS words, copied from the caller's `Job`
 
 **A job.** The leader copies the job into its slot, makes GENERATION odd, sets its bit in MASK, wakes helpers if any sleep, and
@@ -25,9 +25,12 @@ claims chunks like every helper. When nothing is left it makes GENERATION even a
 to ACTIVE and then looks at GENERATION again, so it is either seen by the leader or sees the end (both are sequentially
 consistent). A helper that the system does not run delays nobody unless it holds a chunk.
 
+**Programs.** A job may name another one to go on with, and numbers in memory that say how many items it has, and whether to
+go on: so a loop over the levels of a tree runs without Python. The end of a job is the barrier between the two.
+
 **Interrupts.** `lead` returns to Python after `TURN_NS` at the latest, or after the chunk it is in, so that Python can handle
-signals, and is called again until PHASE is IDLE. To abandon a job, the caller sets GENERATION to an even number by `stop` and
-goes on calling `lead` until all helpers have left.
+signals, and is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, which makes GENERATION
+even, and goes on calling `lead` until all helpers have left.
 
 **Waiting.** A helper without work spins for SPIN_NS, if no more than MOST_SPINNING do, then sleeps on a futex. It adds itself
 to SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING: one of the two sees the other.
@@ -44,10 +47,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MOST_SPINNING, SPIN_NS = 0, 16, 32, 48, 64, 65, 66
 FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64
-GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, JOB = 0, 16, 32, 33, 34, 48, 49, 50
+GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, JOB = 0, 16, 32, 33, 34, 48, 49, 50, 51, 52
 JOB_WORDS = 16
 BOARD_WORDS = FIRST_SLOT + SLOTS * SLOT_WORDS
-IDLE, RUNNING, ENDING = 0, 1, 2
+IDLE, RUNNING, ENDING, BETWEEN = 0, 1, 2, 3
 """PHASE of a slot, which only its leader uses."""
 
 MOST_ARGUMENT_BYTES = 8192
@@ -68,8 +71,9 @@ NATIVE = f"""
     enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED},
            MOST_SPINNING = {MOST_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
            GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
-           LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, JOB = {JOB} }};
-    enum {{ ENTRY = JOB, BOUNDS, ARGUMENTS, BYTES, COUNT, LARGEST, SMALLEST, DIVISOR, HELPERS, SCHEDULE, QUEUES, QUEUE_COUNT }};
+           LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, CURRENT = {CURRENT}, STOPPED = {STOPPED}, JOB = {JOB} }};
+    enum {{ ENTRY = JOB, BOUNDS, ARGUMENTS, BYTES, COUNT, LARGEST, SMALLEST, DIVISOR, HELPERS, SCHEDULE, QUEUES, QUEUE_COUNT,
+           COUNT_AT, FOLLOWING, WHILE_AT }};
     enum {{ GUIDED, FIXED, LOCKED, ROUND_ROBIN, STEALING }};
     enum {{ QUEUE_NEXT, QUEUE_END, QUEUE_OWNER, QUEUE_WORDS = 16 }};
 #if defined(__aarch64__)
@@ -254,8 +258,9 @@ LEAD = (
     + f"""
     word* const s = b + FIRST_SLOT + slot * SLOT_WORDS;
     const word until = now() + {TURN_NS};
-    if (s[PHASE] == {IDLE}) {{
-        __builtin_memcpy(s + JOB, (const void*)job, {JOB_WORDS} * sizeof(word));
+    auto begin = [&]() {{
+        __builtin_memcpy(s + JOB, (const void*)s[CURRENT], {JOB_WORDS} * sizeof(word));
+        if (s[COUNT_AT]) s[COUNT] = *(const int*)s[COUNT_AT];
         s[NEXT] = s[LOCK] = s[JOINED] = 0;
         s[LEADER_QUEUE] = -1;
         const word share = s[QUEUE_COUNT] > 0 ? (s[COUNT] + s[QUEUE_COUNT] - 1) / s[QUEUE_COUNT] : 0;
@@ -268,26 +273,45 @@ LEAD = (
         }}
         s[PHASE] = {RUNNING};
         set(s + GENERATION, s[GENERATION] + 1);
-        if (s[HELPERS] > 0) {{
+        const word chunks = (s[COUNT] + s[SMALLEST] - 1) / s[SMALLEST];
+        if (s[HELPERS] > 0 && chunks > 1) {{
             __atomic_fetch_or(b + MASK, 1ll << slot, __ATOMIC_SEQ_CST);
-            const word lacking = s[HELPERS] - get(b + SPINNING);
-            wake(lacking < {WAKE} ? lacking : {WAKE});
+            const word wanted = (s[HELPERS] < chunks - 1 ? s[HELPERS] : chunks - 1) - get(b + SPINNING);
+            wake(wanted < {WAKE} ? wanted : {WAKE});
         }}
+    }};
+    // The job to go on with: 0 at the end.
+    auto following = [&]() {{
+        const bool ends = s[STOPPED] || (s[WHILE_AT] && *(const int*)s[WHILE_AT] == 0);
+        return ends ? (word)0 : s[FOLLOWING];
+    }};
+    if (s[PHASE] == {IDLE}) {{
+        s[CURRENT] = job;
+        s[STOPPED] = 0;
+        s[PHASE] = {BETWEEN};
     }}
-    if (s[PHASE] == {RUNNING}) {{
-        if ((s[GENERATION] & 1) && !drain(s, s[GENERATION], s + LEADER_QUEUE, until)) return 0;
-        while ((s[GENERATION] & 1) && !all_empty(s)) {{ wrt_yield(); if (now() > until) return 0; }}
-        __atomic_fetch_and(b + MASK, ~(1ll << slot), __ATOMIC_SEQ_CST);
-        if (s[GENERATION] & 1) set(s + GENERATION, s[GENERATION] + 1);
-        s[PHASE] = {ENDING};
-    }}
-    for (int tries = 0; get(s + ACTIVE) != 0;) {{
-        if (++tries % 256) {{ relax(); continue; }}
-        wrt_yield();
+    for (;;) {{
+        if (s[PHASE] == {BETWEEN}) {{
+            if (s[STOPPED]) {{ s[PHASE] = {IDLE}; return 0; }}
+            begin();
+        }}
+        if (s[PHASE] == {RUNNING}) {{
+            if ((s[GENERATION] & 1) && !drain(s, s[GENERATION], s + LEADER_QUEUE, until)) return 0;
+            while ((s[GENERATION] & 1) && !all_empty(s)) {{ wrt_yield(); if (now() > until) return 0; }}
+            __atomic_fetch_and(b + MASK, ~(1ll << slot), __ATOMIC_SEQ_CST);
+            if (s[GENERATION] & 1) set(s + GENERATION, s[GENERATION] + 1);
+            s[PHASE] = {ENDING};
+        }}
+        for (int tries = 0; get(s + ACTIVE) != 0;) {{
+            if (++tries % 256) {{ relax(); continue; }}
+            wrt_yield();
+            if (now() > until) return 0;
+        }}
+        s[CURRENT] = following();
+        if (s[CURRENT] == 0) {{ s[PHASE] = {IDLE}; return 0; }}
+        s[PHASE] = {BETWEEN};
         if (now() > until) return 0;
     }}
-    s[PHASE] = {IDLE};
-    return 0;
 """
 )
 
@@ -300,7 +324,7 @@ def serve_native(board: wp.array(dtype=wp.int64)) -> int:
 
 @wp.func_native(LEAD)
 def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
-    """Begins the job at this address in a slot, or goes on with the one that is there."""
+    """Begins the job at this address in a slot, or goes on with the one that is there, and with those that follow."""
     ...
 
 
@@ -308,6 +332,7 @@ def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) 
     NATIVE
     + """
     word* const s = b + FIRST_SLOT + slot * SLOT_WORDS;
+    s[STOPPED] = 1;
     if (s[PHASE] != 0 && (s[GENERATION] & 1)) set(s + GENERATION, s[GENERATION] + 1);
     return 0;
 """

@@ -60,7 +60,10 @@ class Job(ctypes.Structure):
         ("schedule", ctypes.c_int64),  # `Schedule.code`
         ("queues", ctypes.c_int64),  # address of the queues of schedules that have some
         ("queue_count", ctypes.c_int64),
-        ("unused", ctypes.c_int64 * (layout.JOB_WORDS - 12)),
+        ("count_at", ctypes.c_int64),  # address of an int32 that holds the number of items instead, or 0
+        ("following", ctypes.c_int64),  # address of the job to go on with, or 0
+        ("while_at", ctypes.c_int64),  # address of an int32: if it is 0 when this job ends, none follows; or 0
+        ("unused", ctypes.c_int64 * (layout.JOB_WORDS - 15)),
     )
 
 
