@@ -189,7 +189,7 @@ class PreparedLaunch:
         threads = min(threads, -(-count // smallest))
         if threads == 1:
             for first in range(0, count, largest):
-                self._packed.call_range(first, min(largest, count - first))
+                self._packed.call_own_range(first, min(largest, count - first))
         elif native.is_available():
             schedule = SCHEDULES[_schedule.get()]
             job, memory = native.new_job(

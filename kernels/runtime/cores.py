@@ -2,6 +2,7 @@
 
 import math
 import os
+from functools import cache
 from pathlib import Path
 
 CGROUPS = Path("/sys/fs/cgroup")
@@ -17,8 +18,9 @@ def available_cores() -> int:
     return max(1, math.ceil(min(cores, cpu_quota())))
 
 
+@cache
 def cpu_quota(process: Path = Path("/proc/self/cgroup"), groups: Path = CGROUPS) -> float:
-    """CPU time per time that the process's control groups allow: 1.5 is a core and a half; inf without a limit.
+    """CPU time per time that the process's control groups allow, read once: 1.5 is a core and a half; inf without a limit.
 
     Version 2 has the limits of a group and of all its ancestors in `cpu.max`, version 1 in `cpu.cfs_quota_us`.
     """

@@ -97,6 +97,13 @@ class PackedKernel:
         """Runs the kernel, without the interpreter lock."""
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self.arguments))
 
+    def call_own_range(self, first: int, count: int) -> None:
+        """As `call_range`, by the one thread that uses this object."""
+        bounds, arguments = self.bounds, self.arguments
+        bounds.shape[0] = bounds.size = count
+        arguments.p0 = first
+        self._forward(ctypes.byref(bounds), ctypes.byref(arguments))
+
     def call_range(self, first: int, count: int) -> None:
         """Runs the kernel for the items first .. first + count - 1, on copies: other threads may do so at the same time."""
         bounds = type(self.bounds).from_buffer_copy(self.bounds)
