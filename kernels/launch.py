@@ -184,6 +184,9 @@ class PreparedLaunch:
             used: owners of memory whose addresses were written into the arguments: they live until the last helper is done,
                 also if the caller is interrupted again while it waits for that.
         """
+        if count <= min(chunks.chunk, chunks.longest):
+            self._packed.call_own_range(0, count)
+            return
         threads = get_num_threads()
         largest, smallest = chunks.sizes(count, threads)
         threads = min(threads, -(-count // smallest))
