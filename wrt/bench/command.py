@@ -13,7 +13,7 @@ from wrt.bench.loading import json_option, load_model, progress, table_console, 
 from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.results import ModelResult, Report, machine
 from wrt.bench.workloads import ORDERS, WORKLOADS, WorkloadMaker
-from wrt.cli.arguments import start_warp
+from wrt.cli.arguments import start_warp, target_options
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 from wrt.mesh import TriangleMesh
 
@@ -53,6 +53,7 @@ class BenchCommand(click.Command):
 
 @click.command(cls=BenchCommand)
 @click.argument("model", required=False)
+@target_options
 @click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
 @click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
