@@ -91,7 +91,7 @@ def target_name() -> str:
     """
     name = os.environ.get(TARGET_VARIABLE) or "native"
     if name not in TARGETS:
-        raise ValueError(f"{TARGET_VARIABLE} {name!r} is unknown; choose from {', '.join(TARGETS)}")
+        raise ValueError(f"target {name!r} ({TARGET_VARIABLE}) is unknown; choose from {', '.join(TARGETS)}")
     if missing := TARGETS[name].needs - cpu_features():
         able = ", ".join(other for other, target in TARGETS.items() if target.needs <= cpu_features())
         raise ValueError(f"this CPU cannot run code for {name}: it has no {', '.join(sorted(missing))}; choose from {able}")
@@ -114,7 +114,7 @@ def lane_width() -> int:
     if not asked:
         return max(simd_bits() // 32, 8)
     if asked not in map(str, WIDTHS):
-        raise ValueError(f"{WIDTH_VARIABLE} is {asked!r}; it must be {', '.join(map(str, WIDTHS[:-1]))} or {WIDTHS[-1]}")
+        raise ValueError(f"width {asked!r} ({WIDTH_VARIABLE}) must be {', '.join(map(str, WIDTHS[:-1]))} or {WIDTHS[-1]}")
     return int(asked)
 
 
@@ -133,17 +133,19 @@ def choose(target: str | None = None, width: int | None = None) -> None:
     wanted = {name: value for name, value in wanted.items() if value is not None and value != os.environ.get(name)}
     if not wanted:
         return
-    if has_started():
-        raise RuntimeError(f"Warp has started already; set {' and '.join(wanted)} in the environment of a new process")
     before = dict(os.environ)
     os.environ.update(wanted)
     try:
-        apply_environment()
-    except ValueError:
+        lane_width()
+        target_name()
+        if has_started():
+            raise RuntimeError(f"Warp has started already; set {' and '.join(wanted)} in the environment of a new process")
+    except (ValueError, RuntimeError):
         for name in wanted:
             del os.environ[name]
         os.environ.update(before)
         raise
+    apply_environment()
 
 
 def has_started() -> bool:

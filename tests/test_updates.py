@@ -16,6 +16,8 @@ from wrt.builders.triangles import triangle_boxes
 from wrt.builders.worn_subtrees import MOST_SUBTREES, worn_subtrees
 from wrt.kernels.bvh import EMPTY_LANE
 
+pytestmark = pytest.mark.width
+
 KINDS = ("bvh", "kdtree")
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(3))
 
