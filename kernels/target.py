@@ -17,8 +17,8 @@ this CPU, and Warp's flags stay as they are. Neither touches CUDA: there the wid
 finds.
 
 References:
-    H. J. Lu et al.: System V Application Binary Interface, AMD64 Architecture Processor Supplement, 2020 (the levels
-        x86-64-v2, v3 and v4).
+    H. J. Lu, M. Matz, M. Girkar, J. Hubička, A. Jaeger, M. Mitchell (editors): System V Application Binary Interface, AMD64
+        Architecture Processor Supplement (the levels x86-64-v2, v3 and v4, there since 2020).
 """
 
 import os

@@ -83,7 +83,8 @@ def bench(
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
     which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
-    watertight costs; "engines" are wrt's own traversals, one by one.
+    watertight costs; "engines" are wrt's own traversals, one by one. With --target x86-64-v3 Embree's C library is held to
+    AVX2 as well; embreex and Open3D choose for themselves.
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
