@@ -10,6 +10,8 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.target import lane_width
+
 FOR_LANES = """
 #ifndef WRT_FOR_LANES
 #define WRT_INFINITY __builtin_bit_cast(float, 0x7f800000)
@@ -118,20 +120,5 @@ def lanes(width: int) -> type:
 
 
 def native_width(device: wp.Device) -> int:
-    """Lanes that suit the device: 16 floats with AVX-512, 8 on other CPUs, 2 on CUDA (a thread there is one ray)."""
-    if device.is_cuda:
-        return 2
-    return 16 if "avx512f" in cpu_features() else 8
-
-
-@cache
-def cpu_features() -> frozenset[str]:
-    """SIMD extensions of this CPU that matter here, as far as the operating system tells."""
-    try:
-        with open("/proc/cpuinfo") as text:
-            for line in text:
-                if line.startswith(("flags", "Features")):
-                    return frozenset(line.split(":", 1)[1].split())
-    except OSError:
-        pass
-    return frozenset()
+    """Lanes that suit the device: on the CPU `lane_width`, on CUDA 2 (a thread there is one ray)."""
+    return 2 if device.is_cuda else lane_width()

@@ -15,6 +15,8 @@ from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import ALL, COUNT
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
+pytestmark = pytest.mark.width
+
 TREES = ["bvh", "kdtree", wrt.KdTree(builder="sweep", block_cost=4.0, width=4)]
 SMOOTH = wrt.scenes.build("teapot", level=3, ground=False)
 SOUP = wrt.scenes.build("random_triangles", count=300, size=0.6)

@@ -34,7 +34,7 @@ ROW |= {"agreement", "details", "error"}
 def test_the_report_is_complete_plain_data(report):
     data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert set(data) == {"format", "machine", "options", "models", "startup", "missing"}
-    assert {"cpu", "threads", "simd_bits", "gpu", "system", "python", "versions"} == set(data["machine"])
+    assert {"cpu", "threads", "simd_bits", "target", "lanes", "gpu", "system", "python", "versions"} == set(data["machine"])
     assert {"wrt", "warp-lang", "numpy"} <= set(data["machine"]["versions"])
     (model,) = data["models"]
     assert (model["name"], model["triangles"]) == ("teapot", MESH.triangle_count)

@@ -18,6 +18,8 @@ from wrt.kernels.packet.load import load_packet
 from wrt.kernels.rays import RayBatch
 from wrt.rays import to_device
 
+pytestmark = pytest.mark.width
+
 WIDTHS = (2, 4, 8, 16)
 RAYS, NODES = 400, 6
 

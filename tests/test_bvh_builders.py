@@ -20,6 +20,8 @@ from wrt.builders.triangles import triangle_boxes
 from wrt.kernels.bvh import EMPTY_LANE, MAX_WIDE_DEPTH
 from wrt.kernels.launch import use_threads
 
+pytestmark = pytest.mark.width
+
 WIDTHS = (2, 4, 8, 16)
 
 

@@ -11,6 +11,8 @@ import wrt
 from wrt.few_rays import FewHits, trace_few
 from wrt.plan import CLOSEST, FEW_RAYS
 
+pytestmark = pytest.mark.width
+
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "is_hit", "position", "normal")
 
 

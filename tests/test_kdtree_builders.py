@@ -15,6 +15,8 @@ from wrt.builders.triangles import triangle_boxes
 from wrt.kernels import kdtree
 from wrt.kernels.launch import use_threads
 
+pytestmark = pytest.mark.width
+
 EXACT = ("in_place", "sweep", "naive")
 """Builders that evaluate every plane at which a box begins or ends."""
 

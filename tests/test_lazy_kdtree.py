@@ -14,6 +14,8 @@ from wrt import scenes
 from wrt.builders.kdtree import lazy
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 
+pytestmark = pytest.mark.width
+
 
 @pytest.fixture
 def small_cells(monkeypatch):

@@ -14,6 +14,8 @@ from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.lockstep import lane_count, rays_per_item
 
+pytestmark = pytest.mark.width
+
 WIDTH = 4
 CONFIG = TraversalConfig("woop", WIDTH)
 

@@ -11,6 +11,8 @@ from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.parting import ALONE, DONE, MOST_PARTS, settle_part, take_part
 from wrt.kernels.packet.tile import bound_rays
 
+pytestmark = pytest.mark.width
+
 SHARED, OWN = PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")
 TILE, TAKE, SETTLE = range(3)
 PARTS = 4

@@ -13,6 +13,8 @@ from wrt.kernels.packet.counting import active_lanes
 from wrt.kernels.packet.lane_cells import enter_cell, split_cell
 from wrt.kernels.packet.layout import PacketLayout
 
+pytestmark = pytest.mark.width
+
 SHARED, OWN = PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")
 CROSS, ENTER, SPLIT, COUNT = range(4)
 

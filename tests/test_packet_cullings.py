@@ -24,6 +24,8 @@ from wrt.kernels.packet.twins import (
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.records import load_corners
 
+pytestmark = pytest.mark.width
+
 LAYOUTS = [PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")]
 START, TRIANGLES, BOXES, LEAF = range(4)
 NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE = range(len(CULLINGS))

@@ -26,6 +26,8 @@ from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
+pytestmark = pytest.mark.width
+
 LAYOUTS = [
     PacketLayout(64, 16, True, "woop"),
     PacketLayout(32, 8, False, "woop"),

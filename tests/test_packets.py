@@ -69,9 +69,13 @@ def ragged(origins: np.ndarray, directions: np.ndarray) -> wrt.Rays:
     return wrt.Rays(origins if origins.ndim == 1 else origins[:-5], directions[:-5])
 
 
-@pytest.mark.parametrize(
-    ("tree", "culling", "triangle_test", "own_origins"), [("bvh", *fitting) for fitting in FITTING] + OTHERS
-)
+def cases() -> list:
+    """Trees with what fits. Of each culling with one test, own origins tell what the number of lanes does to it."""
+    given = [("bvh", *fitting) for fitting in FITTING] + OTHERS
+    return [pytest.param(*case, marks=[pytest.mark.width] if case[2:] == ("woop", True) else []) for case in given]
+
+
+@pytest.mark.parametrize(("tree", "culling", "triangle_test", "own_origins"), cases())
 def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
     for make in SCENES.values():
         mesh = make()
@@ -85,6 +89,7 @@ def test_culling_never_shows(tree, culling, triangle_test, own_origins, device):
         np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("scale", [1.0, 1e-35, 1e25])
 @pytest.mark.parametrize("culling", CULLINGS)
 def test_rays_that_meet_at_a_light(culling, scale, device):
@@ -103,6 +108,7 @@ def test_rays_that_meet_at_a_light(culling, scale, device):
     assert_same_hits(scene.intersect(origins, directions, traversal=plan), expected)
 
 
+@pytest.mark.width
 @pytest.mark.parametrize(("tree", "vectors"), [("bvh", 1), ("bvh", 2), ("bvh", 16), ("kdtree", 1), ("kdtree", 8)])
 def test_sizes_and_ranges(vectors, tree, device):
     """Packets of one vector to the largest; per-ray ranges that cut between hits, at hits, and empty ones."""
@@ -122,6 +128,7 @@ def test_sizes_and_ranges(vectors, tree, device):
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
 
 
+@pytest.mark.width
 def test_what_hides_a_packet_is_where_the_next_one_begins_and_no_more(device):
     """A wall with holes between packets and their light: some are hidden by what hid the last one, some end before it, some go
     through. Large triangles, of which one hides packet after packet, and small ones, of which it takes many."""
@@ -147,6 +154,7 @@ def test_what_hides_a_packet_is_where_the_next_one_begins_and_no_more(device):
         np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected)
 
 
+@pytest.mark.width
 def test_few_rays_at_a_leaf_are_tested_one_by_one():
     """Triangles as small as the gaps between rays: most leaves are met by few, for which fewer lanes are filled."""
     rng = np.random.default_rng(3)
@@ -175,6 +183,7 @@ def apart(mesh: wrt.TriangleMesh, places: np.ndarray, size: int) -> tuple[np.nda
     return origins.astype(np.float32).reshape(-1, 3), directions.astype(np.float32).reshape(-1, 3)
 
 
+@pytest.mark.width
 def test_packets_part_where_their_origins_do():
     """Rays from two places make two packets; those from more than a packet is made into go alone at last."""
     mesh = wrt.scenes.build("atrium")
@@ -196,6 +205,7 @@ def test_packets_part_where_their_origins_do():
     assert alone[places == 16].any()
 
 
+@pytest.mark.width
 @pytest.mark.parametrize(("tree", "otherwise"), [("bvh", "stream"), ("kdtree", "wide_stream")])
 def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     mesh = wrt.scenes.build("teapot", level=4)
@@ -212,6 +222,7 @@ def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     assert "look different" in str(scene.explain(np.zeros(3), directions))
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("tree", TRAVERSALS["packet"].trees)
 def test_packets_do_less_work_than_rays(tree):
     mesh = wrt.scenes.build("teapot", level=5)
@@ -223,6 +234,7 @@ def test_packets_do_less_work_than_rays(tree):
     assert many["leaves"].sum() < 0.5 * one["leaves"].sum()
 
 
+@pytest.mark.width
 def test_cullings_save_tests():
     """Counted: what each culling leaves of the ray-triangle tests, and how many lanes of those are of use."""
     mesh = wrt.scenes.build("teapot", level=5)
@@ -246,6 +258,7 @@ def test_cullings_save_tests():
     assert all(work["none"]["leaves"] <= work[culling]["leaves"] for culling in chosen[1:])
 
 
+@pytest.mark.width
 def test_plans_of_fine_and_rough_views():
     """The fewer rays a triangle, the more is looked at at each leaf, and then of each ray."""
     mesh = wrt.scenes.build("teapot")
@@ -256,6 +269,7 @@ def test_plans_of_fine_and_rough_views():
         assert (plan.traversal, plan.culling) == (traversal, culling)
 
 
+@pytest.mark.width
 def test_plans_that_do_not_fit():
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, "bvh", device="cpu")
@@ -277,6 +291,7 @@ def test_plans_that_do_not_fit():
         scene.intersect(origins, directions, traversal="lockstep")
 
 
+@pytest.mark.width
 def test_an_axis_with_both_signs_bounds_a_kdtree_too():
     """Beams along z that spread to both sides of x and y: few cells are visited although no sign is shared but z's."""
     mesh = wrt.scenes.build("random_triangles", count=3000, size=0.05, seed=2)
@@ -294,6 +309,7 @@ def test_an_axis_with_both_signs_bounds_a_kdtree_too():
     assert together.counters["nodes"].sum() < 0.1 * expected.counters["nodes"].sum()
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("traversal", ["single", "stream"])
 def test_reordering_never_shows(traversal, device):
     """Any order of tracing, with all that a ray can have of its own, or share."""
@@ -312,6 +328,7 @@ def test_reordering_never_shows(traversal, device):
         np.testing.assert_array_equal(dark, expected.is_hit)
 
 
+@pytest.mark.width
 def test_large_scattered_batches_are_reordered(monkeypatch):
     mesh = wrt.scenes.build("teapot", level=3)
     scene = wrt.Scene(mesh, "bvh", device="cpu")
@@ -324,6 +341,7 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     assert scene.explain(origins[:1], directions).reorder == "none"
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("size", [(8, 8), (33, 70), (64, 31), (9, 200)])
 def test_pictures_are_traced_in_tiles(size, device):
     """Every pixel once and in its place, whatever the tiles at the edges; work stands at the first ray of each tile."""

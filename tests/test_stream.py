@@ -15,6 +15,8 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.plan import CUDA_STREAM, STREAMS, Plan
 from wrt.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
 
+pytestmark = pytest.mark.width
+
 TREES = TRAVERSALS["stream"].trees
 SMALL_SCENES = ("teapot", "random_triangles", "stadium", "grid", "degenerate")
 SIZE = STREAMS[-1]

@@ -15,6 +15,8 @@ from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, filt
 from wrt.kernels.traversal.stream_load import load_stream
 from wrt.kernels.traversal.stream_pairs import Pairs, load_pair
 
+pytestmark = pytest.mark.width
+
 StreamRay = stream_ray("woop")
 SIZE, STREAMS = 605, 10
 """Rays of a stream, no multiple of 16, and their number."""

@@ -17,6 +17,7 @@ TREES = [wrt.KdTree(builder="in_place"), wrt.KdTree(builder="binned")] + [wrt.Bv
 WALKS = [(tree, name) for name, way in TRAVERSALS.items() for tree in way.trees if tree != "none"]
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("builder", KDTREE_BUILDERS)
 def test_every_kdtree_builder_gives_the_same_hits(scene_mesh, builder):
     if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
@@ -58,6 +59,7 @@ def test_hits_equal_brute_force(scene_mesh, accelerator, triangle_test, device):
         np.testing.assert_array_equal(dark, expected.is_hit)
 
 
+@pytest.mark.width
 @pytest.mark.parametrize(("tree", "traversal"), WALKS)
 def test_bounded_ranges_equal_brute_force(scene_mesh, tree, traversal, device):
     """Per-ray t_min and t_max that cut between hits, exactly at hits, and empty ranges."""
@@ -75,6 +77,7 @@ def test_bounded_ranges_equal_brute_force(scene_mesh, tree, traversal, device):
     np.testing.assert_array_equal(only.t[first.is_hit], first.t[first.is_hit])
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
 @pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 33])
 def test_block_sizes(width, count):
@@ -88,6 +91,7 @@ def test_block_sizes(width, count):
         assert_same_hits(scene.intersect(origins, directions), expected)
 
 
+@pytest.mark.width
 def test_bad_rays_miss(device):
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, device=device)
@@ -107,6 +111,7 @@ def test_bad_rays_miss(device):
     assert not scene.intersect(good, towards, traversal="brute").is_hit[:8].any()
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("scale", [1e-4, 1e-2, 1.0, 1e4, 1e8])
 def test_scales(scale):
     """Brute force's hits at every scale, and at all scales the same but for rounding."""
@@ -126,6 +131,7 @@ def test_scales(scale):
     np.testing.assert_allclose(hits.t[both], reference.t[both], rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.width
 def test_origin_on_a_splitting_plane_and_ray_in_it():
     """Havran's two failures of the classic traversal, on a grid of boxes whose faces are the splitting planes."""
     import trimesh
@@ -147,6 +153,7 @@ def test_origin_on_a_splitting_plane_and_ray_in_it():
     assert expected.is_hit.any()
 
 
+@pytest.mark.width
 def test_ties_go_to_the_smaller_primitive():
     """Coincident triangles listed in many orders: the first one wins, in every tree."""
     corners = np.random.default_rng(0).random((40, 3, 3))
@@ -160,6 +167,7 @@ def test_ties_go_to_the_smaller_primitive():
         assert (hits.primitive_id == first[order[hits.primitive_id]]).all()
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("threads", [1, 2, 5])
 def test_threads_do_not_show(threads):
     mesh = wrt.scenes.build("wood", trees=4)
@@ -169,6 +177,7 @@ def test_threads_do_not_show(threads):
     assert_same_hits(many, one)
 
 
+@pytest.mark.width
 def test_counters():
     mesh = wrt.scenes.build("teapot", level=4)
     scene = wrt.Scene(mesh, wrt.KdTree(width=8), device="cpu")

@@ -9,10 +9,14 @@ import warp as wp
 from conftest import assert_same_hits, degenerate_soup, mixed_rays, snapped_soup
 
 import wrt
+from wrt.builders.bvh.grafting import unite_lanes
 from wrt.builders.kdtree import refill as refilling
 from wrt.builders.kdtree.statistics import unpack
 from wrt.builders.triangles import triangle_boxes
 from wrt.builders.worn_subtrees import MOST_SUBTREES, worn_subtrees
+from wrt.kernels.bvh import EMPTY_LANE
+
+pytestmark = pytest.mark.width
 
 KINDS = ("bvh", "kdtree")
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(3))
@@ -54,15 +58,20 @@ def test_as_a_fresh_tree(kind, rebuild, make):
             np.testing.assert_allclose(scene.last_update.cost, scene.statistics().tree.sah_cost, rtol=1e-5)
 
 
-def cluster_scene(kind: str) -> tuple[wrt.Scene, np.ndarray]:
+def cluster_scene(kind: str, width: int) -> tuple[wrt.Scene, np.ndarray]:
     """Balls that stand apart, the last of which is to move; and its vertices."""
     balls = [BALL.transformed(trimesh.transformations.translation_matrix([3.0 * k, 0, 0])) for k in range(24)]
-    return wrt.Scene(balls, kind, device="cpu"), balls[-1].vertices.astype(np.float64)
+    accelerator = {"bvh": wrt.Bvh, "kdtree": wrt.KdTree}[kind](width=width)
+    return wrt.Scene(balls, accelerator, device="cpu"), balls[-1].vertices.astype(np.float64)
 
 
+@pytest.mark.parametrize("width", [4, 8, 16])
 @pytest.mark.parametrize("kind", KINDS)
-def test_only_the_worn_subtree_is_built(kind):
-    scene, vertices = cluster_scene(kind)
+def test_only_the_worn_subtree_is_built(kind, width):
+    """With 8 triangles a block, eight overlapping cells of the one ball were built, 6,790 triangles in all, and all three balls
+    of a node of the BVH. With 16 it was right by chance: there were more than `MOST_SUBTREES` cells.
+    """
+    scene, vertices = cluster_scene(kind, width)
     scene.update(23, vertices=vertices)
     assert scene.last_update.action == "kept"
     assert scene.last_update.rebuilt_triangles == 0
@@ -78,8 +87,10 @@ def test_only_the_worn_subtree_is_built(kind):
         inner = ~flat.is_leaf
         np.testing.assert_array_equal(flat.left[inner], np.flatnonzero(inner) + 1)
         assert np.unique(np.concatenate([[0], flat.left[inner], flat.right[inner]])).size == len(flat.axis)
+    fresh = wrt.Scene(scene.meshes, scene.accelerator, device="cpu").statistics().tree.sah_cost
+    assert report.cost <= 1.01 * fresh
     again = wrt.UpdatePolicy(tolerance=1.2, subtrees=False)
-    scene, _ = cluster_scene(kind)
+    scene, _ = cluster_scene(kind, width)
     scene.update(23, vertices=disorder, rebuild=again)
     assert scene.last_update.action != "subtrees"
 
@@ -134,7 +145,7 @@ def test_worn_subtrees():
     def chosen(costs: dict[int, float], tolerance: float = 1.3) -> list[int]:
         now = built.copy()
         now[list(costs)] = list(costs.values())
-        return worn_subtrees(now, built, children, tolerance)
+        return [node for (node,) in worn_subtrees(now, built, children, tolerance)]
 
     assert chosen({}) == []
     assert chosen({0: 10.0}) == [0]  # by itself
@@ -144,6 +155,61 @@ def test_worn_subtrees():
     assert chosen({20: 2.0}) == [20]
     assert chosen(dict.fromkeys(range(15, 31), 2.0)) == list(range(15, 31))
     assert MOST_SUBTREES == 16
+
+
+def test_worn_siblings_are_built_together():
+    """A node of four children, three of which are one thing that has moved: by now a ray that meets one meets all three."""
+    built = np.array([6.0, 4.0, 4.0, 4.0, 4.0])
+    asked = []
+
+    def chosen(price: float, costs: tuple[float, ...] = (30.0, 9.0, 9.0, 9.0, 4.0), tolerance: float = 1.3) -> list[tuple]:
+        def children(node: int) -> tuple[np.ndarray, np.ndarray]:
+            return (np.arange(1, 5), np.array([1.0, 1.0, 1.0, 0.25])) if node == 0 else (np.empty(0, int), np.empty(0))
+
+        def together(node: int, siblings: np.ndarray, costs: np.ndarray) -> float:
+            asked.append((node, siblings.tolist(), costs.tolist()))
+            return price
+
+        return worn_subtrees(np.array(costs), built, children, tolerance, together=together)
+
+    assert chosen(4.0) == [(1, 2, 3)]  # 30 - 27 + 4 is below 1.3 x 6
+    assert chosen(5.0) == [(0,)]
+    assert asked == [(0, [1, 2, 3], [4.0, 4.0, 4.0])] * 2
+    assert chosen(0.0, costs=(20.0, 4.0, 4.0, 9.0, 4.0)) == [(0,)]  # one child alone is not asked for
+    assert chosen(0.0, costs=(30.0, 9.0, 9.0, 9.0, 4.0), tolerance=2.6) == [(0,)]  # no child is worn: it is the node's fault
+    assert len(asked) == 2
+
+
+def test_parts_with_more_triangles_than_the_whole_are_not_built():
+    """Cells of a kd-tree that share long triangles."""
+    built, now = np.array([9.0, 4.0, 4.0]), np.array([20.0, 9.5, 9.5])
+
+    def children(node: int) -> tuple[np.ndarray, np.ndarray]:
+        return (np.array([1, 2]), np.ones(2)) if node == 0 else (np.empty(0, int), np.empty(0))
+
+    lists = {0: np.arange(10), 1: np.arange(7), 2: np.arange(3, 10)}
+    assert worn_subtrees(now, built, children, 1.3) == [(1,), (2,)]
+    assert worn_subtrees(now, built, children, 1.3, triangles=lists.get) == [(0,)]
+    lists[2] = np.arange(7, 10)
+    assert worn_subtrees(now, built, children, 1.3, triangles=lists.get) == [(1,), (2,)]
+
+
+def test_lanes_of_siblings_become_one():
+    """The first of them has the box of all; the others go, and unused lanes stay last."""
+    child = np.array([[1, ~(5 << 6 | 3), 2, 3], [EMPTY_LANE] * 4, [EMPTY_LANE] * 4, [EMPTY_LANE] * 4])
+    bounds = np.arange(96.0).reshape(4, 24)
+    corners = bounds[0].reshape(2, 3, 4).copy()
+    others = bounds[1:].copy()
+    unite_lanes(child, bounds, (2, 3))
+    np.testing.assert_array_equal(child[0], [1, ~(5 << 6 | 3), 2, EMPTY_LANE])
+    united = bounds[0].reshape(2, 3, 4)
+    np.testing.assert_array_equal(united[..., :2], corners[..., :2])
+    np.testing.assert_array_equal(united[0, :, 2], corners[0, :, 2:].min(axis=1))
+    np.testing.assert_array_equal(united[1, :, 2], corners[1, :, 2:].max(axis=1))
+    np.testing.assert_array_equal(united[..., 3], [[np.inf] * 3, [-np.inf] * 3])
+    np.testing.assert_array_equal(bounds[1:], others)
+    unite_lanes(child, bounds, (1, 2))
+    np.testing.assert_array_equal(child[0], [1, ~(5 << 6 | 3), EMPTY_LANE, EMPTY_LANE])
 
 
 def test_refill_knows_when_to_stop():

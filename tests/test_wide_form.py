@@ -18,6 +18,8 @@ from wrt.kernels.kdtree import LEAF
 from wrt.kernels.launch import use_threads
 from wrt.wide_trees import wide_tree
 
+pytestmark = pytest.mark.width
+
 WIDTH = 4
 CONFIG = BvhConfig(SurfaceAreaCost(width=WIDTH))
 BINNED = wrt.KdTree(builder="binned")

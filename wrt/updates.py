@@ -221,13 +221,11 @@ def _mend(
     policy: UpdatePolicy,
 ) -> tuple[KdTree | Bvh, str, tuple[float, float, float], int]:
     """Builds again what has worn off; the tree, what was done, costs as in `UpdateReport`, and triangles built again."""
-    from wrt.builders.worn_subtrees import worn_subtrees
-
     built = recipe.costs(old) if old.built_costs is None else old.built_costs
     before = float(built[0]), float(moved.costs[0])
-    chosen = worn_subtrees(moved.costs, built, moved.children, policy.tolerance)
-    parts = {} if chosen == [0] or not policy.subtrees else {node: moved.triangles(node) for node in chosen}
-    parts = {node: ids for node, ids in parts.items() if len(ids) >= LEAST_PART}
+    chosen = moved.parts(built, policy.tolerance)
+    parts = {} if chosen == [(0,)] or not policy.subtrees else {part: moved.triangles(part) for part in chosen}
+    parts = {part: ids for part, ids in parts.items() if len(ids) >= LEAST_PART}
     count = sum(map(len, parts.values()))
     if not parts and before[1] <= policy.tolerance * before[0]:
         return replace(moved.tree, built_costs=built), "kept", (*before, before[1]), 0

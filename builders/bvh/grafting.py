@@ -13,6 +13,7 @@ import warp as wp
 from wrt.builders.common import BuildStats, Bvh
 from wrt.builders.leaf_blocks import gather_blocks
 from wrt.builders.triangles import TriangleBoxes, boxes_of
+from wrt.builders.worn_subtrees import Part
 from wrt.kernels.bvh import EMPTY_LANE
 
 Build = Callable[[TriangleBoxes], Bvh]
@@ -37,18 +38,39 @@ def build_subtree(ids: np.ndarray, low: np.ndarray, high: np.ndarray, build: Bui
     return renamed(build(boxes_of(low[ids], high[ids])), ids)
 
 
-def graft(tree: Bvh, subtrees: Mapping[int, Bvh]) -> tuple[Bvh, np.ndarray]:
-    """The tree with others in place of some of its nodes, none of which is the root or below another.
+def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
+    """The tree with others in place of some of its nodes, or of some children of one, none of them the root or below another.
 
     Returns:
         The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
     """
     sizes, child, bounds, lists = pool([tree, *subtrees.values()])
+    for part in subtrees:
+        if len(part) > 1:
+            unite_lanes(child[: sizes[0]], bounds, part)
     leads_to = np.arange(len(child))
-    leads_to[list(subtrees)] = np.cumsum(sizes)[:-1]
+    leads_to[[part[0] for part in subtrees]] = np.cumsum(sizes)[:-1]
     child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
     grafted, order = assembled(child, bounds, lists, tree)
     return grafted, np.where(order < sizes[0], order, -1)
+
+
+def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
+    """Makes one lane, which leads to the first of some siblings, of those of all; unused lanes come last. Changes both arrays.
+
+    Args:
+        child, bounds: (nodes, W) and (nodes, 6 W), as `pool` gives them.
+        siblings: children of one node.
+    """
+    rows, lanes = np.nonzero(np.isin(child, siblings))
+    words, corners = child[rows[0]], bounds[rows[0]].reshape(2, 3, -1)
+    corners[0, :, lanes[0]] = corners[0][:, lanes].min(axis=1)
+    corners[1, :, lanes[0]] = corners[1][:, lanes].max(axis=1)
+    words[lanes[0]] = siblings[0]
+    kept = np.delete(np.arange(len(words)), lanes[1:])
+    words[: len(kept)], words[len(kept) :] = words[kept], EMPTY_LANE
+    corners[..., : len(kept)] = corners[..., kept]
+    corners[0, :, len(kept) :], corners[1, :, len(kept) :] = np.inf, -np.inf
 
 
 def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:

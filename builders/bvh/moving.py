@@ -13,7 +13,8 @@ from wrt.builders.bvh.statistics import half_area
 from wrt.builders.common import Bvh
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.bvh import MAX_WIDE_DEPTH
+from wrt.builders.worn_subtrees import Part, worn_subtrees
+from wrt.kernels.bvh import EMPTY_LANE, MAX_WIDE_DEPTH
 
 
 class MovedBvh:
@@ -60,21 +61,40 @@ class MovedBvh:
         probability = half_area(low[inner], high[inner]) / area if area > 0.0 else np.ones(int(inner.sum()))
         return child[node][inner], probability
 
-    def triangles(self, node: int) -> np.ndarray:
-        """Ids of the triangles below a node."""
-        return subtree_triangles(self.tree, node)
+    def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
+        """What to build again; arguments as of `worn_subtrees`."""
+        return worn_subtrees(self.costs, built, self.children, tolerance, together=self.together)
 
-    def with_rebuilt(self, chosen: Sequence[int], ids: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray] | None:
-        """The tree with some subtrees built again, and its nodes' old numbers; None if it became too deep.
+    def together(self, node: int, siblings: np.ndarray, built: np.ndarray) -> float:
+        """What some inner children would add to the cost of their node as one subtree; inf if there are no others.
+
+        The rays that meet the box round all of them take one more step. How their triangles will share that box is not known
+        yet. k boxes that fill another evenly have the cube root of k times its area between them: so many of the children does
+        a ray meet, at what one cost on average when it was built.
+        """
+        child, bounds = self._lanes
+        if len(siblings) == np.count_nonzero(child[node] != EMPTY_LANE):
+            return np.inf
+        low, high = bounds[node].transpose(0, 2, 1)
+        own, area = np.isin(child[node], siblings), half_area(low.min(axis=0), high.max(axis=0))
+        probability = half_area(low[own].min(axis=0), high[own].max(axis=0)) / area if area > 0.0 else 1.0
+        return float(probability * (self._cost.traversal + np.cbrt(len(built)) * built.mean()))
+
+    def triangles(self, part: Part) -> np.ndarray:
+        """Ids of the triangles below a node, or below some siblings."""
+        return np.sort(np.concatenate([subtree_triangles(self.tree, node) for node in part]))
+
+    def with_rebuilt(self, chosen: Sequence[Part], ids: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray] | None:
+        """The tree with some parts built again, and its nodes' old numbers; None if it became too deep.
 
         Args:
-            chosen: their nodes, not the root.
+            chosen: none of them the root.
             ids: the triangles of each.
         """
         boxes = self._boxes().boxes
         low, high = boxes.low.numpy().T, boxes.high.numpy().T
-        subtrees = {node: build_subtree(own, low, high, self._build) for node, own in zip(chosen, ids, strict=True)}
-        depth = np.searchsorted(self.tree.level_first, chosen, side="right") - 1
+        subtrees = {part: build_subtree(own, low, high, self._build) for part, own in zip(chosen, ids, strict=True)}
+        depth = np.searchsorted(self.tree.level_first, [part[0] for part in chosen], side="right") - 1
         if max(int(at) + subtree.depth for at, subtree in zip(depth, subtrees.values(), strict=True)) > MAX_WIDE_DEPTH:
             return None
         return graft(self.tree, subtrees)

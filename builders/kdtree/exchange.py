@@ -31,7 +31,9 @@ def subtree_triangles(tree: KdTree, flat: UnpackedKdTree, node: int) -> np.ndarr
     own = np.arange(node, subtree_end(flat, node))
     own = own[flat.is_leaf[own]]
     lists, _ = gather_blocks(tree.primitive.numpy(), tree.width, flat.first_block[own], -(-flat.triangles[own] // tree.width))
-    return np.unique(lists[lists >= 0])
+    listed = np.zeros(lists.max(initial=-1) + 1, dtype=bool)
+    listed[lists[lists >= 0]] = True
+    return np.flatnonzero(listed)
 
 
 def build_subtree(ids: np.ndarray, flat: UnpackedKdTree, node: int, low: np.ndarray, high: np.ndarray, build: Build) -> KdTree:

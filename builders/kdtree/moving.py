@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from wrt.builders.kdtree.exchange import build_subtree, exchange, subtree_triang
 from wrt.builders.kdtree.refill import child_probabilities, node_costs, refill
 from wrt.builders.kdtree.statistics import UnpackedKdTree, unpack
 from wrt.builders.triangles import TriangleBoxes
+from wrt.builders.worn_subtrees import Part, worn_subtrees
 from wrt.kernels.kdtree import MAX_TREE_DEPTH
 
 
@@ -60,21 +61,27 @@ class MovedKdTree:
             return np.empty(0, dtype=np.int64), np.empty(0)
         return np.array([flat.left[node], flat.right[node]]), np.array([left[node], right[node]])
 
-    def triangles(self, node: int) -> np.ndarray:
+    def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
+        """What to build again, of one node each; arguments as of `worn_subtrees`."""
+        listed = partial(subtree_triangles, self.tree, self._flat)
+        return worn_subtrees(self.costs, built, self.children, tolerance, triangles=listed)
+
+    def triangles(self, part: Part) -> np.ndarray:
         """Ids of the triangles in the leaves below a node."""
+        (node,) = part
         return subtree_triangles(self.tree, self._flat, node)
 
-    def with_rebuilt(self, chosen: Sequence[int], ids: Sequence[np.ndarray]) -> tuple[KdTree, np.ndarray]:
+    def with_rebuilt(self, chosen: Sequence[Part], ids: Sequence[np.ndarray]) -> tuple[KdTree, np.ndarray]:
         """The tree with some subtrees built again, and its nodes' old numbers.
 
         Args:
-            chosen: their nodes, not the root.
+            chosen: their nodes, one each, not the root.
             ids: the triangles of each.
         """
         low, high = self._boxes.boxes.low.numpy().T, self._boxes.boxes.high.numpy().T
         automatic = self._config.stop.limits(self._boxes.count).depth
         subtrees = {}
-        for node, own in zip(chosen, ids, strict=True):
+        for (node,), own in zip(chosen, ids, strict=True):
             room = min(MAX_TREE_DEPTH, max(automatic, 1)) - int(self._flat.depth[node])
             stop = replace(self._config.stop, max_depth=max(room, 0))
             config = replace(self._config, stop=stop)

@@ -18,6 +18,7 @@ import numpy as np
 
 from wrt.bench.loading import json_option, progress, table_console, threads_option, usage_errors, write_json
 from wrt.camera import PinholeCamera
+from wrt.cli.arguments import target_options
 from wrt.fuzzy_scene import FuzzyScene
 from wrt.grouped_scene import GroupedScene
 from wrt.instances import Instance
@@ -248,6 +249,7 @@ def follow_behind(stage: Stage, camera: PinholeCamera, expected: list[Answer], r
 
 @click.command("animation")
 @click.argument("name", default="figure", type=click.Choice([*ANIMATIONS]))
+@target_options
 @click.option("--way", "ways", multiple=True, type=click.Choice([*WAYS]), help="Repeat. [all]")
 @click.option("--frames", default=24, show_default=True, type=click.IntRange(1), help="Of a period.")
 @click.option("--detail", default=24, show_default=True, type=click.IntRange(3), help="Triangles grow with its square.")

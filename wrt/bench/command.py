@@ -13,7 +13,7 @@ from wrt.bench.loading import json_option, load_model, progress, table_console, 
 from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.results import ModelResult, Report, machine
 from wrt.bench.workloads import ORDERS, WORKLOADS, WorkloadMaker
-from wrt.cli.arguments import start_warp
+from wrt.cli.arguments import start_warp, target_options
 from wrt.kernels.launch import MAX_THREADS, get_num_threads
 from wrt.mesh import TriangleMesh
 
@@ -55,6 +55,7 @@ class BenchCommand(click.Command):
 
 @click.command(cls=BenchCommand)
 @click.argument("model", required=False)
+@target_options
 @click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
 @click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
@@ -84,7 +85,8 @@ def bench(
 
     Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
     which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
-    watertight costs; "engines" are wrt's own traversals, one by one.
+    watertight costs; "engines" are wrt's own traversals, one by one. With --target x86-64-v3 Embree's C library is held to
+    AVX2 as well; embreex and Open3D choose for themselves.
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench

@@ -3,7 +3,8 @@
 No compiler is needed: the library (version 3; Debian and Ubuntu: libembree3-3) is called through ctypes, which lets other
 threads run meanwhile, with some hundreds of packets a call. What is timed is what a C++ program would do that keeps its rays in
 packets: set the ends of the rays and the ids of their hits back, trace, leave the hits in the packets. Scenes are built for
-speed, not with Embree's "robust" flag, which costs it 5 to 20 %; views and shadows are declared coherent.
+speed, not with Embree's "robust" flag, which costs it 5 to 20 %; views and shadows are declared coherent. Where wrt is
+compiled for CPUs with AVX2 (`wrt.kernels.target`), Embree runs its code for them too.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from wrt.bench.contract import Answer, Peer, Query, spread_rays
 from wrt.bench.workloads import Workload
+from wrt.kernels.target import target_name
 from wrt.mesh import TriangleMesh
 
 WIDTH = 16
@@ -70,9 +72,11 @@ class Embree(Peer):
     def load(self, mesh: TriangleMesh) -> None:
         lib = _library()
         self._pool = ThreadPoolExecutor(self.threads)
-        self._embree_device = Owned(lib.rtcNewDevice(f"threads={self.threads}".encode()), lib.rtcReleaseDevice)
+        most = ",max_isa=avx2" if target_name() == "x86-64-v3" else ""
+        self._embree_device = Owned(lib.rtcNewDevice(f"threads={self.threads}{most}".encode()), lib.rtcReleaseDevice)
         version = lib.rtcGetDeviceProperty(self._embree_device.handle, 0)
         self.note = f"version {version // 10000}.{version // 100 % 100}, its C library, packets of {WIDTH}, not robust"
+        self.note += ", AVX2" if most else ""
         padded = np.zeros((len(mesh.vertices) + 1, 3), dtype=np.float32)  # Embree reads 16 bytes a vertex
         padded[:-1] = mesh.vertices
         self._mesh = padded, np.ascontiguousarray(mesh.faces, dtype=np.uint32)

@@ -32,6 +32,7 @@ from wrt.bench.loading import (
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.cli.arguments import target_options
 from wrt.kernels.launch import get_num_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO
@@ -159,6 +160,7 @@ def compare_trees(
 
 @click.command("builders")
 @click.argument("model", default="teapot")
+@target_options
 @click.option("--builder", "builders", multiple=True, type=click.Choice([*KDTREE_BUILDERS]), help="Repeat. [all]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each builder.")

@@ -19,6 +19,7 @@ from wrt.bench.measure import Contender, take_turns
 from wrt.bench.workloads import WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.layouts import LAYOUTS, lay_out
+from wrt.cli.arguments import target_options
 from wrt.kernels.launch import get_num_threads, launch, use_threads
 from wrt.mesh import TriangleMesh
 from wrt.plan import CLOSEST, make_plan
@@ -122,6 +123,7 @@ def compare_layouts(
 
 @click.command("layouts")
 @click.argument("model", default="teapot")
+@target_options
 @click.option("--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Of the tree.")
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")

@@ -11,6 +11,7 @@ import click
 from wrt.bench.loading import json_option, load_model, progress, table_console, threads_option, usage_errors, write_json
 from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, Turns, areas_of, compare_builds, compare_searches, compare_traces
 from wrt.bench.results import machine
+from wrt.cli.arguments import target_options
 from wrt.kernels.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS as WALKS
 
@@ -26,6 +27,7 @@ by the build's prices. ProjectedBvh: one tree for the rays; RayAwareBvh: the def
 
 @click.command("ray-aware")
 @click.argument("model", default="atrium")
+@target_options
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each tree.")
 @threads_option

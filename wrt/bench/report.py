@@ -74,14 +74,12 @@ def notes(report: Report) -> dict[str, str]:
 
 
 def machine_line(report: Report) -> str:
-    """Processor, threads, SIMD, GPU and versions in one line."""
+    """Processor, threads, SIMD, what kernels are compiled for, GPU and versions in one line."""
     found = report.machine
+    code = f"{found['simd_bits']}-bit SIMD, {found['lanes']} lanes, code for {found['target']}"
     gpu = f", {found['gpu']}" if found["gpu"] else ""
     versions = ", ".join(f"{name} {number}" for name, number in found["versions"].items())
-    return (
-        f"{found['cpu']}, {found['threads']} threads, {found['simd_bits']}-bit SIMD{gpu}; {found['system']}, "
-        f"Python {found['python']}, {versions}"
-    )
+    return f"{found['cpu']}, {found['threads']} threads, {code}{gpu}; {found['system']}, Python {found['python']}, {versions}"
 
 
 def model_label(model: ModelResult) -> str:

@@ -14,8 +14,8 @@ from typing import Any
 import warp as wp
 
 from wrt.bench.measure import Agreement, Timing
-from wrt.kernels.lanes import cpu_features
 from wrt.kernels.runtime.cores import available_cores
+from wrt.kernels.target import cpu_name, lane_width, simd_bits, target_name
 
 FORMAT = 1
 """Version of the layout of `Report.to_dict`."""
@@ -119,35 +119,19 @@ class Report:
 
 
 def machine(device: str) -> dict[str, Any]:
-    """The machine in general terms: processor, cores, SIMD width in bits, GPU, versions."""
+    """The machine in general terms: processor, cores, SIMD width in bits, what kernels are compiled for, GPU, versions."""
     found = wp.get_device(device)
     return {
         "cpu": cpu_name(),
         "threads": available_cores(),
         "simd_bits": simd_bits(),
+        "target": target_name(),
+        "lanes": lane_width(),
         "gpu": found.name if found.is_cuda else None,
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "versions": {name: found for name in PACKAGES if (found := package_version(name)) is not None},
     }
-
-
-def cpu_name() -> str:
-    """The processor's name as the operating system gives it."""
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as text:
-            for line in text:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
-
-
-def simd_bits() -> int:
-    """Width of the widest float32 SIMD registers: 512, 256 or 128; 128 if unknown."""
-    features = cpu_features()
-    return 512 if "avx512f" in features else 256 if "avx" in features else 128
 
 
 def package_version(name: str) -> str | None:

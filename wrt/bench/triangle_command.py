@@ -8,12 +8,14 @@ import click
 
 from wrt.bench.loading import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.triangle_tests import SITUATIONS, run_triangle_tests
+from wrt.cli.arguments import target_options
 from wrt.kernels.launch import MAX_THREADS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 
 @click.command("triangle-tests")
 @click.argument("model", default="teapot")
+@target_options
 @click.option("--test", "tests", multiple=True, type=click.Choice([*TRIANGLE_TESTS]), help="Tests; repeat. [all]")
 @click.option("--situation", "situations", multiple=True, type=click.Choice([*SITUATIONS]), help="What to time. [all]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(16), help="Views have SIZE x SIZE pixels.")

@@ -50,6 +50,24 @@ class UpDirection(Vector):
         return super().convert(value, param, ctx)
 
 
+def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+    from wrt.kernels.target import choose
+
+    try:
+        choose(**{param.name: value})
+    except ValueError as error:
+        raise click.BadParameter(str(error)) from None
+
+
+def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """What CPU kernels are compiled for (`wrt.kernels.target`): set while the arguments are read, before Warp starts."""
+    shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
+    name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
+    lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or what suits the target]"
+    command = click.option("--lanes", "width", type=int, help=lanes, **shared)(command)
+    return click.option("--target", help=f"CPU to compile for: {name}", **shared)(command)
+
+
 def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """What is loaded, and the scene that is made of it."""
     for option in reversed(
@@ -61,6 +79,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
             click.option("--accelerator", default="auto", show_default=True, help="auto, bvh or kdtree."),
             click.option("--device", help="cpu, cuda:0, ...  [Warp's default]"),
             click.option("--threads", type=click.IntRange(1, 1024), help="Threads on the CPU. [all cores]"),
+            target_options,
         )
     ):
         command = option(command)

@@ -21,15 +21,26 @@ HISTOGRAM_ROWS, HISTOGRAM_WIDTH = 24, 40
 @model_options
 @click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
 def info(as_json: bool, **given: Any) -> None:
-    """Shows what is in MODEL (or in a built-in scene), and figures of its tree."""
+    """Shows what is in MODEL (or in a built-in scene), figures of its tree, and what its kernels are compiled for."""
     start_warp(given["device"])
     mesh, _ = load_mesh(given)
     scene = make_scene(mesh, given)
-    result = {"model": mesh.summary(), **scene.statistics().to_dict()}
+    result = {"model": mesh.summary(), **scene.statistics().to_dict(), "CPU": _cpu()}
     if as_json:
         click.echo(json.dumps(result, indent=1))
         return
     _print_tables(_histogram(title, v) if isinstance(v, list) else _figures(title, v) for title, v in result.items())
+
+
+def _cpu() -> dict[str, Any]:
+    """This CPU, and what kernels for it are compiled for."""
+    from wrt.kernels.runtime import pool
+    from wrt.kernels.runtime.cores import available_cores
+    from wrt.kernels.target import cpu_name, lane_width, simd_bits, target_name
+
+    helpers = "native" if pool.is_available() else "Python (native ones need Linux)"
+    found = {"name": cpu_name(), "threads": available_cores(), "helper threads": helpers}
+    return {**found, "target": target_name(), "SIMD bits": simd_bits(), "lanes": lane_width()}
 
 
 @click.command("list")

@@ -1,0 +1,200 @@
+"""What CPU kernels are compiled for, and how many lanes they have: from the environment and the command line."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import warp as wp
+from click.testing import CliRunner
+
+from wrt.cli import main
+from wrt.kernels import target
+from wrt.kernels.lanes import native_width
+
+pytestmark = pytest.mark.width
+
+ZEN_2 = frozenset(target.AVX2 | {"sse2", "clflushopt"})
+ZEN_4 = frozenset(target.AVX512 | {"sse2", "avx512vbmi"})
+
+SHOW = """
+import json, sys
+import warp as wp
+
+@wp.func_native('''
+#if defined(__AVX512F__)
+    return 512;
+#elif defined(__AVX2__)
+    return 256;
+#else
+    return 128;
+#endif
+''')
+def simd_bits() -> int: ...
+
+def show(bits: wp.array(dtype=int)):
+    bits[0] = simd_bits()
+
+kernels = [wp.kernel(show, module="unique", enable_backward=False)]  # hashed here, with the flags of now
+if len(sys.argv) > 1:
+    from wrt.kernels.target import choose
+    choose(sys.argv[1])
+from wrt.kernels.lanes import native_width
+wp.config.log_level = wp.LOG_ERROR
+bits = wp.zeros(1, dtype=int, device="cpu")
+wp.launch(kernels[0], 1, [bits], device="cpu")
+print(json.dumps([int(bits.numpy()[0]), native_width(wp.get_device("cpu")), wp.config.cpu_compiler_flags]))
+"""
+"""A program that says what its kernel was compiled for: by the environment, or by its argument when the kernel is there."""
+
+
+@pytest.fixture
+def set_cpu(monkeypatch):
+    """Sets what the operating system tells of the CPU, and the environment."""
+
+    def set_cpu(features: frozenset[str], **environment: str) -> None:
+        monkeypatch.setattr(target, "cpu_features", lambda: features)
+        monkeypatch.setattr(wp.config, "cpu_compiler_flags", wp.config.cpu_compiler_flags)
+        for name in (target.TARGET_VARIABLE, target.WIDTH_VARIABLE):
+            monkeypatch.setenv(name, "")  # so that the end of the test brings back what was there
+            monkeypatch.delenv(name)
+        for name, value in environment.items():
+            monkeypatch.setenv(name, value)
+
+    return set_cpu
+
+
+@pytest.mark.parametrize(
+    ("features", "environment", "bits", "width"),
+    [
+        (ZEN_4, {}, 512, 16),
+        (ZEN_2, {}, 256, 8),
+        (frozenset(), {}, 128, 8),
+        (ZEN_4, {"WRT_TARGET": ""}, 512, 16),
+        (ZEN_4, {"WRT_TARGET": "native"}, 512, 16),
+        (ZEN_4, {"WRT_TARGET": "x86-64-v3"}, 256, 8),
+        (ZEN_2, {"WRT_TARGET": "x86-64-v3"}, 256, 8),
+        (ZEN_4, {"WRT_TARGET": "x86-64-v4"}, 512, 16),
+        (ZEN_2, {"WRT_WIDTH": "16"}, 256, 16),
+        (ZEN_4, {"WRT_TARGET": "x86-64-v3", "WRT_WIDTH": "4"}, 256, 4),
+    ],
+)
+def test_widths_and_registers(features, environment, bits, width, set_cpu):
+    set_cpu(features, **environment)
+    assert target.simd_bits() == bits
+    assert target.lane_width() == native_width(wp.get_device("cpu")) == width
+
+
+@pytest.mark.parametrize(
+    ("features", "environment", "message"),
+    [
+        (ZEN_4, {"WRT_TARGET": "zen"}, r"'zen' \(WRT_TARGET\) is unknown; choose from native, x86-64-v3, x86-64-v4"),
+        (
+            ZEN_2,
+            {"WRT_TARGET": "x86-64-v4"},
+            "code for x86-64-v4: it has no avx512bw.*; choose from native, x86-64-v3$",
+        ),
+        (frozenset({"neon"}), {"WRT_TARGET": "x86-64-v3"}, "it has no abm, avx, avx2.*; choose from native$"),
+        (ZEN_4, {"WRT_WIDTH": "5"}, r"'5' \(WRT_WIDTH\) must be 4, 8 or 16"),
+        (ZEN_4, {"WRT_WIDTH": "many"}, "'many'"),
+        (ZEN_2, {"WRT_TARGET": "x86-64-v4", "WRT_WIDTH": "8"}, "cannot run"),
+    ],
+)
+def test_what_cannot_be_is_refused(features, environment, message, set_cpu):
+    """Before anything is compiled: otherwise the process would end at the first instruction that is not there."""
+    set_cpu(features, **environment)
+    flags = wp.config.cpu_compiler_flags
+    with pytest.raises(ValueError, match=message):
+        target.apply_environment()
+    assert wp.config.cpu_compiler_flags == flags
+
+
+def test_other_flags_stay(set_cpu):
+    set_cpu(ZEN_4)
+    wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=9"
+    target.apply_environment()
+    assert wp.config.cpu_compiler_flags == "-march=native -mllvm=-inline-threshold=9"
+    for name, expected in (
+        ("x86-64-v4", "-target-cpu x86-64-v4 -mprefer-vector-width=512 -mllvm=-inline-threshold=9"),
+        ("x86-64-v3", "-target-cpu x86-64-v3 -mllvm=-inline-threshold=9"),
+        ("native", "-march=native -mllvm=-inline-threshold=9"),
+    ):
+        for _ in range(2):
+            set_cpu(ZEN_4, WRT_TARGET=name)
+            target.apply_environment()
+            assert wp.config.cpu_compiler_flags == expected
+    wp.config.cpu_compiler_flags = None
+    target.apply_environment()
+    assert wp.config.cpu_compiler_flags == "-march=native"
+
+
+def test_choices(set_cpu, monkeypatch):
+    set_cpu(ZEN_2, WRT_WIDTH="8")
+    flags = wp.config.cpu_compiler_flags
+    with pytest.raises(RuntimeError, match="Warp has started already; set WRT_TARGET in the environment of a new process"):
+        target.choose("x86-64-v3", 8)
+    monkeypatch.setattr(target, "has_started", lambda: False)
+    for wrong in (("x86-64-v4", None), ("zen", None), (None, 3), ("x86-64-v3", 3)):
+        with pytest.raises(ValueError, match=r"cannot run|is unknown|must be 4"):
+            target.choose(*wrong)
+        assert "WRT_TARGET" not in os.environ
+        assert os.environ["WRT_WIDTH"] == "8"
+        assert wp.config.cpu_compiler_flags == flags
+    target.choose("x86-64-v3", 16)
+    assert (os.environ["WRT_TARGET"], os.environ["WRT_WIDTH"]) == ("x86-64-v3", "16")
+    assert wp.config.cpu_compiler_flags.startswith("-target-cpu x86-64-v3 ")
+    target.choose()
+    assert target.lane_width() == 16
+
+
+def test_the_suite_runs_as_it_was_asked_to():
+    """Whoever starts it with a target gets that target, although the suite has flags of its own."""
+    asked = os.environ.get(target.TARGET_VARIABLE) or "native"
+    assert wp.config.cpu_compiler_flags.startswith(" ".join(target.TARGETS[asked].flags))
+    assert native_width(wp.get_device("cpu")) == target.lane_width()
+
+
+@pytest.mark.parametrize("way", ["environment", "argument"])
+def test_code_is_compiled_for_the_target(way, tmp_path):
+    """The compiler is asked itself. An argument comes when kernels are there, as on the command line."""
+    if target.AVX2 - target.cpu_features():
+        pytest.skip("code for x86-64-v3 needs AVX2")
+    program = tmp_path / "show.py"  # Warp reads the source of kernels
+    program.write_text(("import wrt.kernels\n" if way == "environment" else "") + SHOW, encoding="utf-8")
+    environment = {name: value for name, value in os.environ.items() if name not in ("WRT_TARGET", "WRT_WIDTH")}
+    environment |= {"WRT_TARGET": "x86-64-v3"} if way == "environment" else {}
+    arguments = ["x86-64-v3"] if way == "argument" else []
+    done = subprocess.run([sys.executable, program, *arguments], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    bits, width, flags = json.loads(done.stdout.splitlines()[-1])
+    assert (bits, width) == (256, 8)
+    assert flags.startswith("-target-cpu x86-64-v3 -mllvm=-inline-threshold=")
+
+
+def test_command_line(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(target, "choose", lambda **given: chosen.append(given))
+    for command in (["info"], ["render"], ["verify"], ["bench"], ["bench", "builders"], ["bench", "layouts"]):
+        result = CliRunner().invoke(main, [*command, "--target", "x86-64-v3", "--lanes", "4", "--help"])
+        assert result.exit_code == 0, result.output
+        assert chosen == [{"target": "x86-64-v3"}, {"width": 4}]
+        chosen.clear()
+    monkeypatch.undo()
+    result = CliRunner().invoke(main, ["info", "--target", "zen"])
+    assert result.exit_code == 2
+    assert "--target" in result.stderr
+    assert "'zen'" in result.stderr
+
+
+def test_info_says_what_kernels_are_compiled_for():
+    found = json.loads(CliRunner().invoke(main, ["info", "--level", "2", "--json"]).stdout)["CPU"]
+    assert found["name"] == target.cpu_name()
+    assert (found["target"], found["lanes"], found["SIMD bits"]) == (
+        target.target_name(),
+        target.lane_width(),
+        target.simd_bits(),
+    )
+    assert found["threads"] >= 1
