@@ -44,8 +44,8 @@ class Instance:
 
     Raises:
         TypeError: the mesh or the mask is of a wrong type.
-        ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100; a mask
-            out of its range.
+        ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100; a
+            mask out of its range.
     """
 
     def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK) -> None:

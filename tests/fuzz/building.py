@@ -1,8 +1,8 @@
 """Builders, refit and refill on boxes and triangles that passed no check.
 
-The checks at the door are taken away (`open_doors`): what is tried is whether any float leads an index out of an array, which guard
-pages tell, or into a tree that traversals could not walk, which `check_tree` tells. Of triangles as scenes admit them, every one
-must be in a leaf.
+The check of boxes is taken away (`open_doors`): what is tried is whether any float leads an index out of an array, which
+guard pages tell, or makes a tree that traversals could not walk, which `check_tree` tells. Of triangles as scenes admit them,
+every one must be in a leaf.
 """
 
 from __future__ import annotations
@@ -43,7 +43,9 @@ def open_doors() -> None:
 def make_case(rng: np.random.Generator) -> Case:
     """A builder with some options, and raw triangles or boxes; what they move to."""
     if rng.random() < 0.45:
-        options = dict(BVHS[rng.integers(len(BVHS))], width=int(rng.choice([2, 4, 8, 16])), bins=int(rng.choice([2, 7, 16, 32])))
+        options = dict(
+            BVHS[rng.integers(len(BVHS))], width=int(rng.choice([2, 4, 8, 16])), bins=int(rng.choice([2, 7, 16, 32]))
+        )
         options["max_leaf_triangles"] = int(rng.choice([1, 4, 63])) if rng.random() < 0.4 else None
     else:
         options = dict(KDTREES[rng.integers(len(KDTREES))], width=int(rng.choice([1, 4, 8, 16])))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import faulthandler
 import json
+import logging
 import resource
 import sys
 import time
@@ -47,6 +48,7 @@ class Job:
         threads: of builds; with more than one, builders divide their work as they do for large meshes.
         folder: where the progress and what fails are written.
         replay: paths of cases to run instead.
+        compiler_flags: for kernels on the CPU; None for those of users.
     """
 
     what: str
@@ -58,6 +60,7 @@ class Job:
     threads: int
     folder: str
     replay: tuple[str, ...] = ()
+    compiler_flags: str | None = None
 
     def text(self) -> str:
         """As the child takes it."""
@@ -74,16 +77,19 @@ def module_of(what: str) -> ModuleType:
     return import_module(f".{MODULES[what]}", __package__)
 
 
-def prepare(what: str, threads: int) -> None:
+def prepare(what: str, threads: int, compiler_flags: str | None = None) -> None:
     """Guards memory, and makes builders cut small meshes into parts."""
     import warp as wp
 
     wp.config.log_level = wp.LOG_WARNING
+    if compiler_flags is not None:
+        wp.config.cpu_compiler_flags = compiler_flags
     wp.init()
     from wrt.kernels.launch import set_num_threads
 
     from .guards import GuardedAllocator
 
+    logging.disable(logging.CRITICAL)  # readers of files log what is wrong with them
     set_num_threads(threads)
     GuardedAllocator.install()
     if what == "meshes":
@@ -114,7 +120,7 @@ def run(job: Job) -> None:
         count.update(values)
         progress[:] = [count[name] for name in FIELDS]
 
-    prepare(job.what, job.threads)
+    prepare(job.what, job.threads, job.compiler_flags)
     grown = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() if sys.platform == "linux" else 0
     if grown:
         resource.setrlimit(resource.RLIMIT_AS, (grown + MEMORY, grown + MEMORY))

@@ -1,7 +1,7 @@
 """Runs children, one for each core, watches them, and keeps what fails.
 
-A child that ends by a signal, or that works on one case for too long, failed at the case that its progress file names. The case is
-made again from its number and kept, and a new child goes on behind it.
+A child that ends by a signal, or that works on one case for too long, failed at the case that its progress file names. The
+case is made again from its number and kept, and a new child goes on behind it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Warp arrays on the CPU against guard pages: whoever writes or reads past one is ended by the operating system.
 
 Each array gets pages of its own between two that cannot be accessed. Every other array ends where its pages end, so that the
-first byte behind it is out of bounds; the others begin where their pages begin, for indices below zero. What is left of the pages
-holds a pattern, which is checked when the array is freed, and so does the array at first: whoever uses what nobody wrote gets
-large negative indices. (Electric Fence, by B. Perens, 1987, is the model.)
+first byte behind it is out of bounds; the others begin where their pages begin, for indices below zero. What is left of the
+pages holds a pattern, which is checked when the array is freed, and so does the array at first: whoever uses what nobody wrote
+gets large negative indices. (Electric Fence, by B. Perens, 1987, is the model.)
 """
 
 from __future__ import annotations

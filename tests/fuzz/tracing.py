@@ -165,7 +165,9 @@ def equal(name: str, found: np.ndarray, expected: np.ndarray) -> np.ndarray:
     return found
 
 
-def move(scene: wrt.Scene, meshes: list[wrt.TriangleMesh], options: dict[str, Any], arrays: dict[str, Any], before: Any) -> None:
+def move(
+    scene: wrt.Scene, meshes: list[wrt.TriangleMesh], options: dict[str, Any], arrays: dict[str, Any], before: Any
+) -> None:
     """Moves the first mesh: answered as brute force does, or refused, and the scene is as it was."""
     try:
         scene.update(0, vertices=arrays["moved"])
