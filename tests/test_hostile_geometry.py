@@ -1,8 +1,8 @@
 """Coordinates that float32 cannot hold, and vertices that no triangle uses: refused by name, or without a part in any answer.
 
 Once an OBJ with the line `v 1e39 0 0`, or an STL of one triangle with corners at +-3.4e38, ended the process ("free(): invalid
-size") in `wrt info`, `verify`, `render`, `Scene` and `Scene.update`, or every ray missed. And a vertex at 0, 0, 0 that no triangle
-used moved the centre of a scene away from a sphere at UTM coordinates: of the rays from inside of it 59 % missed, with
+size") in `wrt info`, `verify`, `render`, `Scene` and `Scene.update`, or every ray missed. And a vertex at 0, 0, 0 that no
+triangle used moved the centre of a scene away from a sphere at UTM coordinates: of the rays from inside of it 59 % missed, with
 `precise=True` too.
 """
 
@@ -105,9 +105,9 @@ def test_instances_beyond_float32():
     with pytest.raises(ValueError, match=r"instance 1 reaches out to 1e\+37.*1\.33e\+36"):
         wrt.Scene([wrt.Instance(cube()), wrt.Instance(cube(), far)], device="cpu")
     for matrix in (huge, small):
-        with pytest.raises(ValueError, match="transform stretches by .* another unit of length"):
+        with pytest.raises(ValueError, match=r"transform stretches by .* another unit of length"):
             wrt.Instance(cube(), matrix)
-    with pytest.raises(ValueError, match="mesh 1 of the instances: .*vertex 5"):
+    with pytest.raises(ValueError, match=r"mesh 1 of the instances: .*vertex 5"):
         wrt.Scene([wrt.Instance(cube()), wrt.Instance(wrt.TriangleMesh(spoiled(1e39), CUBE.faces))], device="cpu")
     scene = wrt.Scene([wrt.Instance(cube())], device="cpu")
     before = answers(scene)
