@@ -23,9 +23,13 @@ from .child import FIELDS, Job, case_of
 ROOT = Path(__file__).resolve().parents[2]
 
 LONGEST = 30.0
-"""Seconds that a case may take; the first of a child, in which kernels may be compiled, MOST_COMPILING."""
+"""Seconds that a case may take."""
 
 MOST_COMPILING = 90.0
+"""The same for the first cases of a child, in which kernels may be compiled."""
+
+FIRST_CASES = 2000
+"""How many these are."""
 
 LOG_LINES = 40
 """Of the log of a child that ended by a signal, what is kept."""
@@ -56,7 +60,7 @@ class Child:
         np.zeros(len(FIELDS), dtype=np.int64).tofile(folder / "progress")
         self.job = replace(job, folder=str(folder))
         with open(folder / "log", "wb") as log:
-            command = [sys.executable, "-m", f"{__package__}.child", self.job.text()]
+            command = [sys.executable, "-m", "tests.fuzz.child", self.job.text()]
             self.process = subprocess.Popen(command, cwd=ROOT, stdout=log, stderr=log)
         self.begin = self.changed = time.monotonic()
         self.last: dict[str, int] = dict.fromkeys(FIELDS, 0)
@@ -70,18 +74,18 @@ class Child:
 
     def hangs(self) -> bool:
         """Whether it has been at one case for too long."""
-        allowed = LONGEST if self.last["done"] > FIRST_CASES else MOST_COMPILING
-        return self.process.poll() is None and time.monotonic() - self.changed > allowed
+        return self.process.poll() is None and time.monotonic() - self.changed > self.allowed
+
+    @property
+    def allowed(self) -> float:
+        """Seconds that a case may take by now."""
+        return LONGEST if self.last["done"] > FIRST_CASES else MOST_COMPILING
 
     def end(self) -> None:
         """Stops it."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait()
-
-
-FIRST_CASES = 2000
-"""Cases of a child in which kernels may still be compiled."""
 
 
 def run_jobs(jobs: Sequence[Job], keep_in: Path, tell: Callable[[Found], None], processes: int) -> Found:
@@ -140,7 +144,7 @@ def rest_of(child: Child, found: Found, keep_in: Path) -> list[Job]:
         return []
     number = now["number"]
     log = (child.folder / "log").read_text(errors="replace").splitlines()[:LOG_LINES]
-    reason = f"took longer than {LONGEST:.0f} s" if hung else f"ended with status {child.process.returncode}"
+    reason = f"took longer than {child.allowed:.0f} s" if hung else f"ended with status {child.process.returncode}"
     if not now["ready"]:
         raise RuntimeError("a child did not begin:\n" + "\n".join(log))
     case = Case.load(Path(job.replay[number])) if job.replay else case_of(job.what, job.seed, number)

@@ -1,4 +1,4 @@
-"""Numbers and meshes that nobody would save: raw bits, all exponents, NaN payloads, denormals; flat, coincident, mixed scales."""
+"""Numbers and meshes that nobody would save: raw bits, all exponents, NaN payloads, denormals; flat, coincident, mixed."""
 
 from __future__ import annotations
 
