@@ -40,12 +40,12 @@ def spoiled(value: float, vertex: int = 5) -> np.ndarray:
 # -- what float32 cannot hold ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("value", [1e39, 3.4e38, -1e308, 1e20, 5e9])
+@pytest.mark.parametrize("value", [1e39, 3.4e38, -1e308, 1e20, 1e11])
 @pytest.mark.parametrize("tree", [*TREES, wrt.KdTree(builder="lazy"), wrt.Bvh(builder="sweep")])
 def test_too_large_for_a_scene(value, tree, device):
     """The vertex is named, its mesh, and the limit."""
     mesh = wrt.TriangleMesh(spoiled(value), CUBE.faces, name="spoiled")
-    with pytest.raises(ValueError, match=r"(?=.*vertex 5 of mesh 1 \('spoiled'\)).*(4\.29e\+09|1\.33e\+36)"):
+    with pytest.raises(ValueError, match=r"(?=.*vertex 5 of mesh 1 \('spoiled'\)).*(6\.87e\+10|1\.33e\+36)"):
         wrt.Scene([cube(), mesh], tree, device=device)
     with pytest.raises(ValueError, match="vertex 5 of mesh 0"):
         wrt.Scene(mesh, tree, device=device)
@@ -124,10 +124,10 @@ def test_frames_beyond_float32():
 
 @pytest.mark.parametrize("tree", TREES)
 def test_up_to_the_limit(tree):
-    """As large as a scene may be, with rays from a hundred sides away: the answers of a cube of size 1, to the bit."""
+    """As large as a scene may be, with rays from ten sides away: the answers of a cube of size 1, to the bit."""
     rng = np.random.default_rng(1)
     targets = rng.uniform(-0.5, 0.5, (300, 3)).astype(np.float32).astype(np.float64)
-    origins = (100.0 * rng.normal(size=(300, 3))).astype(np.float32).astype(np.float64)
+    origins = (10.0 * rng.normal(size=(300, 3))).astype(np.float32).astype(np.float64)
     unit = (
         ((targets - origins) / np.linalg.norm(targets - origins, axis=1, keepdims=True)).astype(np.float32).astype(np.float64)
     )

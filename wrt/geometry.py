@@ -12,14 +12,14 @@ import warp as wp
 from wrt.kernels.hits import SceneMesh
 from wrt.mesh import TriangleMesh
 
-MAX_EXTENT = 2.0**32
-"""Longest side of the box around a scene's triangles, 4.3e9 units of length.
+MAX_EXTENT = 2.0**36
+"""Longest side of the box around a scene's triangles, 6.9e10 units of length.
 
 Triangle tests multiply three lengths in float32: an area by a distance, or two distances by an edge. Seen by rays from a
 distance D, sheared vertices are up to 2 D from the ray, so the three areas of the watertight test add up to no more than
 3 (2 (2 D)^2), and with the depths D of the vertices to 24 D^3, which float32 holds up to 2^128: D < 2^41. So there is room for
-rays that start 500 sides away, or whose directions are as long. What builders form, areas times costs times 2^31 triangles,
-stays below 2^100."""
+rays that start 30 sides away, or whose directions are as long. What builders form, areas times costs times 2^31 triangles,
+stays below 2^110."""
 
 MAX_COORDINATE = 2.0**120
 """Greatest coordinate of a triangle in any scene: positions of hits, and of instances, are finite in float32, and so are their

@@ -64,7 +64,7 @@ class Scene(Queries):
 
     Raises:
         TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
-        ValueError: unknown names, no such device, an empty sequence; triangles that spread over more than 4.3e9
+        ValueError: unknown names, no such device, an empty sequence; triangles that spread over more than 6.9e10
             (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot hold.
     """
 

@@ -29,7 +29,7 @@ LEAST_RECORD = 1.0
 @click.option("--seed", type=click.IntRange(0), help="Of all cases.  [the clock's]")
 @click.option("--what", type=click.Choice(list(MODULES)), multiple=True, help="Only this; repeat.  [all]")
 @click.option("--processes", type=click.IntRange(1), help="At a time.  [one a core]")
-@click.option("--found", default=FOUND, type=click.Path(path_type=Path), help="Folder for what fails.", show_default=True)
+@click.option("--found", default=FOUND, type=click.Path(path_type=Path), help="Folder for what fails.  [fuzz-found]")
 @click.option("--record/--no-record", default=None, help="Write a record to notebooks/records.  [from a minute on]")
 @click.option("--replay", type=click.Path(exists=True, path_type=Path), multiple=True, help="Run these cases instead.")
 def main(

@@ -87,7 +87,7 @@ def run_case(case: Case) -> str:
     boxes = triangle_boxes(vertices, faces)
     if "low" in arrays:
         boxes = raw_boxes(arrays["low"], arrays["high"], vertices, faces)
-    admitted = "low" not in arrays and bool(np.abs(np.concatenate([boxes.low, boxes.high])).max() <= 2.0**32)
+    admitted = "low" not in arrays and bool(np.abs(np.concatenate([boxes.low, boxes.high])).max() <= 2.0**36)
     tree = accelerator.build(boxes, 8)
     check(tree, len(faces), admitted or isinstance(tree, Bvh))
     if "moved" in arrays:

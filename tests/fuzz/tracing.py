@@ -62,7 +62,7 @@ def make_case(rng: np.random.Generator) -> Case:
 def fitted(rng: np.random.Generator, points: np.ndarray) -> np.ndarray:
     """The points, brought to a size that a scene takes, at some place, in float32 or float64."""
     points = np.nan_to_num(points.astype(np.float64))
-    size = 2.0 ** rng.integers(-30, 33)
+    size = 2.0 ** rng.integers(-30, 37)
     largest = np.abs(points).max()
     points = points / (largest or 1.0) * (0.49 * size)
     if rng.random() < 0.3:
