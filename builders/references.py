@@ -34,6 +34,12 @@ def write_references(boxes: Boxes, begin: int, end: int, references: wp.array(dt
     ...
 
 
+@wp.func_native("memcpy(target.data + (size_t)to * 8, references.data + (size_t)begin * 8, (size_t)count * 32);")
+def copy_references(references: wp.array(dtype=float), begin: int, count: int, target: wp.array(dtype=float), to: int):
+    """Copies a range of references."""
+    ...
+
+
 @wp.func_native(
     f"""
     for (int i = 0; i < count; ++i) {{

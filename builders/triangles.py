@@ -9,6 +9,9 @@ from wrt.kernels.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+MAX_CORNER = 2.0**126
+"""Largest coordinate of a box: float32 ends at 2^128, and builders add and subtract two of them."""
+
 
 @wp.struct
 class Boxes:
@@ -42,6 +45,10 @@ class TriangleBoxes:
         low, high: (3,) float32, the box of all of them.
         center: (3,) the point that positions are relative to.
         vertices, faces: the triangles themselves, for builders that clip them; None where boxes stand for other things.
+
+    Raises:
+        ValueError: a box that is NaN, or so large that sums and differences of two corners are not finite. (Areas may overflow:
+            what has no finite price is divided in the middle.) The box of all tells it: a minimum of NumPy keeps NaN.
     """
 
     boxes: Boxes
@@ -51,6 +58,11 @@ class TriangleBoxes:
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     vertices: wp.array | None = None
     faces: wp.array | None = None
+
+    def __post_init__(self) -> None:
+        largest = np.abs([self.low, self.high]).max()
+        if not largest <= MAX_CORNER:
+            raise ValueError(f"boxes reach out to {largest:.3g}; a tree can be built up to {MAX_CORNER:.3g}")
 
     @property
     def size(self) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
+import wrt
 from wrt.mesh import TriangleMesh
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
@@ -284,3 +285,13 @@ def test_concatenate():
     np.testing.assert_array_equal(joined.faces, [*TWO, [4, 5, 6], *(TWO + 8)])
     with pytest.raises(ValueError, match="meshes is empty"):
         TriangleMesh.concatenate([])
+
+
+def test_referenced_vertices():
+    """Those of triangles; an update, which keeps the triangles, finds the same without looking."""
+    mesh = TriangleMesh(with_vertex(3, 100.0), TWO[:1])
+    np.testing.assert_array_equal(mesh.referenced, [True, True, True, False])
+    assert not mesh.referenced.flags.writeable
+    scene = wrt.Scene(mesh, device="cpu")
+    scene.update(0, vertices=mesh.vertices + 1.0)
+    assert scene.meshes[0].referenced is mesh.referenced

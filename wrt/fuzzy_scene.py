@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerator import Bvh
-from wrt.geometry import check_index, place_meshes
+from wrt.geometry import check_index, find_center, moved_mesh, place_meshes, relative_to
 from wrt.kernels.lanes import native_width
 from wrt.kernels.launch import use_threads
 from wrt.mesh import TriangleMesh
@@ -81,6 +81,7 @@ class FuzzyScene(Scene):
         if not isinstance(self.accelerator, Bvh):
             raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: fuzzy boxes overlap")
         self._meshes = as_frames(*geometry)
+        self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
         frames = np.array([mesh.vertices for mesh in self._meshes], dtype=np.float64)
         faces = self._meshes[0].faces
         if self._transforms is None:
@@ -88,12 +89,12 @@ class FuzzyScene(Scene):
                 raise ValueError(f"clusters is {self._clusters!r}; it must be a whole number of at least 1")
             if not (isinstance(self._rest, (int, np.integer)) and 0 <= self._rest < len(frames)):
                 raise ValueError(f"rest is {self._rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
-            extent = float(np.ptp(frames, axis=(0, 1)).max())
+            bounds = np.array([mesh.bounds for mesh in self._meshes])
+            extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
             motion = decompose(frames, faces, self._clusters, ENOUGH * extent, self._rest)
         else:
             motion = assigned(frames, faces, *as_maps(self._transforms, len(frames)))
         self.labels = motion.labels
-        self._centers = centers_of(self._meshes)
         self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, self.accelerator, self.device)
         self.show(0)
 
@@ -281,7 +282,7 @@ def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
     if frames.ndim != 3 or not len(frames):
         raise ValueError(f"frames must be of shape (F, V, 3) with at least one frame, not {frames.shape}")
     first = TriangleMesh(np.array(frames[0]), faces)
-    return [first, *(TriangleMesh(np.array(vertices), first.faces) for vertices in frames[1:])]
+    return [first, *(moved_mesh(first, vertices) for vertices in frames[1:])]
 
 
 def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -299,17 +300,7 @@ def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
     return maps[..., :3, :3], maps[..., :3, 3]
 
 
-def centers_of(meshes: list[TriangleMesh]) -> np.ndarray:
-    """(F, 3) float64: the centre that a `Scene` of each frame has."""
-    return np.array([(m.vertices.min(axis=0).astype(np.float64) + m.vertices.max(axis=0)) / 2 for m in meshes])
-
-
-def relative(mesh: TriangleMesh, center: np.ndarray) -> np.ndarray:
-    """(V, 3) float32 vertices as a `Scene` holds them."""
-    return (mesh.vertices - center).astype(np.float32)
-
-
 def triangle_corners(mesh: TriangleMesh, center: np.ndarray) -> np.ndarray:
     """(2, T, 3) float32: the corners of the triangles' boxes as a `Scene` holds them."""
-    points = relative(mesh, center)[mesh.faces]
+    points = relative_to(center, mesh.vertices)[mesh.faces]
     return np.array([points.min(axis=1), points.max(axis=1)])

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.geometry import check_index
+from wrt.geometry import check_index, find_center
 from wrt.instances import Instance, as_instances, check_spread
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.instances import Geometry, Placement
@@ -79,6 +79,11 @@ class InstancedScene(Scene):
         self.geometry_ids = tuple(shared.setdefault(id(instance.mesh), len(shared)) for instance in instances)
         given = {id(instance.mesh): instance.mesh for instance in instances}
         meshes = [mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh) for mesh in given.values()]
+        for number, mesh in enumerate(meshes):
+            try:
+                find_center((mesh,))
+            except ValueError as error:
+                raise ValueError(f"mesh {number} of the instances: {error}") from None
         check_spread(instances, self.geometry_ids, meshes)
         parts = tuple(
             Scene(
@@ -329,10 +334,7 @@ class Places:
 def cover(part: Scene) -> np.ndarray:
     """(P, 3) float64 points relative to a mesh's centre in whose convex hull all its triangles are; few, if it is large."""
     mesh = part.device_mesh
-    faces = part.meshes[0].faces
-    used = np.zeros(len(mesh.vertices), dtype=bool)
-    used[faces] = True
-    points = mesh.vertices.numpy()[used]
+    points = mesh.vertices.numpy()[part.meshes[0].referenced]
     low, high = points.min(axis=0), points.max(axis=0)
     if len(points) <= CELLS**3:
         return points.astype(np.float64)

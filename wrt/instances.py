@@ -8,10 +8,14 @@ from typing import Any
 
 import numpy as np
 
+from wrt.geometry import MAX_COORDINATE
 from wrt.mesh import TriangleMesh
 
 MOST_STRETCH = 1e12
 """Condition number of a map from which on it counts as singular: its inverse has no digits left to rely on."""
+
+MAX_SCALE = 2.0**100
+"""By how much a map may enlarge or shrink: the directions of rays, taken into the mesh's space, stay within float32."""
 
 MAX_MASK = (1 << 32) - 1
 
@@ -40,7 +44,8 @@ class Instance:
 
     Raises:
         TypeError: the mesh or the mask is of a wrong type.
-        ValueError: a transform that is not finite, not affine or singular; a mask out of its range.
+        ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100; a
+            mask out of its range.
     """
 
     def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK) -> None:
@@ -65,7 +70,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
     """(4, 4) float64, read-only.
 
     Raises:
-        ValueError: wrong shape, not finite, not affine, singular.
+        ValueError: wrong shape, not finite, not affine, singular, too large or too small.
     """
     try:
         matrix = np.array(transform, dtype=np.float64)
@@ -75,6 +80,12 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
     if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):
         raise ValueError(f"{name} must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
+    sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+    if sizes[2] > 0.0 and not (sizes[0] <= MAX_SCALE and sizes[2] >= 1.0 / MAX_SCALE):
+        raise ValueError(
+            f"{name} stretches by {sizes[2]:.3g} to {sizes[0]:.3g}; float32 holds rays in the mesh's space from "
+            f"{1.0 / MAX_SCALE:.3g} to {MAX_SCALE:.3g}; choose another unit of length for the mesh, or for the scene"
+        )
     if not np.linalg.cond(matrix[:3, :3]) < MOST_STRETCH:
         raise ValueError(
             f"{name} is singular, it has no inverse to take rays through: {matrix[:3, :3].tolist()}; flatten the mesh by it "
@@ -99,10 +110,10 @@ def check_mask(mask: Any, name: str = "mask") -> int:
 
 
 def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
-    """Refuses a scene so wide that float64 does not tell where in one of its instances a ray is.
+    """Refuses a scene beyond float32, or so wide that float64 does not tell where in one of its instances a ray is.
 
     Args:
-        instances: those that no ray sees, with mask 0, do not count.
+        instances: those that no ray sees, with mask 0, may be lost to float64.
         geometry_ids: the mesh of each.
         meshes: each once.
 
@@ -114,6 +125,13 @@ def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
     linear, shift = transforms[:, :3, :3], transforms[:, :3, 3]
     half = (np.abs(linear) @ ((boxes[:, 1] - boxes[:, 0]) / 2)[:, :, None])[:, :, 0]
     middle = (linear @ boxes.mean(axis=1)[:, :, None])[:, :, 0] + shift
+    far = (np.abs(middle) + half).max(axis=1)
+    if not far.max() <= MAX_COORDINATE:
+        worst = int(far.argmax())
+        raise ValueError(
+            f"instance {worst} reaches out to {far[worst]:.3g}, and coordinates of a scene go up to {MAX_COORDINATE:.3g}; "
+            "correct its transform, or choose another unit of length"
+        )
     center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
     size, distance = 2.0 * half.max(axis=1), np.abs(middle - center).max(axis=1)
     lost = (size < FINEST * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])

@@ -163,14 +163,17 @@ class TriangleMesh:
         return len(self._faces)
 
     @cached_property
+    def referenced(self) -> np.ndarray:
+        """(V,) bool, read-only: the vertices that some triangle uses. Others may be anywhere: nothing is measured by them."""
+        return _read_only(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
+
+    @cached_property
     def bounds(self) -> np.ndarray:
         """(2, 3) float64, the lowest and the highest corner of the box around all triangles.
 
         Vertices that no triangle uses do not count.
         """
-        used = np.zeros(self.vertex_count, dtype=bool)
-        used[self._faces] = True
-        points = self._vertices if used.all() else self._vertices[used]
+        points = self._vertices if self.referenced.all() else self._vertices[self.referenced]
         return _read_only(np.array(extremes(points), dtype=np.float64))
 
     @property

@@ -64,7 +64,8 @@ class Scene(Queries):
 
     Raises:
         TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
-        ValueError: unknown names, no such device, an empty sequence.
+        ValueError: unknown names, no such device, an empty sequence; triangles that spread over more than 6.9e10
+            (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot hold.
     """
 
     instances: tuple[Instance, ...] = ()
@@ -175,8 +176,8 @@ class Scene(Queries):
 
         Raises:
             TypeError: a value is of a wrong type.
-            ValueError: no such mesh, a wrong number of vertices, NaN or infinite ones, a transform or a mask, an unknown name.
-                The scene is then as before.
+            ValueError: no such mesh, a wrong number of vertices, NaN or infinite ones, or triangles that spread too far (as of
+                the class), a transform or a mask, an unknown name. The scene is then as before.
         """
         if transform is not None or mask is not None:
             raise ValueError("transform and mask go with instances, and this scene has none; make it of wrt.Instance(mesh)")

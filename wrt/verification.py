@@ -42,6 +42,14 @@ SLIVER_ERROR = 2.0**-22
 STEEP = 0.1
 """Sine of the angle between ray and triangle from which on errors of t are measured: below, they grow without bound."""
 
+LOST_BITS = 2.0**-12
+"""Longest side of a triangle, as a share of its distance from the centre that positions are relative to, below which float32
+leaves it half of its 24 bits, or fewer."""
+
+LEAST_EXTENT = 2.0**-34
+"""Longest side of a mesh below which products of three lengths, as of an area and a distance, fall below the normal numbers of
+float32, 2^-126, for triangles a hundredth of it large."""
+
 SLIVER = 1000.0
 """Length by height from which on a triangle counts as a sliver."""
 
@@ -81,7 +89,10 @@ class Verification:
         t_error: largest error of the distance to a hit, as a share of the ray's reach in the scene, among rays that meet the
             same triangle as the reference at more than 6 degrees.
         mesh: what there is in the mesh: "open edges" (holes), "edges of more than two triangles", "duplicate triangles",
-            "triangles without area", "slivers" (a thousand times as long as high).
+            "triangles without area", "slivers" (a thousand times as long as high), "triangles too small for where they are"
+            (less than 1/4096 as long as they are far from their scene's centre, to which float32 positions are relative),
+            "triangles of a mesh too small for float32" (less than 6e-11 across, where areas times distances underflow), and
+            "vertices that no triangle uses" (which have no part in any answer).
         explained: of the faults, how many are at triangles of these sorts.
         faults: the first few wrong answers.
     """
@@ -156,7 +167,7 @@ def verify(scene: Scene, samples: int, seed: int) -> Verification:
     def by_kind(marked: np.ndarray) -> dict[str, int]:
         return dict(zip(KINDS, np.bincount(kind_of[marked], minlength=len(KINDS)).tolist(), strict=True))
 
-    sorts = sorts_of_triangles(joined)
+    sorts = sorts_of_triangles(joined) | sorts_of_places(scene, joined)
     wrong = np.flatnonzero(check.missed | check.false)
     there = np.where(check.false, check.primitive, check.expected)[wrong]
     return Verification(
@@ -357,3 +368,25 @@ def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
         "triangles without area": (int(flat.sum()), flat),
         "slivers": (int(slivers.sum()), slivers),
     }
+
+
+def sorts_of_places(scene: Scene, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
+    """What float32 has few digits for: how many triangles, and which (F,) bool; and unused vertices, at none of them."""
+    lost, tiny = [], []
+    for part in scene.parts:
+        own = len(lost)
+        for mesh in part.meshes:
+            corners = mesh.vertices[mesh.faces].astype(np.float64) - part.center
+            longest = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
+            lost.append((longest < LOST_BITS * np.abs(corners).max(axis=(1, 2))) & (longest > 0.0))
+        extent = np.ptp(part.bounds, axis=0).max()
+        tiny += [np.full(len(mask), 0.0 < extent < LEAST_EXTENT) for mask in lost[own:]]
+    if scene.instances:
+        lost, tiny = ([masks[number] for number in scene.geometry_ids] for masks in (lost, tiny))
+    sorts = {
+        "triangles too small for where they are": np.concatenate(lost),
+        "triangles of a mesh too small for float32": np.concatenate(tiny),
+    }
+    unused = sum(int((~mesh.referenced).sum()) for mesh in scene.meshes)
+    found = {name: (int(mask.sum()), mask) for name, mask in sorts.items()}
+    return found | {"vertices that no triangle uses": (unused, np.zeros(joined.triangle_count, dtype=bool))}

@@ -223,8 +223,11 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
                 node = 2 * pair
                 lanes = left
             else:
-                may_be_leaf = tree.range[node][1] <= rules.max_leaf  # costs do not tell where surface areas overflow
-                if may_be_leaf and cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1):
+                # costs do not tell where surface areas overflow or are NaN: what has no children is a leaf whatever it costs
+                is_leaf = pair == LEAF
+                if tree.range[node][1] <= rules.max_leaf and not is_leaf:
+                    is_leaf = cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1)
+                if is_leaf:
                     wide.pick[index, held] = ~node
                     counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
                 else:

@@ -99,8 +99,8 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
         const float low = from[axis], high = -from[4 + axis] + 0.0f;
         int bits;
         memcpy(&bits, from + 3, 4);
-        write(low, bits, low == high ? {int(PLANAR)} : {int(START)});
-        if (low != high) write(high, bits, {int(END)});
+        write(low, bits, low < high ? {int(START)} : {int(PLANAR)});
+        if (low < high) write(high, bits, {int(END)});
     }}
     return (int)(to - begin);
 """
@@ -163,7 +163,7 @@ def merge_fresh(lists: EventLists, fresh: int, count: int, begin: int, kept: int
 @wp.func
 def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
     """Splits one axis' events [begin, begin + count) between the children, but for those of straddlers, which are noted.
-    Returns the counts of both children.
+    Returns the counts of both children, and on the first axis the number of straddlers.
 
     The first axis numbers the straddlers: one begins, or lies in a plane, before anything else is seen of it."""
     left = int(to_left)
@@ -172,7 +172,7 @@ def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count:
     for i in range(begin, begin + count):
         event = load_pair(lists.event, i)
         place = sides_first + (event[1] >> 2)
-        side = int(load_byte(lists.side, place))
+        side = int(load_byte(lists.side, place)) & 3
         if side == BOTH:
             if axis == 0 and (event[1] & 3) != END:
                 store_int(lists.number, place, straddlers)
@@ -184,7 +184,7 @@ def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count:
             left += wp.where(side == LEFT, 1, 0)
             store_pair(lists.event, right, event)
             right += wp.where(side == RIGHT, 1, 0)
-    return wp.vec2i(left - to_left, right - to_right)
+    return wp.vec3i(left - to_left, right - to_right, straddlers)
 
 
 @wp.func
@@ -207,6 +207,7 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
     classify(lists, task.triangles_first, frame, split)
     append_left = split.left < split.right
     to = int(frame.top)
+    straddlers = int(0)
     for axis in range(3):
         if append_left:
             left.first[axis] = to
@@ -218,11 +219,11 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
         left.count[axis] = count[0]
         right.count[axis] = count[1]
         to += frame.count[axis] - wp.where(append_left, count[1], count[0])  # room for all events of straddlers
+        straddlers += count[2]
     left.top = to
     right.top = wp.where(append_left, frame.top, to)
-    straddlers = split.left + split.right - frame.triangles
-    left.triangles = split.left - straddlers
-    right.triangles = split.right - straddlers
+    left.triangles = wp.max(split.left - straddlers, 0)
+    right.triangles = wp.max(split.right - straddlers, 0)
     add_straddlers(lists, task.triangles_first, straddlers, left)
     add_straddlers(lists, task.triangles_first, straddlers, right)
 
@@ -245,7 +246,7 @@ def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig)
     if config.split_clipping:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
         lists.pad = PAD * triangles.size
-        lists.number = wp.empty(count, dtype=int, device=device)
+        lists.number = wp.zeros(count, dtype=int, device=device)
         lists.straddler = wp.empty(16 * count, dtype=float, device=device)
         lists.fresh = wp.empty(4 * count, dtype=wp.vec2i, device=device)
     return lists

@@ -163,7 +163,8 @@ def fill_cells(
 
 def make_grid(low: np.ndarray, high: np.ndarray, triangles: int) -> Grid:
     """A grid of nearly cubic cells over a box; along an axis shorter than a cell there is one."""
-    size = (high - low).astype(np.float64)
+    size = high.astype(np.float64) - low
+    size = np.where(np.isfinite(size), size, 0.0)
     wanted = min(MOST_CELLS, max(1, triangles // TRIANGLES_PER_CELL))
     volumes = np.cumprod(np.sort(size)[::-1])
     edge = max((volumes / wanted) ** (1.0 / np.arange(1, 4)))

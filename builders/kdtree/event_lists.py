@@ -112,7 +112,7 @@ def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_le
     right = int(to_right)
     for i in range(begin, begin + count):
         event = load_pair(lists.event, i)
-        side = int(load_byte(lists.side, sides_first + (event[1] >> 2)))
+        side = int(load_byte(lists.side, sides_first + (event[1] >> 2))) & 3
         # written whether wanted or not, kept by moving the end: no branch to mispredict
         store_pair(lists.event, left, event)
         left += side & 1
@@ -149,11 +149,15 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
 def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
     """Lists the node's triangles, by the position at which they begin in x."""
     to = int(begin)
+    end = begin + frame.triangles  # as the search counted them: of NaN it may have another opinion than the lists
     for i in range(frame.first[0], frame.first[0] + frame.count[0]):
         value = load_pair(lists.event, i)[1]
-        if (value & 3) != END:
+        if (value & 3) != END and to < end:
             parts.primitive[to] = lists.triangle[task.triangles_first + (value >> 2)]
             to += 1
+    while to < end:
+        parts.primitive[to] = -1
+        to += 1
 
 
 EVENTS = Method(EventLists, search, divide, emit_leaf)

@@ -1,6 +1,7 @@
 """Events of a sweep: where each triangle's box starts and ends along each axis, sorted once for the whole build.
 
-A box that is flat along an axis gives one planar event there, any other a start and an end. Events are sorted by
+A box that is flat along an axis gives one planar event there, any other a start and an end: a start is always before its end,
+because what is not longer than 0, NaN too, counts as flat, wherever events are made. Events are sorted by
 position; at equal positions ends come first, then planar ones, then starts, and among these the smaller triangle id
 (Wald and Havran 2006). A part of a sorted list is a sorted list: nodes need no sort, but where they clip (`clipped_events`).
 """
@@ -57,7 +58,7 @@ def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dt
     for axis in range(3):
         planar = int(0)
         for i in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
-            planar += wp.where(boxes.low[axis, i] == boxes.high[axis, i], 1, 0)
+            planar += wp.where(boxes.low[axis, i] < boxes.high[axis, i], 0, 1)
         counts[axis, chunk] = planar
 
 
@@ -75,7 +76,7 @@ def emit_events(
         for i in range(begin, wp.min(triangles, (chunk + 1) * CHUNK)):
             low = boxes.low[axis, i]
             high = boxes.high[axis, i]
-            if low == high:
+            if not (low < high):
                 events.position[axis, solid + planar] = low
                 events.value[axis, solid + planar] = (i << 2) | PLANAR
                 planar += 1

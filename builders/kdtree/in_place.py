@@ -149,7 +149,15 @@ class InPlaceBuilder:
             self.levels.append(self.live.numpy())
             self.live = children[:total]
         self.levels.append(self.live.numpy())
+        self.count_members(membership)
         return membership
+
+    def count_members(self, membership: Membership) -> None:
+        """Has the last level's nodes hold as many triangles as there are in them: what is copied to them must find room, and of
+        NaN the counts of a sweep may have another opinion."""
+        last = self.levels[-1]
+        last["triangles"] = np.bincount(membership.node.numpy(), minlength=len(last))
+        self.live = wp.array(last, dtype=LiveNode, device=self.device)
 
     def split_level(self, events: Events, membership: Membership) -> None:
         """Finds the split of every live node."""

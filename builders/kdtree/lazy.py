@@ -209,7 +209,7 @@ class LazyKdTree:
         """Divides a cell into cells; False if no plane does, or if too many lie across the planes."""
         parent = self.cells[number]
         least, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
-        if size <= least:
+        if not size > least or not least / size < 1.0:  # NaN, too, is not divided
             return False
         clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
         top = self._build_top(parent, clusters, least / size)

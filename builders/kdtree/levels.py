@@ -301,7 +301,7 @@ def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.arr
 @wp.func
 def sides(node: LiveNode, low: float, high: float):
     """Children that a box belongs to, by its interval on the split axis: 1 left, 2 right, 3 both."""
-    if low == high and low == node.split.position:
+    if not (low < high) and low == node.split.position:
         return wp.where(node.split.planar_left, 1, 2)
     if high <= node.split.position:
         return 1

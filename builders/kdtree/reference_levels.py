@@ -25,7 +25,7 @@ from wrt.builders.kdtree.bins import best_bin_plane, bin_range, counters_for, me
 from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.reference_lists import Sides, measure_sides, partition
 from wrt.builders.kdtree.subtrees import Frame
-from wrt.builders.references import write_references
+from wrt.builders.references import copy_references, write_references
 from wrt.builders.triangles import Boxes, TriangleBoxes
 from wrt.kernels.launch import launch
 from wrt.kernels.structs import with_known_layout
@@ -187,22 +187,22 @@ def move_chunks(
     chunk = chunks[first + wp.tid()]
     node = nodes[chunk.node]
     split = node.split
-    if node.finished:
-        split.axis = 0
-        split.position = wp.inf
     sides = Sides()
-    partition(
-        references,
-        chunk.begin,
-        chunk.count,
-        split.axis,
-        split.position,
-        split.planar_left,
-        target,
-        chunk.to_left,
-        chunk.to_right,
-        sides,
-    )
+    if node.finished:
+        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
+    else:
+        partition(
+            references,
+            chunk.begin,
+            chunk.count,
+            split.axis,
+            split.position,
+            split.planar_left,
+            target,
+            chunk.to_left,
+            chunk.to_right,
+            sides,
+        )
 
 
 @dataclass

@@ -18,6 +18,7 @@ from wrt.builders.kdtree.config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.reference_lists import ReferenceLists
 from wrt.builders.kdtree.subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
+from wrt.builders.references import copy_references
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import launch, load, specialise
 
@@ -38,13 +39,7 @@ def copy_lists(
 ):
     """Item: a task. Copies its references to its share."""
     number = first + wp.tid()
-    copy_range(references, source[number], frames[number].triangles, lists, tasks[number].lists_first)
-
-
-@wp.func_native("memcpy(lists.reference.data + (size_t)to * 8, references.data + (size_t)begin * 8, (size_t)count * 32);")
-def copy_range(references: wp.array(dtype=float), begin: int, count: int, lists: ReferenceLists, to: int):
-    """Copies a range of references."""
-    ...
+    copy_references(references, source[number], frames[number].triangles, lists.reference, tasks[number].lists_first)
 
 
 @dataclass(frozen=True)

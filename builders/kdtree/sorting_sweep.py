@@ -113,9 +113,9 @@ def list_events(boxes: Boxes, work: Workspace, node: Waiting, axis: int):
         low = boxes.low[axis, triangle]
         high = boxes.high[axis, triangle]
         work.position[count] = low
-        work.value[count] = (triangle << 2) | wp.where(low == high, PLANAR, START)
+        work.value[count] = (triangle << 2) | wp.where(low < high, START, PLANAR)
         count += 1
-        if low != high:
+        if low < high:
             work.position[count] = high
             work.value[count] = (triangle << 2) | END
             count += 1
@@ -150,7 +150,7 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
         right -= lying + ending
         best = better_split(cost, along, position, left, lying, right, best)
         left += lying + starting
-        i += ending + lying + starting
+        i += wp.max(ending + lying + starting, 1)  # NaN equals no position, its own either
     return best
 
 
@@ -212,7 +212,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
                 triangle = work.triangle[node.first + i]
                 low = boxes.low[split.axis, triangle]
                 high = boxes.high[split.axis, triangle]
-                planar = low == high and low == split.position
+                planar = not (low < high) and low == split.position
                 if (planar and split.planar_left) or (not planar and low < split.position):
                     work.triangle[left.first + left.triangles] = triangle
                     left.triangles += 1

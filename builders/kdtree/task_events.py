@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
     for (int kind = {int(END)}; kind <= {int(START)}; ++kind) {{
         for (int i = 0; i < count; ++i) {{
             const float low = from[(size_t)i * 8], high = -from[(size_t)i * 8 + 4] + 0.0f;
-            const bool planar = low == high;
+            const bool planar = !(low < high);
             if (planar == (kind == {int(PLANAR)})) {{
                 const float position = kind == {int(END)} ? high : low;
                 int bits;

@@ -239,8 +239,8 @@ def gather(
             triangles = kdtree.leaf_triangles(nodes[below])
             for i in range(triangles):
                 triangle = primitive[kdtree.first_block(nodes[below]) * list_width + i]
-                fresh = bool(True)
-                if several:
+                fresh = triangle >= 0
+                if several and fresh:
                     fresh = is_new(table, triangle)
                 if fresh:
                     write_clipped(boxes, triangle, low, high, references, first + count)
