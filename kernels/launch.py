@@ -113,7 +113,7 @@ def launch(
     longest: int = MAX_CHUNK,
     chunks_per_thread: int = CHUNKS_PER_THREAD,
 ) -> None:
-    """Runs `kernel` for the items 0 .. count - 1.
+    """Runs `kernel` for the items 0 .. count - 1. No `wp.Tape` takes notice.
 
     Args:
         kernel: a kernel whose first parameter is `first: int`, the number of the first item of the chunk.
@@ -130,11 +130,11 @@ def launch(
         return
     load([kernel], device)
     if device.is_cuda:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK, record_tape=False)
         return
     bounds = cut(count, chunk=chunk, longest=longest, chunks_per_thread=chunks_per_thread)
     if len(bounds) == 2 or device.is_capturing:  # threads that record launches side by side lose some
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)
     else:
         Repeated(kernel, inputs, device).launch(bounds)
 

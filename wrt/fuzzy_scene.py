@@ -280,8 +280,8 @@ def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
     frames = np.asarray(frames)
     if frames.ndim != 3 or not len(frames):
         raise ValueError(f"frames must be of shape (F, V, 3) with at least one frame, not {frames.shape}")
-    first = TriangleMesh(np.array(frames[0]), faces)
-    return [first, *(TriangleMesh(np.array(vertices), first.faces) for vertices in frames[1:])]
+    first = TriangleMesh(frames[0], faces)
+    return [first, *(TriangleMesh(vertices, first.faces) for vertices in frames[1:])]
 
 
 def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:

@@ -87,7 +87,7 @@ def check_index(index: Any, count: int, what: str) -> int:
 
 
 def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
-    """The mesh with its vertices elsewhere; they are copied.
+    """The mesh with its vertices elsewhere; its faces are shared.
 
     Raises:
         TypeError: vertices are missing, or no real numbers.
@@ -95,7 +95,7 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
     """
     if vertices is None:
         raise TypeError("vertices is missing; pass an array of as many points as the mesh has vertices")
-    points = np.array(vertices)
+    points = np.asarray(vertices)
     if points.ndim and len(points) != mesh.vertex_count:
         raise ValueError(
             f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"

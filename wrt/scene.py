@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 import warp as wp
@@ -64,7 +65,9 @@ class Scene(Queries):
 
     Raises:
         TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
-        ValueError: unknown names, no such device, an empty sequence.
+        ValueError: unknown names, no such device, an empty sequence, one that contains itself, a `cache` that is a file.
+        MemoryError: there is too little memory for the tree.
+        OSError: the folder of `cache` cannot be made. (A tree that cannot be written there is a warning.)
     """
 
     instances: tuple[Instance, ...] = ()
@@ -129,6 +132,7 @@ class Scene(Queries):
         self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh
     ) -> None:
         """The only place where a scene gets its parts; nothing here can fail."""
+        self.__dict__.setdefault("mark", uuid4().hex)  # by which hits know it: updates, copies and pickles keep it
         self.meshes = meshes
         self.growing: LazyKdTree | None = None
         """The tree that is built lazily; None if it is all there."""
@@ -229,11 +233,12 @@ class Scene(Queries):
         """Writes the meshes, the description of the tree, and the tree, to a file that `load` reads.
 
         The file is an .npz archive of plain arrays, whatever name `path` gives it. It takes the place of an earlier one only
-        when it is complete.
+        when it is complete; where `path` is a symbolic link, of the file that it points to.
 
         Raises:
             OSError: the file cannot be written.
-            ValueError: the tree is built lazily, or for influence areas: such trees are not kept.
+            ValueError: the tree is built lazily, or for influence areas: such trees are not kept; `path` is a device, a pipe or
+                a folder.
         """
         from wrt.storage import save_scene
 
@@ -244,7 +249,8 @@ class Scene(Queries):
         """Reads a scene that was saved. Its answers are the same to the bit.
 
         The tree is built again if it is not the one that would be built here: another version of wrt wrote it, or for a
-        device with vectors of another width. Nothing in a file is run, so those of strangers are safe to read.
+        device with vectors of another width. Nothing in a file is run, and no file leads a kernel out of its arrays. A checksum
+        of all arrays tells damage. It is no signature: take files whose answers matter only from those whom you trust.
 
         Args:
             path: of the file.

@@ -80,7 +80,7 @@ class RayMeshIntersector:
         if built is None or built[0] != key:
             scene = None
             if len(self.mesh.faces):
-                scene = Scene(TriangleMesh(np.array(self.mesh.vertices), np.array(self.mesh.faces)), **self._options)
+                scene = Scene(TriangleMesh(self.mesh.vertices, self.mesh.faces), **self._options)
             built = self._built = (key, scene)
         return built[1]
 
