@@ -29,6 +29,8 @@ from typing import Any, TypeVar
 
 import warp as wp
 
+from wrt.kernels.cache import init_warp, load_module
+
 Config = TypeVar("Config")
 
 CHUNKS_PER_THREAD = 8
@@ -228,7 +230,7 @@ def cut(count: int, *, chunk: int, longest: int, chunks_per_thread: int) -> list
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
     """Loads a kernel's module again if it has grown: one with `Any` among its parameters does with each type that it meets."""
     with _lock:
-        kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
+        load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
@@ -236,7 +238,7 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
     for kernel in kernels:
         if (kernel, device.alias) not in _loaded:
             with _lock:
-                kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
+                load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
                 _loaded.add((kernel, device.alias))
 
 
@@ -310,7 +312,7 @@ def as_device(device: str | wp.Device | None) -> wp.Device:
     Raises:
         ValueError: it is not there.
     """
-    wp.init()
+    init_warp()
     try:
         return wp.get_device(device)
     except (ValueError, RuntimeError) as error:

@@ -43,7 +43,7 @@ def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         ValueError: `path` is something else than a regular file.
     """
     with replaced(path) as file:
-        np.savez(file, **arrays, **{CHECKSUM: np.array(checksum(arrays))})
+        np.savez(file, **{**arrays, CHECKSUM: np.array(checksum(arrays))})
 
 
 def read_archive(path: Path) -> dict[str, np.ndarray]:

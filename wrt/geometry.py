@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.instances import members_of
 from wrt.kernels.hits import SceneMesh
 from wrt.mesh import TriangleMesh, extremes
 
@@ -56,14 +57,14 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
 
     Raises:
         TypeError: something that is no mesh.
-        ValueError: an empty sequence.
+        ValueError: an empty sequence, or one that contains itself.
     """
     if isinstance(geometry, TriangleMesh):
         return (geometry,)
     if isinstance(geometry, Sequence) and not isinstance(geometry, (str, bytes)):
-        if not geometry:
+        if not (members := members_of(geometry)):
             raise ValueError("geometry is an empty sequence; pass at least one mesh")
-        return tuple(mesh for item in geometry for mesh in as_meshes(item))
+        return tuple(mesh for member in members for mesh in as_meshes(member))
     if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
         return (TriangleMesh.from_trimesh(geometry),)
     raise TypeError(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.launch import load
 from wrt.rays import as_vectors
 
 if TYPE_CHECKING:
@@ -84,6 +85,7 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
     ]
     kernel = make_kernel(start.dtype, toward.dtype, points.dtype, double)
     inputs = [start, origin_stride, toward, direction_stride, points, scene.device_mesh.faces, hits.batch.primitive]
+    load([kernel], device)
     wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
     return DifferentiableHits(*(values.reshape(shape) for values in outputs))
 

@@ -18,6 +18,7 @@ from wrt.geometry import as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import as_device, check_num_threads, use_threads
+from wrt.memory import memory_for
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
@@ -113,16 +114,18 @@ class Scene(Queries):
         from wrt.local_trees import build_local_trees
         from wrt.storage import find_tree
 
-        placed = place_meshes(meshes, self.device)
         recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
         has_areas, growing, report = isinstance(self.accelerator, RayAwareBvh), None, None
-        if policy is not None and can_move(self.accelerator):
-            shift = self.center - placed.center + typical_motion(self.meshes, meshes)
-            tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
-        else:
-            # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-            boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
-            tree, growing = find_tree(recipe, boxes, placed, cache)
+        triangles = f"the tree of {sum(mesh.triangle_count for mesh in meshes):,} triangles"
+        with memory_for(triangles, sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in meshes)):
+            placed = place_meshes(meshes, self.device)
+            if policy is not None and can_move(self.accelerator):
+                shift = self.center - placed.center + typical_motion(self.meshes, meshes)
+                tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
+            else:
+                # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+                boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+                tree, growing = find_tree(recipe, boxes, placed, cache)
         self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self.growing, self.last_update = growing, report
         if has_areas:
