@@ -1,7 +1,7 @@
 """Every public query on whatever may be passed to it, against brute force in float64: examples by hypothesis.
 
-Meshes are small, with corners on a coarse grid, so that triangles without area, duplicates and shared edges are common. Rays come
-in every shape, type and memory layout. The oracle lists the crossings of each ray with each triangle by Moeller and Trumbore's
+Meshes are small, with corners on a coarse grid, so that triangles without area, duplicates and shared edges are common. Rays
+come in every shape, type and memory layout. The oracle lists the crossings of each ray with each triangle by Moeller and Trumbore's
 formulas in float64, and says which rays are *clear*: none of their crossings is so near to an edge, to a grazing angle or to an
 end of the ray that float32 decides. Clear rays must be answered exactly as the oracle says; of the others the queries must
 agree with one another.
@@ -27,7 +27,7 @@ from wrt.plan import Plan
 
 LONG = int(os.environ.get("WRT_PROPERTY_EXAMPLES", "0"))
 EXAMPLES = settings(
-    max_examples=LONG or 60, derandomize=not LONG, deadline=None, database=None, suppress_health_check=list(HealthCheck)
+    max_examples=LONG or 120, derandomize=not LONG, deadline=None, database=None, suppress_health_check=list(HealthCheck)
 )
 
 ON_DEVICES = pytest.mark.parametrize("device", DEVICES)
@@ -37,7 +37,7 @@ MARGIN = 1e-2
 
 # -- what is passed ----------------------------------------------------------------------------------------------------
 
-SHAPES = st.sampled_from([(), (1,), (0,), (7,), (2, 3), (1, 5), (3, 1), (2, 0, 2), (2, 1, 3)])
+SHAPES = st.sampled_from([(), (1,), (0,), (40,), (9, 5), (1, 30), (30, 1), (2, 0, 2), (4, 1, 9)])
 FLOATS = [np.float32, np.float64]
 
 
@@ -103,7 +103,11 @@ def cases(draw, device: str = "cpu", warp: bool = True) -> Case:
         shapes[draw(st.integers(0, 1))] = draw(st.sampled_from([(), shared, shared[1:] if shared[:1] == (1,) else shared]))
     low, high = mesh.bounds
     origins = rng.uniform(low - 1, high + 1, (*shapes[0], 3))
-    directions = rng.uniform(-1, 1, (*shapes[1], 3)) * 10.0 ** draw(st.integers(-3, 3))
+    directions = rng.uniform(-1, 1, (*shapes[1], 3))
+    if draw(st.integers(0, 3)) and np.broadcast_shapes(*shapes) == shapes[1]:  # most are aimed at triangles
+        corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, shapes[1])]].astype(np.float64)
+        weights = rng.dirichlet((2, 2, 2), shapes[1])
+        directions = ((weights[..., None] * corners).sum(axis=-2) - origins) * draw(st.sampled_from([0.5, 1.0, 1.0, 1e-3, 1e3]))
     dtype = draw(st.sampled_from([np.float16, np.float32, np.float64, np.int32, np.uint8]))
     directions = directions.astype(draw(st.sampled_from(FLOATS)))
     origins = np.rint(origins).clip(0, 255).astype(dtype) if dtype in (np.int32, np.uint8) else origins.astype(dtype)
@@ -305,9 +309,10 @@ def test_masks_of_instances(device, data):
 @given(st.data())
 def test_points_that_see_each_other(device, data):
     case = data.draw(cases(device, warp=False))
-    a, b = case.origins, case.origins + case.directions
-    visible = wrt.Scene(case.mesh, device=device).visible(a, b)
-    found = crossings_of(case.mesh, a, b - a)
+    with np.errstate(invalid="ignore"):
+        a, b = case.origins, case.origins + 2.5 * case.directions  # behind what most rays are aimed at
+        visible = wrt.Scene(case.mesh, device=device).visible(a, b)
+        found = crossings_of(case.mesh, a, b - a)
     between = found.within(np.zeros(visible.size), np.ones(visible.size))
     far = np.isfinite(a).all(axis=-1) & np.isfinite(b).all(axis=-1) & (a != b).any(axis=-1)
     chosen = found.is_clear & far.reshape(-1)
@@ -413,13 +418,11 @@ def test_junk_is_a_type_error_or_a_value_error(data):
     junk = data.draw(JUNK)
     arguments = [[junk, good], [good, junk], [junk, junk]][data.draw(st.integers(0, 2))]
     with pytest.raises((TypeError, ValueError)):
-        answer = query(*arguments)
-        if isinstance(answer, wrt.Blocks):  # types and values of arrays are checked block by block
-            list(answer)
+        # types and values of the arrays of blocks are checked block by block
+        list(query(*arguments)) if query == SCENE.intersect_blocks else query(*arguments)
     name = data.draw(st.sampled_from(["skip", "mask", "t_min", "t_max", "traversal", "triangle_test"]))
-    is_fine = {"skip": isinstance(junk, int), "mask": False}.get(
-        name, name[:2] == "t_" and np.asarray([]).dtype == dtype_of(junk)
-    )
+    is_bound = name in ("t_min", "t_max")
+    is_fine = (is_bound and dtype_of(junk) == np.float64) or (name == "skip" and isinstance(junk, int))
     if junk is not None and not is_fine:
         with pytest.raises((TypeError, ValueError)):
             SCENE.intersect(good, good, **{name: junk})

@@ -1,8 +1,8 @@
 """Files of named arrays, .npz archives, that may come from anywhere: written whole or not at all, and read with suspicion.
 
 What an archive declares is compared with what it holds before any memory is taken for it: a header of a few bytes may name an
-array of terabytes. A **checksum** of all arrays tells accidents: a byte that has changed, or an array that was replaced. It is no
-signature: whoever forges a file on purpose can compute it too.
+array of terabytes. A **checksum** of all arrays tells accidents: a byte that has changed, or an array that was replaced. It is
+no signature: whoever forges a file on purpose can compute it too.
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ for one ray at a time:
 
 Positions are in the scene's coordinates, vec3 or vec3d: the way to its centre, in float64, is taken inside. A kernel that
 calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which Warp has none of for
-them, and without fused multiply-add, with which hits may differ and rays may slip between triangles. (Others are refused.) It is
-compiled once for each kind, width and (in steps of eight levels) depth of tree that it meets; results are the same on every
+them, and without fused multiply-add, with which hits may differ and rays may slip between triangles. Others are refused. It
+is compiled once for each kind, width and (in steps of eight levels) depth of tree that it meets; results are the same on every
 device.
 """
 
