@@ -14,8 +14,9 @@ rays (`wrt.kernels.rays`), to the bit. Waiting children lie in local memory: a b
 have any size, so its shared memory cannot be planned. Lists of hits have no place to go: `next_hit` finds the one that follows
 a given one, by t, then by triangle, in a search of its own from there on.
 
-**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are. Warp refuses the
-former; with the latter, hits may differ and rays may slip between triangles.
+**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are: Warp has no adjoints of
+the walks, and with fused multiply-add hits may differ and rays may slip between triangles. Others are refused while they are
+compiled, by the one function that all queries call.
 """
 
 from functools import cache
@@ -88,6 +89,15 @@ def search_next(scene: NoScene, ray: Ray, after: int):
 SEARCHES = {CLOSEST: search_closest, ANY: search_any, COUNT: search_count, NEXT: search_next}
 
 
+_handles: set[type] = set()
+"""The structs of `handle_type`."""
+
+
+def is_handle(value: Any) -> bool:
+    """Whether a kernel's argument is a scene's handle."""
+    return getattr(value, "_cls", None) in _handles
+
+
 @cache
 def handle_type(kind: str, width: int, levels: int) -> type:
     """The struct that a scene with such a tree hands to kernels; the functions above have an overload for it from then on.
@@ -105,6 +115,7 @@ def handle_type(kind: str, width: int, levels: int) -> type:
 
     Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}"
     handle = wp.struct(Handle)
+    _handles.add(handle)
     for query, search in SEARCHES.items():
         config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, levels=levels)
         search.add_overload(make_search(handle, make_walk(config), results_of(config)))
@@ -131,6 +142,42 @@ def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
 def ray_in(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
     """A ray of the caller's, relative to the scene's centre: a float64 origin is rounded only there."""
     return checked_ray(wp.vec3(wp.vec3d(origin) - scene.mesh.center), wp.vec3(direction), t_min, t_max)
+
+
+class QueryFunction(wp.Function):
+    """A function that refuses to become part of a kernel that ray queries cannot be in."""
+
+    def build(self, builder: Any, default_builder_options: Any = None) -> None:
+        """Warp's, for kernels with the right options.
+
+        Raises:
+            ValueError: other options.
+        """
+        if builder is not None:
+            name = f"a kernel of the module {builder.module.name!r}"
+            check_options(name, self.adj.used_by_backward_kernel, builder.options["fuse_fp"])
+        super().build(builder, default_builder_options)
+
+
+def check_options(name: str, enable_backward: bool, fuse_fp: bool) -> None:
+    """Refuses options with which ray queries do not compile or may give other hits.
+
+    Args:
+        name: what has them, for the message.
+        enable_backward, fuse_fp: as Warp knows them.
+
+    Raises:
+        ValueError: one of them is on.
+    """
+    on = [option for option, is_on in (("gradients", enable_backward), ("fused multiply-add", fuse_fp)) if is_on]
+    if on:
+        raise ValueError(
+            f"{name} calls ray queries of wrt.device and is compiled with {' and '.join(on)}; decorate it with "
+            "@wrt.device.kernel in place of @wp.kernel"
+        )
+
+
+ray_in.__class__ = QueryFunction  # wp.func makes a wp.Function, and Warp copies that with its class for each type of scene
 
 
 @wp.func

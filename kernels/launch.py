@@ -31,6 +31,7 @@ from typing import Any, TypeVar
 import numpy as np
 import warp as wp
 
+from wrt.kernels.cache import init_warp, load_module
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.cores import available_cores
 from wrt.kernels.runtime.packed import PackedKernel
@@ -116,7 +117,7 @@ def launch(
     longest: int = MAX_CHUNK,
     chunks_per_thread: int = CHUNKS_PER_THREAD,
 ) -> None:
-    """Runs `kernel` for the items 0 .. count - 1.
+    """Runs `kernel` for the items 0 .. count - 1. No `wp.Tape` takes notice.
 
     Args:
         kernel: a kernel whose first parameter is `first: int`, the number of the first item of the chunk.
@@ -133,10 +134,10 @@ def launch(
         return
     load([kernel], device)
     if device.is_cuda:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK, record_tape=False)
         return
     if device.is_capturing:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device)
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)
     else:
         chunks = Chunks(chunk, longest, chunks_per_thread)
         PreparedLaunch(kernel, inputs, device).run(count, chunks)
@@ -318,7 +319,7 @@ def kept(device: wp.Device) -> Iterator[None]:
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
     """Loads a kernel's module again if it has grown: one with `Any` among its parameters does with each type that it meets."""
     with _lock:
-        kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
+        load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
@@ -326,7 +327,7 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
     for kernel in kernels:
         if (kernel, device.alias) not in _loaded:
             with _lock:
-                kernel.module.load(device, block_dim=1 if device.is_cpu else CUDA_BLOCK)
+                load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
                 _loaded.add((kernel, device.alias))
 
 
@@ -400,7 +401,7 @@ def as_device(device: str | wp.Device | None) -> wp.Device:
     Raises:
         ValueError: it is not there.
     """
-    wp.init()
+    init_warp()
     try:
         return wp.get_device(device)
     except (ValueError, RuntimeError) as error:

@@ -316,7 +316,7 @@ def test_missing_peers_are_reported_with_the_way_to_get_them(monkeypatch):
     monkeypatch.setitem(PEERS, "absent", lambda threads, device: [Absent()])
     peers, missing = make_peers(["absent"], 1, "cpu")
     assert [peer.name for peer in peers] == ["wrt"], "wrt is there whether named or not"
-    assert missing == {"Absent": 'not installed; pip install "wrt[peers]"'}
+    assert missing == {"Absent": "needs no_such_package, which is not installed: pip install no_such_package"}
     with pytest.raises(ValueError, match="peer 'nobody' is unknown; choose from wrt"):
         make_peers(["nobody"], 1, "cpu")
 

@@ -190,3 +190,116 @@ def test_bad_launches():
         wrt.device.launch(open_sky, 4, [], num_threads=0)
     with pytest.raises(ValueError, match="cuda:99"):
         wrt.device.launch(open_sky, 4, [], device="cuda:99")
+
+
+@wrt.device.kernel
+def distances(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    out: wp.array(dtype=float),
+):
+    """Item: a ray."""
+    i = first + wp.tid()
+    out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
+
+
+@wp.kernel(module="with_gradients")
+def distances_with_gradients(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    out: wp.array(dtype=float),
+):
+    """Item: a ray; by a decorator that does not fit."""
+    i = first + wp.tid()
+    out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
+
+
+@wp.kernel(enable_backward=False, module="fused")
+def distances_fused(
+    first: int,
+    scene: wrt.device.SceneHandle,
+    origins: wp.array(dtype=wp.vec3),
+    directions: wp.array(dtype=wp.vec3),
+    out: wp.array(dtype=float),
+):
+    """Item: a ray; by a decorator that compiles and gives other hits."""
+    i = first + wp.tid()
+    out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
+
+
+@wp.kernel(module="with_gradients")
+def fill(numbers: wp.array(dtype=float)):
+    """Item: a number. Of the same module as `distances_with_gradients`."""
+    numbers[wp.tid()] = 3.0
+
+
+@wp.kernel(module="unique")
+def square(first: int, x: wp.array(dtype=float), y: wp.array(dtype=float)):
+    """Item: a number."""
+    i = first + wp.tid()
+    y[i] = x[i] * x[i]
+
+
+@wp.struct
+class Numbers:
+    values: wp.array(dtype=float)
+
+
+@wrt.device.kernel
+def double(first: int, numbers: Numbers, out: wp.array(dtype=float)):
+    """Item: a number."""
+    i = first + wp.tid()
+    out[i] = 2.0 * numbers.values[i]
+
+
+def few_rays(scene: wrt.Scene, count: int = 50) -> list[wp.array]:
+    """Rays to the middle of a scene."""
+    origins = scene.center + np.ptp(scene.bounds, axis=0).max() * np.random.default_rng(0).normal(size=(count, 3))
+    return [wp.array(values, dtype=wp.vec3, device=scene.device) for values in (origins, scene.center - origins)]
+
+
+def test_kernels_with_other_options_are_told_the_decorator(device):
+    """A plain `@wp.kernel` failed with an error about wp.ref, and no kernel of its module could be launched any more."""
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device=device)
+    inputs = [scene.handle(), *few_rays(scene), wp.zeros(50, dtype=float, device=device)]
+    numbers = wp.ones(5, dtype=float, device=device)
+    for kernel, why in (
+        (distances_with_gradients, "gradients and fused multiply-add"),
+        (distances_fused, "fused multiply-add"),
+    ):
+        with pytest.raises(
+            ValueError, match=rf"kernel '{kernel.key}' calls .* with {why}; decorate it with @wrt\.device\.kernel"
+        ):
+            wrt.device.launch(kernel, 50, inputs, device=device)
+    wp.launch(fill, 5, [numbers], device=device)
+    assert numbers.numpy().sum() == 15.0
+    for kernel in (distances_fused, distances_with_gradients):
+        with pytest.raises(ValueError, match=r"decorate it with @wrt\.device\.kernel"):
+            wp.launch(kernel, 50, [0, *inputs], device=device)
+
+
+def test_launches_inside_a_tape(device):
+    """A launch with arrays that take gradients is recorded if its kernel has some, and refused if not; it was neither."""
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device=device)
+    rays, out = few_rays(scene), wp.zeros(50, dtype=float, device=device)
+    moving = wp.clone(rays[0], requires_grad=True)
+    x = wp.array(np.arange(5000.0), dtype=float, device=device, requires_grad=True)
+    y, numbers = wp.zeros_like(x, requires_grad=True), Numbers()
+    numbers.values = x
+    with wp.Tape() as tape:
+        with pytest.raises(
+            ValueError, match=r"kernel '.*distances' is compiled without gradients, .* wrt\.differentiable_hits"
+        ):
+            wrt.device.launch(distances, 50, [scene.handle(), moving, rays[1], out], device=device)
+        with pytest.raises(ValueError, match="compiled without gradients"):
+            wrt.device.launch(double, 5000, [numbers, wp.zeros(5000, dtype=float, device=device)], device=device)
+        wrt.device.launch(distances, 50, [scene.handle(), *rays, out], device=device)
+        wp.launch(distances, 50, [0, scene.handle(), *rays, out], device=device)
+        wrt.device.launch(square, 5000, [x, y], device=device)
+    tape.backward(grads={y: wp.ones_like(y)})
+    np.testing.assert_array_equal(x.grad.numpy(), 2.0 * np.arange(5000.0))
+    assert np.isfinite(out.numpy()).any()

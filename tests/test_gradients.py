@@ -134,3 +134,49 @@ def test_bad_arguments(mesh, values):
 def test_cuda(tmp_path):
     text = compile_to_ptx(make_kernel(wp.vec3f, wp.vec3f, wp.vec3d, False).module, tmp_path)
     assert "backward" in text
+
+
+def test_scenes_of_instances_are_refused(mesh, values):
+    """It was "'NoneType' object has no attribute 'shape'"."""
+    plain, instanced = wrt.Scene(mesh, device="cpu"), wrt.Scene([wrt.Instance(mesh)], device="cpu")
+    rays = values["origins"], values["directions"]
+    for scene, hits in ((instanced, instanced.intersect(*rays)), (instanced, plain.intersect(*rays))):
+        with pytest.raises(ValueError, match=r"scenes without instances; ask wrt\.Scene\(scene\.flattened"):
+            wrt.differentiable_hits(scene, hits, *rays)
+    with pytest.raises(ValueError, match="hits are of another scene"):
+        wrt.differentiable_hits(plain, instanced.intersect(*rays), *rays)
+
+
+@pytest.mark.parametrize("name", ["intersect", "intersect_all"])
+@pytest.mark.parametrize("argument", ["origins", "directions"])
+def test_queries_do_not_lose_gradients_in_silence(mesh, values, name, argument, device):
+    """Inside a tape the gradient of their distances was 0, without a word."""
+    scene = wrt.Scene(mesh, device=device)
+    rays = {key: wp.array(values[key], dtype=wp.vec3, device=device, requires_grad=key == argument) for key in ARGUMENTS[:2]}
+    query = getattr(scene, name)
+    query(**rays)
+    with wp.Tape():
+        with pytest.raises(ValueError, match=rf"{name} passes no gradients on, .* wrt\.differentiable_hits"):
+            query(**rays)
+        query(**rays | {argument: wp.clone(rays[argument], requires_grad=False)})
+        query(values["origins"], values["directions"])
+        for harmless in (scene.occluded, scene.count):
+            harmless(**rays)
+        scene.contains(rays["origins"])
+
+
+def test_tapes_take_no_notice_of_queries(mesh, values, weights, device):
+    """They were recorded if they were short enough, and going back failed at structs without arrays."""
+    scene = wrt.Scene(mesh, device=device)
+    rays = {name: wp.array(values[name], dtype=wp.vec3, device=device) for name in ARGUMENTS[:2]}
+    starts = wp.array(values["origins"], dtype=wp.vec3, device=device, requires_grad=True)
+    with wp.Tape() as tape:
+        hits = scene.intersect(**rays, traversal="single")
+        scene.intersect_all(**rays)
+        scene.visible(rays["origins"], rays["directions"])
+        hits.position, hits.normal, hits.is_hit, hits.spawn(rays["directions"])
+        assert [launch[0].key for launch in tape.launches if launch[0].module.name.startswith("wrt")] == []
+        found = wrt.differentiable_hits(scene, hits, starts, rays["directions"])
+        wrt.Scene(mesh, device=device)
+    tape.backward(grads={found.t: wp.array(weights["t"], dtype=float, device=device)})
+    assert starts.grad.numpy().any()

@@ -106,7 +106,7 @@ def test_shadow_rays_of_a_scene():
 
 def test_without_the_library(monkeypatch):
     monkeypatch.setitem(sys.modules, "sklearn.cluster", None)
-    with pytest.raises(ImportError, match=r"pip install 'wrt\[cluster\]'"):
+    with pytest.raises(ImportError, match="pip install scikit-learn"):
         wrt.InfluenceAreas.from_rays(*mixed_batch(100, 0))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import pickle
 
 import numpy as np
@@ -262,3 +263,21 @@ def test_bad_arguments():
     with pytest.raises(ValueError, match="points must have shape"):
         ray.contains_points(np.zeros(3))
     assert ray.intersects_first([[0, 0, -2]], [[0, 0, 1]])[0] >= 0  # lists of integers do
+
+
+@pytest.mark.parametrize("primitive", [trimesh.primitives.Sphere, trimesh.primitives.Box, trimesh.primitives.Cylinder])
+def test_in_the_place_of_the_class(primitive, monkeypatch):
+    """trimesh makes the intersector of a primitive before it has faces, which was a TypeError."""
+    module = importlib.import_module("trimesh.ray.ray_pyembree") if trimesh.ray.has_embree else ray_triangle
+    monkeypatch.setattr(module, "RayMeshIntersector", wrt.RayMeshIntersector)
+    mesh = primitive()
+    assert isinstance(mesh.ray, wrt.RayMeshIntersector)
+    plain = wrt.RayMeshIntersector(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+    rays = rays_around(mesh, 100)
+    np.testing.assert_array_equal(mesh.ray.intersects_first(*rays), plain.intersects_first(*rays))
+    assert mesh.contains([mesh.center_mass]).all()
+
+
+def test_no_mesh_is_refused():
+    with pytest.raises(TypeError, match=r"must be a trimesh\.Trimesh, not Scene"):
+        wrt.RayMeshIntersector(trimesh.Scene())

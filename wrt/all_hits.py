@@ -34,7 +34,6 @@ from wrt.plan import ALL, COUNT, Plan
 from wrt.tracing import new_lists, no_work, run
 
 if TYPE_CHECKING:
-    from wrt.kernels.hits import SceneMesh
     from wrt.rays import RayBuffers
     from wrt.scene import Scene
 
@@ -74,13 +73,18 @@ class AllHits:
         batch: HitBatch,
         offsets: wp.array,
         rays: RayBuffers,
-        mesh: SceneMesh,
+        scene: Scene,
         plan: Plan,
-        num_threads: int | None = None,
     ) -> None:
         self.plan = plan
-        self._offsets, self._rays, self._num_threads = offsets, rays, num_threads
-        self._flat = Hits(batch, replace(rays, shape=(len(batch.t),)), mesh, plan, None, num_threads)
+        self._offsets, self._rays, self._num_threads = offsets, rays, scene.num_threads
+        self._flat = Hits(batch, replace(rays, shape=(len(batch.t),)), scene, plan)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the numbers and not the triangles (`wrt.pickled_hits`)."""
+        from wrt.pickled_hits import keep, revive_lists
+
+        return revive_lists, (keep(self._flat), self._offsets.numpy(), self.shape)
 
     def __repr__(self) -> str:
         return f"AllHits({len(self)} hits of rays of shape {self.shape})"

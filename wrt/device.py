@@ -26,9 +26,10 @@ for one ray at a time:
 * `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as of `wrt.Hits`.
 
 Positions are in the scene's coordinates, vec3 or vec3d: the way to its centre, in float64, is taken inside. A kernel that
-calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, on which Warp insists, and
-without fused multiply-add, with which hits may differ and rays may slip between triangles. It is compiled once for each kind,
-width and (in steps of eight levels) depth of tree that it meets; results are the same on every device.
+calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which Warp has none of for
+them, and without fused multiply-add, with which hits may differ and rays may slip between triangles. Others are refused. It
+is compiled once for each kind, width and (in steps of eight levels) depth of tree that it meets; results are the same on every
+device.
 """
 
 from __future__ import annotations
@@ -44,16 +45,19 @@ from wrt.kernels.device import (
     TRIANGLE_TEST,
     Hit,
     any_hit,
+    check_options,
     closest_hit,
     count_hits,
     first_hit,
     handle_type,
+    is_handle,
     next_hit,
     normal,
     position,
     spawn,
 )
 from wrt.plan import Plan, stack_levels
+from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:
     from wrt.scene import Scene
@@ -93,7 +97,8 @@ def launch(
 ) -> None:
     """Runs a kernel over the items 0 .. count - 1, on the CPU with all threads. (`wp.launch` runs it there on one.)
 
-    The items are cut into chunks, one launch each; the result must not depend on how. On CUDA it is one launch.
+    The items are cut into chunks, one launch each; the result must not depend on how. On CUDA it is one launch. Inside a
+    `wp.Tape`, a kernel with gradients is one launch, which the tape records; those that call ray queries have none.
 
     Args:
         kernel: its first parameter is `first: int`; it works on item `first + wp.tid()`.
@@ -105,7 +110,8 @@ def launch(
 
     Raises:
         TypeError: `kernel` is none, or has another first parameter; `num_threads` is no int.
-        ValueError: there is no such device, or `num_threads` is out of range.
+        ValueError: there is no such device, or `num_threads` is out of range; a kernel with a scene among its inputs was not
+            made by `kernel`; inside a `wp.Tape`, an array takes gradients and the kernel has none.
     """
     if not isinstance(kernel, wp.Kernel):
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
@@ -114,11 +120,30 @@ def launch(
     if num_threads is not None:
         launching.check_num_threads(num_threads, "num_threads")
     target = launching.as_device(device)
+    differentiable = has_backward(kernel)
+    if any(map(is_handle, inputs)):
+        check_options(f"kernel {kernel.key!r}", differentiable, kernel.module.options["fuse_fp"])
+    if tape_records():
+        if differentiable:  # one launch, which the tape keeps
+            wp.launch(kernel, dim=count, inputs=[0, *inputs], device=target)
+            return
+        if any(map(takes_gradients, inputs)):
+            raise ValueError(
+                f"kernel {kernel.key!r} is compiled without gradients, and inside a wp.Tape arrays of it take some; launch it "
+                "before the tape, or pass wp.clone(array, requires_grad=False); to differentiate hits, call "
+                "wrt.differentiable_hits inside the tape"
+            )
     if kernel.is_generic:
         kernel = kernel.add_overload(kernel.infer_argument_types([0, *inputs]))
         launching.load_changed(kernel, target)
     with launching.use_threads(num_threads):
         launching.launch(kernel, count, inputs, device=target, chunk=chunk)
+
+
+def has_backward(kernel: wp.Kernel) -> bool:
+    """Whether a kernel is compiled with gradients."""
+    own = kernel.options.get("enable_backward")
+    return bool(kernel.module.options["enable_backward"] if own is None else own)
 
 
 def handle_of(scene: Scene) -> Any:
@@ -138,4 +163,16 @@ def handle_of(scene: Scene) -> Any:
     handle.tree = scene.tree.struct()
     handle.triangles = scene.triangles(plan, None)
     handle.mesh = scene.device_mesh
+    fill_gaps(handle, scene.device)
     return handle
+
+
+def fill_gaps(struct: Any, device: wp.Device) -> None:
+    """Puts empty arrays where a struct has none: a `wp.Tape` that goes back through a launch looks at each."""
+    for name, variable in struct._cls.vars.items():
+        value = getattr(struct, name)
+        if value is None:
+            kind = variable.type
+            setattr(struct, name, wp.empty((0,) * kind.ndim, dtype=kind.dtype, device=device))
+        elif hasattr(value, "_cls"):
+            fill_gaps(value, device)

@@ -84,7 +84,7 @@ class FewHits(Hits):
     """Hits that are NumPy's from the start; kernels see them when something is computed from them."""
 
     def __init__(self, arrays: list[np.ndarray], rays: RayBuffers, scene: Scene, desk: Desk) -> None:
-        super().__init__(None, rays, scene.device_mesh, desk.plan, None, scene.num_threads)
+        super().__init__(None, rays, scene, desk.plan)
         del self.batch
         self.t, self._primitive, self.uv = arrays
         if len(scene.meshes) == 1:

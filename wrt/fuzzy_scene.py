@@ -281,7 +281,7 @@ def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
     frames = np.asarray(frames)
     if frames.ndim != 3 or not len(frames):
         raise ValueError(f"frames must be of shape (F, V, 3) with at least one frame, not {frames.shape}")
-    first = TriangleMesh(np.array(frames[0]), faces)
+    first = TriangleMesh(frames[0], faces)
     return [first, *(moved_mesh(first, vertices) for vertices in frames[1:])]
 
 

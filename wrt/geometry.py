@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.instances import members_of
 from wrt.kernels.hits import SceneMesh
 from wrt.mesh import TriangleMesh
 
@@ -115,14 +116,14 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
 
     Raises:
         TypeError: something that is no mesh.
-        ValueError: an empty sequence.
+        ValueError: an empty sequence, or one that contains itself.
     """
     if isinstance(geometry, TriangleMesh):
         return (geometry,)
     if isinstance(geometry, Sequence) and not isinstance(geometry, (str, bytes)):
-        if not geometry:
+        if not (members := members_of(geometry)):
             raise ValueError("geometry is an empty sequence; pass at least one mesh")
-        return tuple(mesh for item in geometry for mesh in as_meshes(item))
+        return tuple(mesh for member in members for mesh in as_meshes(member))
     if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
         return (TriangleMesh.from_trimesh(geometry),)
     raise TypeError(
@@ -146,7 +147,7 @@ def check_index(index: Any, count: int, what: str) -> int:
 
 
 def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
-    """The mesh with its vertices elsewhere; they are copied.
+    """The mesh with its vertices elsewhere; its faces are shared.
 
     Raises:
         TypeError: vertices are missing, or no real numbers.
@@ -154,7 +155,7 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
     """
     if vertices is None:
         raise TypeError("vertices is missing; pass an array of as many points as the mesh has vertices")
-    points = np.array(vertices)
+    points = np.asarray(vertices)
     if points.ndim and len(points) != mesh.vertex_count:
         raise ValueError(
             f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.launch import load
 from wrt.rays import as_vectors
 
 if TYPE_CHECKING:
@@ -55,15 +56,20 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
 
     Raises:
         TypeError: an argument is no array of real numbers.
-        ValueError: a wrong shape, hits of another scene, or an array on another device.
+        ValueError: a wrong shape, hits of another scene, a scene of instances, or an array on another device.
     """
     from wrt.kernels.gradients import make_kernel
 
+    if scene.instances:
+        raise ValueError(
+            "gradients go with scenes without instances; ask wrt.Scene(scene.flattened()), which numbers triangles through all "
+            "instances, for hits and gradients"
+        )
     device, count, shape = scene.device, len(hits.batch.t), hits.shape or (1,)
     if hits.batch.t.device != device:
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
-    if hits._mesh.faces.shape[0] != scene.device_mesh.faces.shape[0]:
-        raise ValueError("hits are of another scene, by its number of triangles; pass hits of this scene")
+    if not hits.is_of(scene):
+        raise ValueError("hits are of another scene; pass hits of this scene")
     points = scene.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
     if points.shape != scene.exact_vertices.shape:
         raise ValueError(
@@ -79,6 +85,7 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
     ]
     kernel = make_kernel(start.dtype, toward.dtype, points.dtype, double)
     inputs = [start, origin_stride, toward, direction_stride, points, scene.device_mesh.faces, hits.batch.primitive]
+    load([kernel], device)
     wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
     return DifferentiableHits(*(values.reshape(shape) for values in outputs))
 

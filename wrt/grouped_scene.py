@@ -118,7 +118,7 @@ class GroupedScene(Scene):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the groups; their trees are built again."""
         options = {"triangle_test": self.triangle_test, "device": str(self.device), "num_threads": self.num_threads}
-        return partial(GroupedScene, list(self.meshes), self.accelerator, **options), ()
+        return partial(GroupedScene, list(self.meshes), self.accelerator, **options), (), {"mark": self.mark}
 
     def __repr__(self) -> str:
         return f"GroupedScene({self.triangle_count} triangles in {len(self.meshes)} groups, device={str(self.device)!r})"

@@ -13,11 +13,11 @@ from wrt.kernels.launch import launch, use_threads
 from wrt.memory import empty
 
 if TYPE_CHECKING:
-    from wrt.kernels.hits import SceneMesh
     from wrt.kernels.rays import HitBatch
     from wrt.plan import Plan
     from wrt.rays import RayBuffers
     from wrt.recorded import HitBlock
+    from wrt.scene import Scene
 
 
 def shaped(values: wp.array, rays: RayBuffers) -> Any:
@@ -55,26 +55,56 @@ class Hits:
         self,
         batch: HitBatch | HitBlock,
         rays: RayBuffers,
-        mesh: SceneMesh,
+        scene: Scene,
         plan: Plan,
-        counters: wp.array | None,
-        num_threads: int | None = None,
+        counters: wp.array | None = None,
     ) -> None:
         self.batch = batch
         """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
         self.plan = plan
-        self._mesh = mesh
+        self._mesh = scene.device_mesh
+        self._scenes = {scene.mark}
         self._counters = counters
         self._rays = rays
-        self._num_threads = num_threads
+        self._num_threads = scene.num_threads
 
     def __repr__(self) -> str:
         return f"Hits(shape={self.shape})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the numbers and not the triangles (`wrt.pickled_hits`)."""
+        from wrt.pickled_hits import PickledHits, keep
+
+        return PickledHits, (keep(self),)
+
+    def __copy__(self) -> Hits:
+        """Hits of the same arrays, with the triangles."""
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__
+        return other
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The leading shape."""
         return self._rays.shape
+
+    def is_of(self, scene: Scene) -> bool:
+        """Whether these are hits of a scene, also before it was updated, or of another one of the same triangles."""
+        if scene.mark not in self._scenes and self.same_geometry(scene):
+            self._scenes.add(scene.mark)
+        return scene.mark in self._scenes
+
+    def same_geometry(self, scene: Scene) -> bool:
+        """Whether a scene has the same triangles in the same places; instances count as others."""
+        ours, theirs = self._mesh, scene.device_mesh
+        if ours is theirs:
+            return True
+        if any(mesh.vertices is None or mesh.vertices.device != self._device for mesh in (ours, theirs)):
+            return False
+        if tuple(ours.center) != tuple(theirs.center):
+            return False
+        pairs = ((getattr(ours, name), getattr(theirs, name)) for name in ("geometry_first", "faces", "vertices"))
+        return all(one.shape == other.shape and np.array_equal(one.numpy(), other.numpy()) for one, other in pairs)
 
     @cached_property
     def t(self) -> Any:
@@ -161,6 +191,11 @@ class Hits:
         with use_threads(self._num_threads):
             launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
         return shaped(out, replace(rays, shape=shape, is_warp=rays.is_warp or self._rays.is_warp))
+
+    @property
+    def has_counters(self) -> bool:
+        """Whether work was counted."""
+        return "counters" in self.__dict__ or getattr(self, "_counters", None) is not None
 
     @cached_property
     def counters(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ def save_image(path: str | Path, image: Any) -> None:
     Args:
         path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is.
         image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as `wrt.render` gives
-            them) in [0, 1], which are clipped and rounded to 8 bits.
+            them) in [0, 1], which are clipped and rounded to 8 bits. Integers and booleans, such as ids, go to ".npy" only.
 
     Raises:
         TypeError: neither uint8 nor floats.
@@ -26,8 +26,8 @@ def save_image(path: str | Path, image: Any) -> None:
         FileNotFoundError: the folder does not exist.
     """
     path = check_path(path)
-    array = _checked(image)
     suffix = path.suffix.lower()
+    array = _checked(image, any_number=suffix == ".npy")
     if suffix == ".npy":
         with open(path, "wb") as file:  # by name, NumPy would add the extension to one in capitals
             np.save(file, array)
@@ -64,12 +64,21 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def _checked(image: Any) -> np.ndarray:
+def _checked(image: Any, any_number: bool) -> np.ndarray:
     if hasattr(image, "numpy") and not isinstance(image, np.ndarray):
         image = image.numpy()
-    array = np.asarray(image)
-    if array.dtype != np.uint8 and array.dtype.kind != "f":
-        raise TypeError(f"image must be uint8, or floats in [0, 1], not {array.dtype}; convert it first")
+    try:
+        array = np.asarray(image)
+    except ValueError as error:
+        raise TypeError(f"image is no array: {error}") from error
+    if array.dtype != np.uint8 and array.dtype.kind not in ("fiub" if any_number else "f"):
+        remedies = {
+            "b": "multiply by np.uint8(255)",
+            "i": "ids are no brightness: give each a colour, for example np.random.default_rng(0).random((n, 3))[ids], or keep "
+            "the numbers in a .npy file",
+        }
+        remedy = remedies.get(array.dtype.kind.replace("u", "i"), "convert it first")
+        raise TypeError(f"image must be uint8, or floats in [0, 1], not {array.dtype}; {remedy}")
     if not (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in (3, 4))) or array.size == 0:
         raise ValueError(f"image must have shape (H, W), (H, W, 3) or (H, W, 4), not {array.shape}")
     if array.dtype.kind == "f" and not np.isfinite(array).all():

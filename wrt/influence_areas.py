@@ -113,7 +113,7 @@ class InfluenceAreas(Sequence):
         samples: int = SAMPLES,
         seed: int = 0,
     ) -> InfluenceAreas:
-        """Finds the parallel and radial distributions in a batch of rays; needs scikit-learn, `pip install wrt[cluster]`.
+        """Finds the parallel and radial distributions in a batch of rays; needs scikit-learn, `pip install scikit-learn`.
 
         Args:
             origins: (..., 3), or a `wrt.Rays` (then leave directions out); NumPy or what becomes it.
@@ -327,7 +327,7 @@ def cluster(points: np.ndarray, distance: float, least: int, metric: str = "eucl
     except ImportError as error:
         raise ImportError(
             "wrt.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
-            "install it with: pip install 'wrt[cluster]'"
+            "install it with: pip install scikit-learn"
         ) from error
     return DBSCAN(eps=distance, min_samples=least, metric=metric).fit_predict(points)
 

@@ -164,11 +164,22 @@ def as_instances(geometry: Any) -> tuple[Instance, ...]:
     return tuple(instances)
 
 
-def members_of(geometry: Any) -> list[Any]:
-    """The members of a sequence and of sequences in it, or the one thing that there is."""
+def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
+    """The members of a sequence and of sequences in it, or the one thing that there is.
+
+    Args:
+        geometry: that thing.
+        above: identities of the sequences that it is a member of.
+
+    Raises:
+        ValueError: a sequence contains itself.
+    """
     if not isinstance(geometry, Sequence) or isinstance(geometry, (str, bytes)):
         return [geometry]
-    return [member for item in geometry for member in members_of(item)]
+    if id(geometry) in above:
+        raise ValueError("geometry is a sequence that contains itself; pass the meshes themselves")
+    above = (*above, id(geometry))
+    return [member for item in geometry for member in members_of(item, above)]
 
 
 def is_graph(geometry: Any) -> bool:

@@ -18,7 +18,8 @@ from __future__ import annotations
 import mmap
 import threading
 from collections import OrderedDict
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from itertools import cycle
 from typing import Any
 
@@ -125,6 +126,25 @@ def new_rays(count: int, device: wp.Device) -> RayBatch:
     rays.origins, rays.directions = empty(count, wp.vec3, device), empty(count, wp.vec3, device)
     rays.t_min, rays.t_max = empty(count, wp.float32, device), empty(count, wp.float32, device)
     return rays
+
+
+@contextmanager
+def memory_for(what: str, size: int) -> Iterator[None]:
+    """Makes every failure to get memory inside the `with` block a MemoryError that says what it was for.
+
+    Args:
+        what: it, as "for ..." goes on.
+        size: bytes of what is there to work on.
+    """
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and " bytes on device " not in str(error):  # as Warp says it
+            raise
+        raise MemoryError(
+            f"too little memory for {what}, which take {size / 1e6:,.1f} MB themselves ({error}); free some, or make several "
+            "scenes of fewer triangles"
+        ) from error
 
 
 def release() -> None:

@@ -5,8 +5,9 @@ materials, no texture coordinates). All checking of geometry happens in the cons
 further down may trust what they get: finite points, valid indices, at least one triangle. Degenerate triangles (zero
 area) and duplicate ones are legal, since real models are full of them; `TriangleMesh.summary` counts them.
 
-The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are
-exposed as read-only views: an accelerator built over a mesh that changes afterwards would answer for the old one.
+The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are copies
+that nobody can write to: kernels follow the indices in `faces` unchecked, and a tree answers for the vertices that it was built
+over. Meshes, scenes and, on the CPU, kernels share the one copy.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class TriangleMesh:
         faces: (F, 3) integer vertex indices, zero-based, F >= 1; stored as int32.
         name: a label for messages and tables.
 
-    Arrays that already have the right type and layout are not copied: do not write to them afterwards.
+    Both arrays are copied, and the copies cannot be written to: what a caller writes to its own arrays afterwards changes
+    neither the mesh nor a scene made of it. To move vertices, call `wrt.Scene.update`. Arrays of another mesh are shared.
 
     Raises:
         TypeError: `vertices` is not real-valued, or `faces` is not an integer array.
@@ -47,8 +49,8 @@ class TriangleMesh:
     """
 
     def __init__(self, vertices: Any, faces: Any, *, name: str | None = None) -> None:
-        self._vertices = _read_only(_checked_vertices(vertices))
-        self._faces = _read_only(_checked_faces(faces, len(self._vertices)))
+        self._vertices = _checked_vertices(vertices)
+        self._faces = _checked_faces(faces, len(self._vertices))
         self.name = name
 
     # -- in and out ----------------------------------------------------------------------------------------------------
@@ -165,7 +167,7 @@ class TriangleMesh:
     @cached_property
     def referenced(self) -> np.ndarray:
         """(V,) bool, read-only: the vertices that some triangle uses. Others may be anywhere: nothing is measured by them."""
-        return _read_only(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
+        return _frozen(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -174,7 +176,7 @@ class TriangleMesh:
         Vertices that no triangle uses do not count.
         """
         points = self._vertices if self.referenced.all() else self._vertices[self.referenced]
-        return _read_only(np.array(extremes(points), dtype=np.float64))
+        return _frozen(np.array(extremes(points), dtype=np.float64))
 
     @property
     def center(self) -> np.ndarray:
@@ -318,7 +320,7 @@ def _checked_vertices(vertices: Any) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"vertices must have shape (V, 3), got {array.shape}; reshape to one point a row")
     kept = array.dtype.type in (np.float32, np.float64)
-    array = np.ascontiguousarray(array, dtype=array.dtype.type if kept else np.float64)
+    array = _frozen(array.astype(array.dtype.type if kept else np.float64, copy=False))
     finite = np.isfinite(array).all(axis=1)
     if not finite.all():
         first = int(np.argmin(finite))
@@ -342,6 +344,8 @@ def _checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
         )
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"faces must have shape (F, 3), got {array.shape}; reshape to one triangle a row")
+    if array.dtype == np.int32:
+        array = _frozen(array)  # checked is what nobody can change
     if array.min() < 0 or array.max() >= vertex_count:
         bad = (array < 0) | (array >= vertex_count)
         first = int(np.argmax(bad.any(axis=1)))
@@ -350,13 +354,17 @@ def _checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
             f"faces[{first}] refers to vertex {index}, but there are {vertex_count} vertices (valid: 0 to "
             f"{vertex_count - 1}); {int(bad.any(axis=1).sum())} faces are affected. Are the indices one-based?"
         )
-    return np.ascontiguousarray(array, dtype=np.int32)
+    return _frozen(array.astype(np.int32, copy=False))
 
 
-def _read_only(array: np.ndarray) -> np.ndarray:
-    view = array.view(np.ndarray)
-    view.flags.writeable = False
-    return view
+def _frozen(array: np.ndarray) -> np.ndarray:
+    """A copy, row by row, that cannot be made writable again, as its memory is that of `bytes`; itself if it is one."""
+    owner = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # those out of a pickle lie in bytes and are writable
+        owner = owner.base
+    if isinstance(owner, bytes) and array.flags.c_contiguous:
+        return array.view(np.ndarray)
+    return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)
 
 
 def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

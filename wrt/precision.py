@@ -27,7 +27,7 @@ class PreciseHits(Hits):
     """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the rays are."""
 
     def __init__(self, hits: ExactHits, mesh: ExactMesh, rays: RayBuffers, scene: Scene, plan: Plan) -> None:
-        super().__init__(hits.rounded, rays, scene.device_mesh, plan, None, scene.num_threads)
+        super().__init__(hits.rounded, rays, scene, plan)
         self._exact, self._exact_mesh = hits, mesh
 
     @cached_property

@@ -14,6 +14,7 @@ from wrt.rays import RayBuffers, Rays, set_mask, to_device
 from wrt.recorded import trace_recorded
 from wrt.skipping import trace_skipping
 from wrt.tables import lookup
+from wrt.tapes import refuse_tape
 from wrt.tracing import trace
 
 if TYPE_CHECKING:
@@ -70,9 +71,11 @@ class Queries(BlockQueries):
             ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
                 `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip`
                 together with a traversal, a triangle test, counters or `precise`, in a scene of instances or of fuzzy boxes,
-                of numbers of no triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays.
+                of numbers of no triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays;
+                rays that take gradients inside a `wp.Tape` (`wrt.differentiable_hits` passes them on).
         """
         rays = as_rays(origins, directions, t_min, t_max)
+        refuse_tape("intersect", (rays.origins, rays.directions))
         ours = mask is None and skip is None and not (cull_backfaces or counters or precise)
         if ours and (ready := self._trace_ready(rays, CLOSEST, traversal, triangle_test)) is not None:
             return ready
@@ -83,7 +86,7 @@ class Queries(BlockQueries):
             if skip is not None:
                 others = {"traversal": traversal, "triangle_test": triangle_test, "counters": counters, "precise": precise}
                 batch, plan = trace_skipping(self, buffers, skip, CLOSEST, cull_backfaces, **others)
-                return Hits(batch, buffers, self.device_mesh, plan, None, self.num_threads)
+                return Hits(batch, buffers, self, plan)
             if precise:
                 if (traversal, triangle_test, counters, cull_backfaces) != (AUTO, AUTO, False, False):
                     raise ValueError(
@@ -92,7 +95,7 @@ class Queries(BlockQueries):
                 return find_precisely(self, rays, buffers)
             plan = make_plan(self, buffers, traversal, triangle_test, CLOSEST, cull_backfaces)
             batch, work = trace(self, plan, buffers, CLOSEST, counters)
-        return Hits(batch, buffers, self.device_mesh, plan, work, self.num_threads)
+        return Hits(batch, buffers, self, plan, work)
 
     def occluded(
         self,
@@ -152,11 +155,12 @@ class Queries(BlockQueries):
         from wrt.all_hits import AllHits, check_max_hits, find_all
 
         bound, rays = check_max_hits(max_hits), as_rays(origins, directions, t_min, t_max)
+        refuse_tape("intersect_all", (rays.origins, rays.directions))
         with use_threads(self.num_threads):
             buffers = self._on_device(rays, mask)
             plan = make_plan(self, buffers, traversal, triangle_test, ALL, cull_backfaces)
             batch, offsets = find_all(self, plan, buffers.batch, bound)
-        return AllHits(batch, offsets, buffers, self.device_mesh, plan, self.num_threads)
+        return AllHits(batch, offsets, buffers, self, plan)
 
     def count(
         self,

@@ -16,6 +16,9 @@ from wrt.look import look_at
 from wrt.memory import keep_alive
 from wrt.pictures import columns_of_shape, one_origin
 
+MAX_RAYS = (1 << 31) - 1
+"""Rays of one call: kernels number them in 32 bits."""
+
 NOWHERE = np.zeros(3)
 """The centre relative to which directions are taken."""
 
@@ -41,9 +44,7 @@ class Rays:
     @property
     def shape(self) -> tuple[int, ...]:
         """The leading shape: that of the results."""
-        return np.broadcast_shapes(
-            *(leading_shape(a) for a in (self.origins, self.directions)), np.shape(self.t_min), np.shape(self.t_max)
-        )
+        return common_shape(self.origins, self.directions, self.t_min, self.t_max)
 
     def __len__(self) -> int:
         """Number of rays."""
@@ -172,7 +173,8 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
 
     Raises:
         TypeError: an argument is not an array of real numbers.
-        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device.
+        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device, more than
+            `MAX_RAYS` rays.
     """
     origins = as_vectors(rays.origins, "origins", device)
     directions = as_vectors(rays.directions, "directions", device)
@@ -180,6 +182,11 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     t_min = as_range(rays.t_min, "t_min", device)
     t_max = as_range(rays.t_max, "t_max", device)
     shape = common_shape(origins, directions, t_min, t_max)
+    if math.prod(shape) > MAX_RAYS:
+        raise ValueError(
+            f"these are {math.prod(shape):,} rays, of shape {shape}, and one call takes {MAX_RAYS:,}; pass fewer at a time, or "
+            "call scene.intersect_blocks, occluded_blocks or count_blocks"
+        )
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = one_origin(origins)
     centered = _is_float64(origins)
@@ -295,7 +302,10 @@ def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray 
             raise ValueError(f"{name} is on {values.device}, the scene on {device}: copy it there with .to({str(device)!r})")
         return values.contiguous()
     is_number = type(values) in (float, int)
-    values = float(values) if is_number else _as_real(values, name)
+    try:
+        values = float(values) if is_number else _as_real(values, name)
+    except OverflowError:
+        raise ValueError(f"{name} is an int that no float64 holds; pass float('inf') for no bound") from None
     low = values if is_number else values.min(initial=np.inf)
     if not low >= 0.0:
         raise ValueError(f"{name} must not be negative or NaN, but its least value is {low}; pass distances from 0 up")

@@ -159,7 +159,7 @@ def trace_recorded(scene: Scene, rays: Rays, query: str) -> Any:
     if query != CLOSEST:
         return shaped(answer, arrays)
     buffers = RayBuffers(NO_RAYS, arrays.shape, arrays.is_warp, arrays.dtype, True, False, [])
-    return Hits(answer, buffers, scene.device_mesh, recording.plan, None, scene.num_threads)
+    return Hits(answer, buffers, scene, recording.plan)
 
 
 def _few_on_device(rays: Rays) -> bool:

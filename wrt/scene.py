@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager
 from copy import copy
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from uuid import uuid4
 
 import numpy as np
 import warp as wp
@@ -17,6 +18,7 @@ from wrt.geometry import as_meshes, check_index, moved_mesh, place_meshes
 from wrt.instances import Instance, has_instances
 from wrt.kernels.hits import SceneMesh
 from wrt.kernels.launch import as_device, check_num_threads, use_threads
+from wrt.memory import memory_for
 from wrt.mesh import TriangleMesh
 from wrt.plan import AUTO, Plan
 from wrt.queries import Queries
@@ -64,8 +66,10 @@ class Scene(Queries):
 
     Raises:
         TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
-        ValueError: unknown names, no such device, an empty sequence; triangles that spread over more than 6.9e10
-            (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot hold.
+        ValueError: unknown names, no such device, an empty sequence, one that contains itself, a `cache` that is a file; triangles
+            that spread over more than 6.9e10 (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot hold.
+        MemoryError: there is too little memory for the tree.
+        OSError: the folder of `cache` cannot be made. (A tree that cannot be written there is a warning.)
     """
 
     instances: tuple[Instance, ...] = ()
@@ -111,16 +115,18 @@ class Scene(Queries):
         from wrt.local_trees import build_local_trees
         from wrt.storage import find_tree
 
-        placed = place_meshes(meshes, self.device)
         recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
         has_areas, growing, report = isinstance(self.accelerator, RayAwareBvh), None, None
-        if policy is not None and can_move(self.accelerator):
-            shift = self.center - placed.center + typical_motion(self.meshes, meshes)
-            tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
-        else:
-            # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-            boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
-            tree, growing = find_tree(recipe, boxes, placed, cache)
+        triangles = f"the tree of {sum(mesh.triangle_count for mesh in meshes):,} triangles"
+        with memory_for(triangles, sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in meshes)):
+            placed = place_meshes(meshes, self.device)
+            if policy is not None and can_move(self.accelerator):
+                shift = self.center - placed.center + typical_motion(self.meshes, meshes)
+                tree, report = move_tree(recipe, self._tree, MovedTriangles.of(placed, shift), policy)
+            else:
+                # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+                boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+                tree, growing = find_tree(recipe, boxes, placed, cache)
         self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
         self.growing, self.last_update = growing, report
         if has_areas:
@@ -130,6 +136,7 @@ class Scene(Queries):
         self, meshes: tuple[TriangleMesh, ...], center: np.ndarray, tree: common.KdTree | common.Bvh, mesh: SceneMesh
     ) -> None:
         """The only place where a scene gets its parts; nothing here can fail."""
+        self.__dict__.setdefault("mark", uuid4().hex)  # by which hits know it: updates, copies and pickles keep it
         self.meshes = meshes
         self.growing: LazyKdTree | None = None
         """The tree that is built lazily; None if it is all there."""
@@ -230,11 +237,12 @@ class Scene(Queries):
         """Writes the meshes, the description of the tree, and the tree, to a file that `load` reads.
 
         The file is an .npz archive of plain arrays, whatever name `path` gives it. It takes the place of an earlier one only
-        when it is complete.
+        when it is complete; where `path` is a symbolic link, of the file that it points to.
 
         Raises:
             OSError: the file cannot be written.
-            ValueError: the tree is built lazily, or for influence areas: such trees are not kept.
+            ValueError: the tree is built lazily, or for influence areas: such trees are not kept; `path` is a device, a pipe or
+                a folder.
         """
         from wrt.storage import save_scene
 
@@ -245,7 +253,8 @@ class Scene(Queries):
         """Reads a scene that was saved. Its answers are the same to the bit.
 
         The tree is built again if it is not the one that would be built here: another version of wrt wrote it, or for a
-        device with vectors of another width. Nothing in a file is run, so those of strangers are safe to read.
+        device with vectors of another width. Nothing in a file is run, and no file leads a kernel out of its arrays. A checksum
+        of all arrays tells damage. It is no signature: take files whose answers matter only from those whom you trust.
 
         Args:
             path: of the file.

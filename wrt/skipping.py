@@ -80,8 +80,8 @@ def skipped_triangles(skip: Any, scene: Scene, buffers: RayBuffers) -> wp.array:
             broadcast, an array on another device.
     """
     if isinstance(skip, Hits):
-        if skip._mesh.faces.shape[0] != scene.triangle_count:
-            raise ValueError("skip holds hits of another scene, by its number of triangles; pass hits of this scene")
+        if not skip.is_of(scene):
+            raise ValueError("skip holds hits of another scene; pass hits of this scene")
         values, shape = skip.batch.primitive, skip.shape
     else:
         if len(scene.meshes) > 1:
@@ -103,7 +103,10 @@ def as_triangles(skip: Any, count: int) -> tuple[np.ndarray, tuple[int, ...]]:
         TypeError: no integers.
         ValueError: a number that no triangle has.
     """
-    values = np.asarray(skip)
+    try:
+        values = np.asarray(skip)
+    except ValueError as error:
+        raise TypeError(f"skip is no array: {error}") from error
     if values.dtype.kind not in "iu":
         raise TypeError(f"skip must be a wrt.Hits or hold integers, primitive ids or -1 for none, not {values.dtype}")
     if values.size and (values.min() < -1 or values.max() >= count):

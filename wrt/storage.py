@@ -4,8 +4,9 @@ A tree belongs to its **key**: a hash of the vertices and faces that it was buil
 `wrt.KdTree`) with the width that it got on the device, and of the version of wrt. Whoever takes a tree from somewhere compares
 keys first: after any change it is built, not taken. So a scene's answers never depend on where its tree comes from.
 
-A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would), and whose checksums tell
-damage. Kernels trust the indices in a tree; those of a tree from outside are checked first: every child, leaf and triangle is
+A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would), and whose checksum tells
+damage (`wrt.archives`). It is no signature: boxes that somebody has forged on purpose, with a checksum to match, give wrong
+answers. Kernels trust the indices in a tree; those of a tree from outside are checked first: every child, leaf and triangle is
 there, children come after their parents, and no way down is longer than the traversals' stacks.
 """
 
@@ -13,21 +14,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import threading
+import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import warp as wp
 
 from wrt import accelerator as descriptions
 from wrt.accelerator import ACCELERATORS, Accelerator
+from wrt.archives import read_archive, write_archive
 from wrt.builders.check import check_tree
 from wrt.builders.common import BuildStats, Bvh, KdTree
 from wrt.mesh import TriangleMesh
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from wrt.scene import Scene
     from wrt.updates import TreeRecipe
 
-FORMAT = 1
+FORMAT = 2
 """Of the files; one more whenever their contents change."""
 
 TREES = {"bvh": Bvh, "kdtree": KdTree}
@@ -78,12 +79,14 @@ class TreeFolder:
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
         """The tree from its file; one that is missing or damaged is written anew."""
         path = self.folder / f"{key}.npz"
-        with suppress(*UNREADABLE), np.load(path, allow_pickle=False) as arrays:
-            return unpack_tree(arrays, triangles)
+        with suppress(*UNREADABLE):
+            return unpack_tree(read_archive(path), triangles)
+        self.folder.mkdir(parents=True, exist_ok=True)  # before the work of building
         tree = build()
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with replaced(path) as file:
-            np.savez(file, **pack_tree(tree))
+        try:
+            write_archive(path, pack_tree(tree))
+        except (OSError, ValueError) as error:
+            warnings.warn(f"the tree is not kept: cannot write to the cache folder '{self.folder}' ({error})", stacklevel=2)
         return tree
 
 
@@ -92,12 +95,17 @@ def as_source(cache: str | Path | TreeSource | None) -> TreeSource | None:
 
     Raises:
         TypeError: neither a path nor a source.
+        ValueError: the path is that of a file, or below one.
     """
     if cache is None or hasattr(cache, "tree"):
         return cache
     if not isinstance(cache, (str, Path)):
         raise TypeError(f"cache must be the path of a folder, not {type(cache).__name__}")
-    return TreeFolder(Path(cache))
+    folder = Path(cache)
+    nearest = next((path for path in (folder, *folder.absolute().parents) if path.exists()), None)
+    if nearest is not None and not nearest.is_dir():
+        raise ValueError(f"cache must be the path of a folder, and '{nearest}' is a file; choose another path")
+    return TreeFolder(folder)
 
 
 def is_kept(accelerator: Accelerator) -> bool:
@@ -201,8 +209,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     for number, mesh in enumerate(scene.meshes):
         arrays |= {f"vertices.{number}": mesh.vertices, f"faces.{number}": mesh.faces}
     arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
-    with replaced(Path(path)) as file:
-        np.savez(file, **arrays)
+    write_archive(Path(path), arrays)
 
 
 def load_scene(path: str | Path, device: Any, num_threads: int | None) -> Scene:
@@ -213,10 +220,7 @@ def load_scene(path: str | Path, device: Any, num_threads: int | None) -> Scene:
     if not path.is_file():
         raise FileNotFoundError(f"no scene file at '{path}': check the path (now in '{Path.cwd()}')")
     try:
-        if not zipfile.is_zipfile(path):
-            raise ValueError("it is no whole archive")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        arrays = read_archive(path)
         header = json.loads(str(arrays.pop("wrt")))
         if header["format"] != FORMAT:
             raise ValueError(f"it has format {header['format']}, this version of wrt reads format {FORMAT}")
@@ -240,12 +244,13 @@ def key_of(scene: Scene) -> str:
     return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), scene.accelerator, scene.tree.width)
 
 
-def reduce_scene(scene: Scene) -> tuple[Callable[..., Scene], tuple[Any, ...]]:
+def reduce_scene(scene: Scene) -> tuple[Callable[..., Scene], tuple[Any, ...], dict[str, Any]]:
     """What a pickle of a scene holds: its tree too, if that is one and is kept."""
     options = {"triangle_test": scene.triangle_test, "device": str(scene.device), "num_threads": scene.num_threads}
     if scene.instances or not is_kept(scene.accelerator):
-        return revive_scene, (scene.instances or scene.meshes, scene.accelerator, options, None)
-    return revive_scene, (scene.meshes, scene.accelerator, options, (key_of(scene), pack_tree(scene.tree)))
+        return revive_scene, (scene.instances or scene.meshes, scene.accelerator, options, None), {"mark": scene.mark}
+    kept = key_of(scene), pack_tree(scene.tree)
+    return revive_scene, (scene.meshes, scene.accelerator, options, kept), {"mark": scene.mark}
 
 
 def revive_scene(
@@ -262,16 +267,3 @@ def revive_scene(
     key, arrays = kept
     tree = unpack_tree(arrays, sum(mesh.triangle_count for mesh in geometry))
     return Scene(geometry, accelerator, **options, cache=KnownTree(key, tree))
-
-
-@contextmanager
-def replaced(path: Path) -> Iterator[BinaryIO]:
-    """A file to write, which takes the place of `path` when it is complete; if it does not come so far, nothing is left."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
-    try:
-        with open(temporary, "wb") as file:
-            yield file
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise

@@ -68,6 +68,7 @@ class Fault:
         origin, direction: the ray, in the scene's coordinates.
         triangle: its answer, numbered through all meshes of the scene; -1 for none.
         expected: the reference's triangle; -1 for none.
+        t, t_expected: where the two are hit, in units of the direction's length; inf for none.
     """
 
     kind: str
@@ -75,6 +76,15 @@ class Fault:
     direction: tuple[float, ...]
     triangle: int
     expected: int
+    t: float
+    t_expected: float
+
+    def __str__(self) -> str:
+        found, wanted = ("nothing" if i < 0 else f"triangle {i} at t = {t!r}" for i, t in self._answers())
+        return f"{self.kind}: {found} instead of {wanted}, origin {list(self.origin)}, direction {list(self.direction)}"
+
+    def _answers(self) -> tuple[tuple[int, float], tuple[int, float]]:
+        return (self.triangle, self.t), (self.expected, self.t_expected)
 
 
 @dataclass(frozen=True)
@@ -141,9 +151,7 @@ class Verification:
             found.add_row(sort, f"{number:,}", f"{self.explained[sort]:,}")
         console.print(found)
         for fault in self.faults:
-            ray = f"origin {list(fault.origin)}, direction {list(fault.direction)}"
-            line = f"{fault.kind}: triangle {fault.triangle} instead of {fault.expected}, {ray}"
-            console.print(line, highlight=False, markup=False)
+            console.print(str(fault), highlight=False, markup=False)
         console.print("no answer is wrong" if self.ok else "answers are WRONG", highlight=False)
 
 
@@ -265,7 +273,8 @@ class Check:
         """A wrong answer, for the report."""
         origin, direction = (self.origins[ray] + self.center).tolist(), self.directions[ray].tolist()
         kind = FALSE_HIT if self.false[ray] else MISS
-        return Fault(kind, tuple(origin), tuple(direction), int(self.primitive[ray]), int(self.expected[ray]))
+        answer, expected = int(self.primitive[ray]), int(self.expected[ray])
+        return Fault(kind, tuple(origin), tuple(direction), answer, expected, float(self.t[ray]), float(self.t_expected[ray]))
 
 
 def nearest64(

@@ -76,7 +76,7 @@ class PackedKernel:
         compiled = _compiled.get(kernel)
         arguments = compiled.pack(inputs) if compiled is not None else None
         if arguments is None:
-            launch = wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True)
+            launch = wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True, record_tape=False)
             compiled = Compiled(launch.kernel, launch)
             if launch.kernel is kernel:  # else it is one of many that a generic kernel stands for
                 _compiled[kernel] = compiled

@@ -29,6 +29,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.cache import load_module
 from wrt.kernels.runtime import board as layout
 from wrt.kernels.runtime.cores import available_cores
 from wrt.kernels.runtime.packed import PackedKernel
@@ -273,7 +274,7 @@ def the_pool() -> Pool:
     if _pool is None:
         with _pool_lock:
             if _pool is None:
-                wp.load_module(layout, device="cpu")
+                load_module(layout.serve.module, wp.get_device("cpu"), 1)
                 pool = Pool()
                 atexit.register(pool.close)  # after Warp's own, and so called before it
                 _pool = pool

@@ -213,8 +213,7 @@ def _as_mesh(mesh: Any) -> TriangleMesh:
 
 
 def _mesh_of_arrays(vertex_positions: Any, triangle_indices: Any) -> TriangleMesh:
-    """A mesh of copies: it stays as it is when the caller's arrays change."""
-    return TriangleMesh(np.array(_as_numpy(vertex_positions)), np.array(_as_numpy(triangle_indices)))
+    return TriangleMesh(_as_numpy(vertex_positions), _as_numpy(triangle_indices))
 
 
 def _split(rays: Any) -> tuple[np.ndarray, np.ndarray]:

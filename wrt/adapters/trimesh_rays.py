@@ -33,7 +33,8 @@ class RayMeshIntersector:
 
     `mesh.ray = wrt.RayMeshIntersector(mesh)` makes the mesh, and what trimesh computes with rays, use it. It follows changes of
     the mesh, pickles without its tree, and a copy of it asks the same mesh, as trimesh's do. `mesh.copy()` makes a new mesh
-    with trimesh's own intersector.
+    with trimesh's own intersector. Where trimesh takes the class, as in `trimesh.ray.ray_pyembree.RayMeshIntersector`, this one
+    can take its place: then all meshes have it, primitives too.
 
     Rays: `ray_origins` and `ray_directions` are both (n, 3), directions of any length. Hits count from the origin on, that
     included; a ray with a NaN or an infinity, or with a direction of zero, misses. A mesh without faces is never hit.
@@ -51,7 +52,8 @@ class RayMeshIntersector:
         device: str | None = None,
         num_threads: int | None = None,
     ) -> None:
-        if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+        # of its class: trimesh makes a mesh's intersector before a primitive can compute its faces
+        if not all(hasattr(type(mesh), name) or hasattr(mesh, name) for name in ("vertices", "faces")):
             raise TypeError(f"mesh must be a trimesh.Trimesh, not {type(mesh).__name__}; make one of a scene with to_mesh()")
         self.mesh = mesh
         self._options = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
@@ -80,7 +82,7 @@ class RayMeshIntersector:
         if built is None or built[0] != key:
             scene = None
             if len(self.mesh.faces):
-                scene = Scene(TriangleMesh(np.array(self.mesh.vertices), np.array(self.mesh.faces)), **self._options)
+                scene = Scene(TriangleMesh(self.mesh.vertices, self.mesh.faces), **self._options)
             built = self._built = (key, scene)
         return built[1]
 

@@ -69,8 +69,7 @@ class Peer(ABC):
 
     Attributes:
         name: in tables.
-        package: what must be importable.
-        install: how to get it.
+        package: what must be importable, and the name to install it by.
         threads: CPU threads that it uses.
         device: Warp's name of the device that it runs on.
         note: what a reader of its figures should know; empty if nothing.
@@ -78,7 +77,6 @@ class Peer(ABC):
 
     name: str
     package: str
-    install: str = 'pip install "wrt[peers]"'
     note: str = ""
 
     def __init__(self, threads: int = 1, device: str = "cpu") -> None:
@@ -87,7 +85,7 @@ class Peer(ABC):
     def available(self) -> str | None:
         """Why it cannot run here, with the way to get it; None if it can."""
         if importlib.util.find_spec(self.package) is None:
-            return f"not installed; {self.install}"
+            return f"needs {self.package}, which is not installed: pip install {self.package}"
         return None
 
     @abstractmethod

@@ -27,7 +27,6 @@ class Engine(Peer):
 
     name = "wrt"
     package = "wrt"
-    install = "pip install wrt"
 
     def __init__(
         self,

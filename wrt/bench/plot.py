@@ -12,7 +12,7 @@ def matplotlib_missing() -> str | None:
     """Why no plot can be drawn, with the way to get it; None if it can."""
     from importlib.util import find_spec
 
-    return None if find_spec("matplotlib") else 'a plot needs matplotlib: pip install "wrt[notebooks]"'
+    return None if find_spec("matplotlib") else "a plot needs matplotlib: pip install matplotlib"
 
 
 def save_plot(report: Report, path: str | Path) -> None:
