@@ -3,6 +3,8 @@
 Both are that test number for number; what differs is that each lane has an axis order of its own, which is selected.
 """
 
+from wrt.kernels.triangle.woop_areas import IS_THIN, PRECISE_AREAS
+
 INCLUSIVE_SIDE = """
             float a = (float)exact_a, b = (float)exact_b, c = (float)exact_c;
             bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
@@ -38,7 +40,7 @@ _SHEAR = "".join(
     for v in range(3)
 )
 
-CANDIDATE_LANES = f"""
+CANDIDATE_LANES = f"""{PRECISE_AREAS}
         float x[3][L], y[3][L], depth[3][L], area[3][L];
         int hits[L], edges[L];
         const int* main_axis = (const int*)words[19];
@@ -56,10 +58,15 @@ CANDIDATE_LANES = f"""
             const float a = x2 * y1 - y2 * x1, b = x0 * y2 - y0 * x2, c = x1 * y0 - y1 * x0;
             area[0][i] = a; area[1][i] = b; area[2][i] = c;
             hits[i] = (((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f))) ? -1 : 0;
-            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f)) ? -1 : 0;
+            const float size = (WRT_ABS(x2 * y1) + WRT_ABS(x0 * y2)) + WRT_ABS(x1 * y0);
+            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f) | ({IS_THIN})) ? -1 : 0;
         }}
         for (unsigned left = wrt_bits(edges); left; left &= left - 1u) {{
             const int i = wrt_lowest_bit(left);
+            if (area[0][i] != 0.0f && area[1][i] != 0.0f && area[2][i] != 0.0f) {{
+                wrt_precise_areas(x[0][i], y[0][i], x[1][i], y[1][i], x[2][i], y[2][i], area[0][i], area[1][i], area[2][i]);
+                continue;
+            }}
             const double px = x[0][i], qx = x[1][i], rx = x[2][i], py = y[0][i], qy = y[1][i], ry = y[2][i];
             const double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
             {INCLUSIVE_SIDE}
