@@ -1,22 +1,22 @@
 """Areas by which the watertight test (`wrt.kernels.triangle.woop`) weighs the vertices of a triangle that it has hit.
 
-**Problem.** The sign of each area is right, and so is whether a triangle is hit. Where it is hit is another matter. Of a needle, or
-of a triangle seen edge-on, the areas are small differences of large products: rounding these moves the weights, and so t, by up
-to the length of the triangle. Such a hit is far off its triangle (by 14,000 times 2^-24 of the ray's reach, measured with
-needles 100,000 times as long as wide), and whatever takes a hit to be near its triangle loses it: leaves of a kd-tree that
-list only the triangles that they meet (`split_clipping`), and packets that cull by vertices.
+**Problem.** The sign of each area is right, and so is whether a triangle is hit. Where it is hit is another matter. Of a
+needle, or of a triangle seen edge-on, the areas are small differences of large products: rounding these moves the weights,
+and so t, by up to the length of the triangle. Such a hit is far off its triangle (by 14,000 times 2^-24 of the ray's reach,
+measured with needles 100,000 times as long as wide), and whatever takes a hit to be near its triangle loses it: leaves of a
+kd-tree that list only the triangles that they meet (`split_clipping`), and packets that cull by vertices.
 
-**Rule.** An area is the difference of two products. Where the areas of a hit sum to less than `THIN` of the sum N of the first
-products, without their signs, they are computed again in float64, in which products of float32 numbers are exact and their
-difference has one rounding. That is one hit in a hundred of usual scenes.
+**Rule.** An area is the difference of two products. Where the areas of a hit sum to less than `THIN` of the sum N of the
+first products, without their signs, they are computed again in float64, in which products of float32 numbers are exact and
+their difference has one rounding. That is one hit in a hundred of usual scenes.
 
-**Bound.** u = 2^-24, R the ray's reach, D the triangle's extent as it is sheared, at most twice its own. A coordinate of a sheared
-vertex is off by 6 u R: by one rounding each of two differences, a shear and a product, and by one of a difference of up to 2 R.
-Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six products: M <= 2 N + S, as
-an area is no larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas are off by d_i, where sum |d_i| <=
-u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights adds 4 u D, and the nine
-roundings of t 9 u R. A hit is off its triangle by 15 u R + 14 u D at most; measured were 5 u R, with meshes of every kind.
-"""
+**Bound.** u = 2^-24, R the ray's reach, D the triangle's extent as it is sheared, at most twice its own. A coordinate of a
+sheared vertex is off by 6 u R: by one rounding each of two differences, a shear and a product, and by one of a difference of
+up to 2 R. Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six products: M <=
+2 N + S, as no area is larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas are off by d_i, where sum
+|d_i| <= u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights adds 4 u D,
+and the nine roundings of t 9 u R. A hit is off its triangle by 15 u R + 14 u D at most. Measured: 5 u R on all kinds of
+meshes, 11 u R on needles 100,000 times as long as wide."""
 
 import warp as wp
 

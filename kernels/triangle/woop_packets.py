@@ -50,8 +50,9 @@ PACKET = PacketForm(
                         if (area_a[i] == 0.0f || area_b[i] == 0.0f || area_c[i] == 0.0f) {
                             float px, py, qx, qy, rx, ry;
                             shear(i, px, py, qx, qy, rx, ry);
-                            const float a = (float)((double)rx * qy - (double)ry * qx), b = (float)((double)px * ry - (double)py * rx),
-                                        c = (float)((double)qx * py - (double)qy * px);
+                            const float a = (float)((double)rx * qy - (double)ry * qx);
+                            const float b = (float)((double)px * ry - (double)py * rx);
+                            const float c = (float)((double)qx * py - (double)qy * px);
                             area_a[i] = a; area_b[i] = b; area_c[i] = c;
                             const bool in = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f))
                                 | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
