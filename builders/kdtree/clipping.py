@@ -9,11 +9,11 @@ et al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it see
 sorted events are divided in `clipped_events`, by the same clip, into the same tree.
 
 **No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that it
-comes so near. A hit lies off its triangle by 15 u R + 14 u D at most (`wrt.kernels.triangle.woop_areas`; u = 2^-24, R the
+comes so near. A hit lies off its triangle by 16 u R + 14 u D at most (`wrt.kernels.triangle.woop_areas`; u = 2^-24, R the
 ray's reach, D twice the triangle's extent). Traversals widen cells by 16 u R (`wrt.kernels.boxes`), of which the arithmetic
 of a plane takes 4. So there is a leaf that comes within 12 u R of the hit and within the pad, 1024 u of the scene's size, of
-the triangle, as long as both together cover the distance: for rays that start up to 300 times the scene's size away. Beyond
-that, the roundings of 3 u R more would all have to be the worst, and go one way. The interval of that leaf holds the hit's t:
+the triangle, as long as both together cover the distance: for rays that start up to 200 times the scene's size away. Beyond
+that, the roundings of 4 u R more would all have to be the worst, and go one way. The interval of that leaf holds the hit's t:
 the leaf is visited before a later hit ends the search, and counts find an owner of the crossing
 (`wrt.kernels.traversal.crossings`), which asks nothing of the pad. Triangle tests that are not `accurate` may lose hits
 beside needles.

@@ -156,7 +156,8 @@ def holds(crossing: wp.vec3, is_left: bool, t: float):
 
 @cache
 def is_listed(width: int) -> wp.Function:
-    """`wp.func(tree, root, triangles, primitive, slabs, t) -> bool`: whether a leaf below a node has the triangle, and holds t."""
+    """`wp.func(tree, root, triangles, primitive, slabs, t) -> bool`: whether a leaf at or below a node
+    has the triangle and holds t."""
 
     @wp.func
     def search(tree: KdNodes, root: int, triangles: TriangleBlocks, primitive: int, slabs: wp.ref[RaySlabs], t: float):

@@ -95,11 +95,11 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def sheared(ray: ShearedRay, vertex: wp.vec3):
-    """The vertex in the ray's space; its third component is the t of its plane across the ray's main axis."""
+    """The vertex as seen along the ray: across the main axis, and its distance along that."""
     z = vertex[ray.z] - ray.origin[2]
     x = (vertex[ray.x] - ray.origin[0]) - ray.shear[0] * z
     y = (vertex[ray.y] - ray.origin[1]) - ray.shear[1] * z
-    return wp.vec3(x, y, ray.shear[2] * z)
+    return wp.vec3(x, y, z)
 
 
 @wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
@@ -130,15 +130,17 @@ def intersect(ray: ShearedRay, corners: Corners):
         area_c = exact_area(b, a)
     if not on_one_side(area_a, area_b, area_c) or (area_a + area_b) + area_c == 0.0:
         return wp.vec3(wp.nan, 0.0, 0.0)
-    return interpolate(wp.vec3(a[2], b[2], c[2]), precise_areas(a, b, c, wp.vec3(area_a, area_b, area_c)))
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), precise_areas(a, b, c, wp.vec3(area_a, area_b, area_c)))
 
 
 @wp.func
-def interpolate(depth: wp.vec3, areas: wp.vec3):
-    """(t, u, v) from the depths of the vertices and the areas against them."""
+def interpolate(ray: ShearedRay, depth: wp.vec3, areas: wp.vec3):
+    """(t, u, v) from the distances of the vertices along the main axis and the areas against them.
+
+    These are multiplied before 1 / direction comes in: the product of all three may be beyond float32 where t is not."""
     scale = 1.0 / ((areas[0] + areas[1]) + areas[2])
-    t = ((areas[0] * depth[0] + areas[1] * depth[1]) + areas[2] * depth[2]) * scale
-    return wp.vec3(t, areas[1] * scale, areas[2] * scale)
+    distance = ((areas[0] * depth[0] + areas[1] * depth[1]) + areas[2] * depth[2]) * scale
+    return wp.vec3(ray.shear[2] * distance, areas[1] * scale, areas[2] * scale)
 
 
 @wp.func
@@ -172,7 +174,7 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
         areas = precise_areas(a, b, c, areas)
     if not inside:
         return wp.vec3(wp.nan, 0.0, 0.0)
-    return interpolate(wp.vec3(a[2], b[2], c[2]), areas)
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
 
 
 _BLOCK = """
@@ -191,7 +193,7 @@ _BLOCK = """
         float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
         float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
         area_a[i] = a; area_b[i] = b; area_c[i] = c;
-        depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
+        depth_a[i] = pz; depth_b[i] = qz; depth_c[i] = rz;
         sizes[i] = AREAS_SIZE;
         bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
         bool on_edge = ON_EDGE;
@@ -227,7 +229,7 @@ _BLOCK = """
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i];
             float scale = 1.0f / ((a + b) + c);
-            t.c[i] = ((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale;
+            t.c[i] = sz * (((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale);
             u.c[i] = b * scale;
             v.c[i] = c * scale;
         }

@@ -15,7 +15,7 @@ sheared vertex is off by 6 u R: by one rounding each of two differences, a shear
 up to 2 R. Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six products: M <=
 2 N + S, as no area is larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas are off by d_i, where sum
 |d_i| <= u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights adds 4 u D,
-and the nine roundings of t 9 u R. A hit is off its triangle by 15 u R + 14 u D at most. Measured: 5 u R on all kinds of
+and the ten roundings of t 10 u R. A hit is off its triangle by 16 u R + 14 u D at most. Measured: 5 u R on all kinds of
 meshes, 11 u R on needles 100,000 times as long as wide."""
 
 import warp as wp

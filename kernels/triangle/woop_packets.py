@@ -79,8 +79,7 @@ PACKET = PacketForm(
     hit="""
                     const float from = SHARED ? from_z0 : from_z[k], sz = shear_z[k];
                     const float scale = 1.0f / ((area_a[i] + area_b[i]) + area_c[i]);
-                    at = ((area_a[i] * (sz * (az - from)) + area_b[i] * (sz * (bz - from)))
-                        + area_c[i] * (sz * (cz - from))) * scale;
+                    at = sz * (((area_a[i] * (az - from) + area_b[i] * (bz - from)) + area_c[i] * (cz - from)) * scale);
                     hit_u = area_b[i] * scale;
                     hit_v = area_c[i] * scale;
     """,

@@ -36,7 +36,7 @@ _SHEAR = "".join(
     f"""
             const float z{v} = along(i, {v}, 2) - oz;
             const float x{v} = (along(i, {v}, 0) - ox) - sx * z{v}, y{v} = (along(i, {v}, 1) - oy) - sy * z{v};
-            x[{v}][i] = x{v}; y[{v}][i] = y{v}; depth[{v}][i] = sz * z{v};"""
+            x[{v}][i] = x{v}; y[{v}][i] = y{v}; depth[{v}][i] = z{v};"""
     for v in range(3)
 )
 
@@ -54,7 +54,7 @@ CANDIDATE_LANES = f"""{PRECISE_AREAS}
         }};
         WRT_FOR_LANES(i) {{
             const float ox = words[14][i], oy = words[15][i], oz = words[16][i];
-            const float sx = words[20][i], sy = words[21][i], sz = words[22][i];{_SHEAR}
+            const float sx = words[20][i], sy = words[21][i];{_SHEAR}
             const float a = x2 * y1 - y2 * x1, b = x0 * y2 - y0 * x2, c = x1 * y0 - y1 * x0;
             area[0][i] = a; area[1][i] = b; area[2][i] = c;
             hits[i] = (((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f))) ? -1 : 0;
@@ -75,7 +75,7 @@ CANDIDATE_LANES = f"""{PRECISE_AREAS}
         }}
         WRT_FOR_LANES(i) {{
             const float a = area[0][i], b = area[1][i], c = area[2][i], scale = 1.0f / ((a + b) + c);
-            const float at = ((a * depth[0][i] + b * depth[1][i]) + c * depth[2][i]) * scale;
+            const float at = words[22][i] * (((a * depth[0][i] + b * depth[1][i]) + c * depth[2][i]) * scale);
             t[i] = hits[i] ? at : WRT_NAN;
             u[i] = b * scale;
             v[i] = c * scale;
