@@ -219,6 +219,7 @@ class Queries(BlockQueries):
         whose plane passes through one of them within rounding (float32 relative to the scene's centre, float32 of the points
         themselves if they are given so) does not hide it from the other. So two points in one flat wall see each other, and
         what is on a wall is seen from both its sides. A point sees itself; one with a NaN or an infinity sees nothing.
+        The answer is symmetric: visible(a, b) and visible(b, a) are the same.
 
         Args:
             points_a, points_b: (..., 3); leading shapes broadcast. Pairs go through memory in blocks.
