@@ -37,7 +37,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import BITS, FOR_LANES, lane_bits, lanes
+from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten
 from wrt.kernels.triangle.operations import Operations
@@ -213,18 +213,26 @@ _BLOCK = """
             mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
         }
     }
+WRT_WEIGHTS
+    return mask;
+"""
+
+_WEIGHTS = """
     if (mask) {
         int thin[W];
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
-            thin[i] = IS_THIN ? -1 : 0;
+            thin[i] = (IS_THIN) & (edge[i] == 0) ? -1 : 0;
         }
-        for (unsigned left = wrt_bits(thin) & mask & ~edges; left; left &= left - 1u) {
-            const int i = wrt_lowest_bit(left);
+        if (wrt_bits(thin) & mask) WRT_FOR_LANES(i) {
             float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
             float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
             float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-            wrt_precise_areas(px, py, qx, qy, rx, ry, area_a[i], area_b[i], area_c[i]);
+            float a = area_a[i], b = area_b[i], c = area_c[i];
+            wrt_precise_areas(px, py, qx, qy, rx, ry, a, b, c);
+            area_a[i] = thin[i] ? a : area_a[i];
+            area_b[i] = thin[i] ? b : area_b[i];
+            area_c[i] = thin[i] ? c : area_c[i];
         }
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i];
@@ -234,8 +242,8 @@ _BLOCK = """
             v.c[i] = c * scale;
         }
     }
-    return mask;
 """
+"""Where the lanes in the mask are hit."""
 
 _THIN = {"AREAS_SIZE": AREAS_SIZE, "IS_THIN": IS_THIN}
 
@@ -259,31 +267,19 @@ _CROSSING = _THIN | {
 }
 
 
-def _block(width: int, rule: dict[str, str]) -> str:
-    body = _BLOCK
+def _block(width: int, rule: dict[str, str], weights: bool) -> str:
+    body = _BLOCK.replace("WRT_WEIGHTS", _WEIGHTS if weights else "")
     for name, piece in rule.items():
         body = body.replace(name, piece)
     head = f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
-    return f"{head}{lane_bits()}{BITS}{PRECISE_AREAS}{body}"
+    return f"{head}{lane_bits()}{PRECISE_AREAS}{body}"
 
 
-@cache
-def block_test(width: int) -> wp.Function:
-    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
-    return make_block_test(width, crossing=False)
-
-
-@cache
-def crossing_block_test(width: int) -> wp.Function:
-    """`block_test` for crossings."""
-    return make_block_test(width, crossing=True)
-
-
-def make_block_test(width: int, crossing: bool) -> wp.Function:
-    """The lane form by one of the two rules for a ray on an edge."""
+def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
+    """The lane form by one of the two rules for a ray on an edge; weights: whether t, u and v are worked out."""
     Lanes = lanes(width)
 
-    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE))
+    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE, weights))
     def woop_block(
         records: wp.array(dtype=float),
         block: int,
@@ -296,7 +292,31 @@ def make_block_test(width: int, crossing: bool) -> wp.Function:
     return woop_block
 
 
-CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
+@cache
+def block_test(width: int) -> wp.Function:
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    return make_block_test(width, crossing=False)
+
+
+@cache
+def line_test(width: int) -> wp.Function:
+    """`block_test` without t, u and v."""
+    return make_block_test(width, crossing=False, weights=False)
+
+
+@cache
+def crossing_block_test(width: int) -> wp.Function:
+    """`block_test` for crossings."""
+    return make_block_test(width, crossing=True)
+
+
+@cache
+def crossing_line_test(width: int) -> wp.Function:
+    """`line_test` for crossings."""
+    return make_block_test(width, crossing=True, weights=False)
+
+
+CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
 """The forms by which a closed surface is crossed an even number of times."""
 
 OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
@@ -313,5 +333,6 @@ TEST = TriangleTest(
     candidate_lanes=CANDIDATE_LANES,
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
+    line_test=line_test,
     crossing=CROSSING,
 )

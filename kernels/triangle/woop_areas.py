@@ -60,7 +60,8 @@ PRECISE_AREAS = """
     auto wrt_precise_areas = [](float px, float py, float qx, float qy, float rx, float ry, float& a, float& b, float& c) {
         const float fine_a = (float)((double)rx * qy - (double)ry * qx), fine_b = (float)((double)px * ry - (double)py * rx);
         const float fine_c = (float)((double)qx * py - (double)qy * px);
-        if ((fine_a + fine_b) + fine_c != 0.0f) { a = fine_a; b = fine_b; c = fine_c; }
+        const bool fits = (fine_a + fine_b) + fine_c != 0.0f;
+        a = fits ? fine_a : a; b = fits ? fine_b : b; c = fits ? fine_c : c;
     };
 """
 """C++: the areas a, b, c of a thin triangle from float64, where float32 can hold them."""
