@@ -37,7 +37,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes
+from wrt.kernels.lanes import BITS, FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.lane_form import HandWritten
 from wrt.kernels.triangle.operations import Operations
@@ -217,6 +217,23 @@ WRT_WEIGHTS
     return mask;
 """
 
+_PRECISE_LANE = """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+#define WRT_APART __attribute__((noinline))
+#else
+#define WRT_APART
+#endif
+    auto wrt_precise_lane = [](const float* x, const float* y, const float* z, float ox, float oy, float oz, float sx, float sy,
+                               float* areas) WRT_APART {
+        const float pz = z[0] - oz, qz = z[3 * W] - oz, rz = z[6 * W] - oz;
+        const float px = (x[0] - ox) - sx * pz, qx = (x[3 * W] - ox) - sx * qz, rx = (x[6 * W] - ox) - sx * rz;
+        const float py = (y[0] - oy) - sy * pz, qy = (y[3 * W] - oy) - sy * qz, ry = (y[6 * W] - oy) - sy * rz;
+        WRT_PRECISE_AREAS
+        wrt_precise_areas(px, py, qx, qy, rx, ry, areas[0], areas[1], areas[2]);
+    };
+""".replace("WRT_PRECISE_AREAS", PRECISE_AREAS)
+"""Not inlined: what one hit in a hundred takes must not take registers from the others."""
+
 _WEIGHTS = """
     if (mask) {
         int thin[W];
@@ -224,15 +241,11 @@ _WEIGHTS = """
             float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
             thin[i] = (IS_THIN) & (edge[i] == 0) ? -1 : 0;
         }
-        if (wrt_bits(thin) & mask) WRT_FOR_LANES(i) {
-            float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
-            float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
-            float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
-            float a = area_a[i], b = area_b[i], c = area_c[i];
-            wrt_precise_areas(px, py, qx, qy, rx, ry, a, b, c);
-            area_a[i] = thin[i] ? a : area_a[i];
-            area_b[i] = thin[i] ? b : area_b[i];
-            area_c[i] = thin[i] ? c : area_c[i];
+        for (unsigned left = wrt_bits(thin) & mask; left; left &= left - 1u) {
+            const int i = wrt_lowest_bit(left);
+            float areas[3] = {area_a[i], area_b[i], area_c[i]};
+            wrt_precise_lane(x + i, y + i, z + i, ox, oy, oz, sx, sy, areas);
+            area_a[i] = areas[0]; area_b[i] = areas[1]; area_c[i] = areas[2];
         }
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i];
@@ -272,7 +285,7 @@ def _block(width: int, rule: dict[str, str], weights: bool) -> str:
     for name, piece in rule.items():
         body = body.replace(name, piece)
     head = f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
-    return f"{head}{lane_bits()}{PRECISE_AREAS}{body}"
+    return f"{head}{lane_bits()}{BITS}{_PRECISE_LANE if weights else ''}{body}"
 
 
 def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
