@@ -12,7 +12,7 @@ import warp as wp
 
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.lanes import FOR_LANES
-from wrt.kernels.rays import TINY, RayBatch
+from wrt.kernels.rays import RayBatch
 from wrt.kernels.regions import Region
 from wrt.kernels.traversal.stream import LIST_LANES
 from wrt.kernels.traversal.stream_load import RAYS_TO_LANES, VALID_LANE
@@ -39,7 +39,6 @@ _BLOCK = f"""{FOR_LANES}
 
 @wp.func_native(
     f"""{_BLOCK}
-    constexpr float TINY = {TINY!r}f;
     const int here = count < L ? count : L;
     {RAYS_TO_LANES}
     float low_x[L], low_y[L], low_z[L], high_x[L], high_y[L], high_z[L];

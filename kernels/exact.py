@@ -4,7 +4,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.rays import HitBatch, checked_ray, store_hit
+from wrt.kernels.rays import FARTHEST, HitBatch, checked_ray, store_hit
 from wrt.kernels.traversal.config import TraversalConfig
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.results import ExactSearch
@@ -56,7 +56,7 @@ def search_for(rays: ExactRays, mesh: ExactMesh, i: int):
     search.origin = rays.origins[i * rays.origin_stride]
     search.direction = rays.directions[i * rays.direction_stride]
     search.t_min = rays.t_min[i * rays.t_min_stride]
-    search.t = rays.t_max[i * rays.t_max_stride]
+    search.t = wp.min(rays.t_max[i * rays.t_max_stride], wp.float64(FARTHEST))
     search.vertices = mesh.vertices
     search.faces = mesh.faces
     search.primitive = -1

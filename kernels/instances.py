@@ -15,7 +15,7 @@ such number, and ties between hits at the same t go to the smaller one: the smal
 
 import warp as wp
 
-from wrt.kernels.rays import TINY, Ray, RayBatch, is_finite
+from wrt.kernels.rays import Ray, RayBatch, is_direction, is_finite, usable_direction
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -90,9 +90,8 @@ def object_ray(placement: Placement, origin: wp.vec3d, ray: Ray, t_max: float):
     """
     own = Ray()
     own.origin = wp.vec3(placement.to_object * (origin - placement.origin))
-    own.direction = wp.vec3(placement.to_object * wp.vec3d(ray.direction))
+    own.direction = usable_direction(wp.vec3(placement.to_object * wp.vec3d(ray.direction)))
     own.t_min = ray.t_min
     own.t_max = t_max
-    size = wp.abs(own.direction)
-    own.valid = is_finite(own.origin) and is_finite(own.direction) and wp.max(size[0], wp.max(size[1], size[2])) >= TINY
+    own.valid = is_finite(own.origin) and is_direction(own.direction)
     return own

@@ -8,6 +8,9 @@ out hits near the ends: at a grazing angle, a rounding of the end moves the hit 
 end stays as near to the plane as it was. Rounding is bound by `TOUCH` times the largest coordinate of the triangle and of the
 end, relative to the scene's centre, and that of the caller's float32 coordinates.
 
+**Symmetry.** The rays from a to b and from b to a are rounded differently, and may pass an edge on different sides. So the ray
+of a pair always starts at the same one of its ends: the smaller by x, then y, then z.
+
 **Steps.** Most pairs are decided by the nearest hit, looked for only where it is farther than rounding from both ends: none, or
 one on a triangle through neither end. The others are decided by the list of all hits.
 """
@@ -33,6 +36,12 @@ def size_of(v: wp.vec3):
     return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
 
 
+@wp.func
+def comes_first(a: wp.vec3d, b: wp.vec3d):
+    """Whether a is not after b: by x, then y, then z."""
+    return a[0] < b[0] or (a[0] == b[0] and (a[1] < b[1] or (a[1] == b[1] and a[2] <= b[2])))
+
+
 @wp.kernel
 def connect_points(
     first: int,
@@ -46,10 +55,14 @@ def connect_points(
     targets: wp.array(dtype=wp.vec3),
     verdict: wp.array(dtype=int),
 ):
-    """Item: a pair of points. Its ray, and its second point relative to the centre, t = 1; pairs without a ray are decided."""
+    """Item: a pair of points. Its ray, from the first one in order, and where that ends, relative to the centre, t = 1; pairs
+    without a ray are decided."""
     i = first + wp.tid()
-    a = from_points[from_index[i]] - center
-    b = to_points[to_index[i]] - center
+    one = from_points[from_index[i]]
+    other = to_points[to_index[i]]
+    in_order = comes_first(one, other)
+    a = wp.where(in_order, one, other) - center
+    b = wp.where(in_order, other, one) - center
     origin = wp.vec3(a)
     target = wp.vec3(b)
     direction = wp.vec3(b - a)

@@ -59,12 +59,13 @@ SCENES = {
     "wood": lambda: scenes.build("wood", trees=3),
     "grid": lambda: snapped_soup(600, seed=5),
     "degenerate": lambda: degenerate_soup(),
+    "needles": lambda: needles(),
 }
 
 
 @pytest.fixture(scope="session", params=SCENES)
 def scene_mesh(request: pytest.FixtureRequest) -> wrt.TriangleMesh:
-    """Built-in scenes, a soup on a coarse grid (equal events, planar triangles, ties), and one full of degenerate ones."""
+    """Built-in scenes, a soup on a coarse grid (equal events, planar triangles, ties), one full of degenerate ones, needles."""
     return SCENES[request.param]()
 
 
@@ -86,6 +87,19 @@ def degenerate_soup() -> wrt.TriangleMesh:
         flat[axis * 30 : (axis + 1) * 30, :, axis] = rng.integers(0, 4, (30, 1)) / 3
     corners = np.concatenate([corners, corners, corners[::-1], needles, points, flat]).astype(np.float32)
     return wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def needles(count: int = 480, seed: int = 17) -> wrt.TriangleMesh:
+    """Long triangles 1e3 to 1e8 times as long as wide, across each other, and some ordinary ones among them."""
+    rng = np.random.default_rng(seed)
+    start, along = rng.random((count, 3)), rng.normal(size=(count, 3))
+    along *= rng.uniform(0.3, 0.9, (count, 1)) / np.linalg.norm(along, axis=1, keepdims=True)
+    across = np.cross(along, rng.normal(size=(count, 3)))
+    across *= np.linalg.norm(along, axis=1, keepdims=True) / np.linalg.norm(across, axis=1, keepdims=True)
+    across /= rng.choice([1e3, 1e4, 1e5, 1e6, 1e7, 1e8], (count, 1))
+    corners = np.stack([start, start + along, start + rng.random((count, 1)) * along + across], axis=1)
+    corners = np.concatenate([corners, rng.random((count // 8, 1, 3)) + rng.uniform(-0.2, 0.2, (count // 8, 3, 3))])
+    return wrt.TriangleMesh(corners.reshape(-1, 3).astype(np.float32), np.arange(3 * len(corners)).reshape(-1, 3))
 
 
 def mixed_rays(mesh: wrt.TriangleMesh, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
-from wrt.builders.kdtree import binned, in_place, streaming
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
 from wrt.builders.kdtree.clipping import PAD
 from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
 from wrt.kernels.launch import use_threads
@@ -110,6 +110,36 @@ def test_no_hit_is_lost(scene_mesh, builder):
     assert expected.is_hit.mean() > 0.2
     brute = scene.intersect(origins[:200], directions[:200], traversal="brute")
     np.testing.assert_array_equal(hits.t[:200], brute.t)
+
+
+CLIPPING = [name for name, builder in KDTREE_BUILDERS.items() if builder.clips]
+
+
+@pytest.mark.parametrize("far", [1.0, 1e2, 1e4])
+@pytest.mark.parametrize("builder", CLIPPING)
+def test_needles_are_crossed_once(builder, far):
+    """Rays at needles, their edges and their vertices, from up to 10,000 times the scene's size away.
+
+    Their computed hits were up to their own length off the triangle, and so in cells that they had been clipped away from: a
+    count came out one short. From far away, leaves that a hit was ascribed to did not have the triangle."""
+    mesh = SCENES["needles"]()
+    rng = np.random.default_rng(4)
+    corners = mesh.vertices[mesh.faces[rng.integers(0, mesh.triangle_count, 20000)]].astype(np.float64)
+    weights, kind = rng.dirichlet((1, 1, 1), 20000), rng.integers(0, 3, 20000)
+    weights[kind == 1, 2] = 0.0
+    weights[kind == 2] = [1.0, 0.0, 0.0]
+    targets = (corners * (weights / weights.sum(axis=1, keepdims=True))[:, :, None]).sum(axis=1)
+    origins = mesh.center + far * mesh.extent * rng.normal(size=(20000, 3))
+    scene = wrt.Scene(mesh, wrt.KdTree(builder=builder, split_clipping=True), device="cpu")
+    judge = wrt.Scene(mesh, "bvh", device="cpu")
+    hits, expected = (s.intersect(origins, targets - origins) for s in (scene, judge))
+    np.testing.assert_array_equal(hits.t.view(np.int32), expected.t.view(np.int32))
+    np.testing.assert_array_equal(hits.primitive_id, expected.primitive_id)
+    lists, all_expected = (s.intersect_all(origins, targets - origins) for s in (scene, judge))
+    np.testing.assert_array_equal(lists.offsets, all_expected.offsets)
+    np.testing.assert_array_equal(lists.primitive_id, all_expected.primitive_id)
+    np.testing.assert_array_equal(scene.count(origins, targets - origins), all_expected.count)
+    assert all_expected.count.mean() > 0.3
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+from conftest import SCENES
 from test_spawn import PLACES, placed
 from test_watertight import BODIES
 
@@ -44,6 +45,20 @@ def test_convex_body(body, place, dtype):
     beyond = middle + 5.0 * (middle - points)
     assert not scene.visible(outside, (middle + 3.0 * (middle - outside))).any()
     assert not scene.visible(middle + 5.0 * (points - middle), beyond).any()
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("name", ["teapot", "wood", "needles"])
+def test_who_is_seen_sees(name, dtype):
+    """Of 300,000 pairs on surfaces, up to 12 saw each other one way only: the rays there and back passed edges differently."""
+    mesh = SCENES[name]()
+    scene = wrt.Scene(mesh, device="cpu")
+    a, b = (on_surface(mesh, 60000, seed)[0].astype(dtype) for seed in (1, 2))
+    there, back = scene.visible(a, b), scene.visible(b, a)
+    np.testing.assert_array_equal(there, back)
+    assert 0.05 < there.mean() < 0.95
+    matrix = scene.visible(a[:300, None], a[None, :300])
+    np.testing.assert_array_equal(matrix, matrix.T)
 
 
 def test_matrix_against_float64():

@@ -46,9 +46,14 @@ class Queries(BlockQueries):
         Among hits at the same t, the smaller geometry, then the smaller triangle wins: neither the tree, the traversal
         nor the number of threads shows in the result. A ray with a NaN or an infinity, or with a direction of zero, misses.
 
+        Directions need not be unit, and t counts in units of their length. In float32, components below 2^-126 (1.2e-38), or
+        below 2^-100 of the largest one, count as 0. A direction whose largest component is below 2^-100 (7.9e-31) is too short,
+        and its ray misses as one of zero does. What is so far away that t is no finite float32 (3.4e38 and less) is not hit: a
+        hit's t is always finite.
+
         Args:
             origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
-            directions: (..., 3), of any length; leading shapes broadcast.
+            directions: (..., 3), of any length from 2^-100 on; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
             mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances that have a bit in
                 common with it (`wrt.Instance`); None for all bits.
@@ -64,7 +69,7 @@ class Queries(BlockQueries):
             counters: whether to count each ray's work (`Hits.counters`).
             precise: whether to answer as brute force in float64 would, on rays and vertices as they were given (float32 ones
                 are taken to be exact): which triangle is hit, t, uv, position and normal, the last four in float64. A direction
-                that is 0 or infinite in float32 misses. It has a traversal and a triangle test of its own.
+                that is too short or infinite in float32 misses. It has a traversal and a triangle test of its own.
 
         Raises:
             TypeError: an argument is of a wrong type.
@@ -218,6 +223,7 @@ class Queries(BlockQueries):
         whose plane passes through one of them within rounding (float32 relative to the scene's centre, float32 of the points
         themselves if they are given so) does not hide it from the other. So two points in one flat wall see each other, and
         what is on a wall is seen from both its sides. A point sees itself; one with a NaN or an infinity sees nothing.
+        The answer is symmetric: visible(a, b) and visible(b, a) are the same.
 
         Args:
             points_a, points_b: (..., 3); leading shapes broadcast. Pairs go through memory in blocks.

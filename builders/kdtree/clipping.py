@@ -4,24 +4,27 @@
 that they do not meet, and the planes tried are those of boxes, not of what is left of the triangles.
 
 **Algorithm.** Where partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and
-Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov et
-al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes. Here lists are scanned; sorted
-events are divided in `clipped_events`, by the same clip, into the same tree.
+Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov
+et al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes. Here lists are scanned;
+sorted events are divided in `clipped_events`, by the same clip, into the same tree.
 
-**No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that
-it comes so near. A hit lies off its triangle by less than the slack by which a traversal widens cells (`wrt.kernels.boxes`),
-so a cell that holds the point of the triangle is visited before the hit's t. Counts ask more: each crossing belongs to one
-leaf (`wrt.kernels.traversal.crossings`), which may be wrong by that slack about the side of a plane, and must have the
-triangle all the same: the pad is 64 times the slack of a ray from inside the scene, and so covers rays that start up to some
-20 times its size away.
+**No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that it
+comes so near. A hit lies off its triangle by 16 u R + 14 u D at most (`wrt.kernels.triangle.woop_areas`; u = 2^-24, R the
+ray's reach, D twice the triangle's extent). Traversals widen cells by 16 u R (`wrt.kernels.boxes`), of which the arithmetic
+of a plane takes 4. So there is a leaf that comes within 12 u R of the hit and within the pad, 1024 u of the scene's size, of
+the triangle, as long as both together cover the distance: for rays that start up to 200 times the scene's size away. Beyond
+that, the roundings of 4 u R more would all have to be the worst, and go one way. The interval of that leaf holds the hit's t:
+the leaf is visited before a later hit ends the search, and counts find an owner of the crossing
+(`wrt.kernels.traversal.crossings`), which asks nothing of the pad. Triangle tests that are not `accurate` may lose hits
+beside needles.
 
 **Measured** (one core of a Zen 5; the binned builder with clipping against that without): a soup of long triangles, 4,000:
-0.77 of the cost, 0.77 of the references, random rays take 0.5 (lockstep) and 0.65 (single) of the time; bunny, dragon, atrium,
-stadium, wood: 0.98 to 0.99 of the cost, 0.93 to 0.98 of the references, 0.89 to 0.98 of the time of single rays. The build
-takes 2 to 3 times as long.
+0.77 of the cost, 0.77 of the references, random rays take 0.5 (lockstep) and 0.65 (single) of the time; bunny, dragon,
+atrium, stadium, wood: 0.98 to 0.99 of the cost, 0.93 to 0.98 of the references, 0.89 to 0.98 of the time of single rays. The
+build takes 2 to 3 times as long.
 
-**Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below. The
-choice of planes is greedy: smaller boxes make single splits cheaper, and nearly always, not always, the tree.
+**Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below.
+The choice of planes is greedy: smaller boxes make single splits cheaper, and nearly always, not always, the tree.
 
 References:
     I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.

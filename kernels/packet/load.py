@@ -9,7 +9,7 @@ from wrt.kernels.packet.bounding import BOUND, bounding_head
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.layout import PacketLayout
 from wrt.kernels.packet.numbers import NUMBERS
-from wrt.kernels.rays import TINY, RayBatch
+from wrt.kernels.rays import DIRECTION_LANES, RayBatch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -51,14 +51,16 @@ _LOAD = """
     float lows[3] = {ox0, oy0, oz0}, highs[3] = {ox0, oy0, oz0};
 
     WRT_FOR(P, k) {
-        const float x = to_x[k], y = to_y[k], z = to_z[k];
+        float x = to_x[k], y = to_y[k], z = to_z[k];
+        wrt_direction(x, y, z);
+        const float farthest = most[k] > FARTHEST ? FARTHEST : most[k];
         const float ox = SHARED ? ox0 : from_x[k], oy = SHARED ? oy0 : from_y[k], oz = SHARED ? oz0 : from_z[k];
         // sizes as integers, in the order of the floats: NaN and infinity are beyond all numbers
         const int size_x = wrt_size(x), size_y = wrt_size(y), size_z = wrt_size(z);
         int size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
-        const bool valid = (size >= wrt_size(TINY)) & (size < wrt_size(INF))
+        const bool valid = (size >= wrt_size(SHORTEST)) & (size < wrt_size(INF))
             & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
-            & (least[k] >= 0.0f) & (least[k] <= most[k]);
+            & (least[k] >= 0.0f) & (least[k] <= farthest);
         if (!SHARED) {
             origin_x[k] = ox; origin_y[k] = oy; origin_z[k] = oz;
             slack[k] = SLACK * reach(ox, oy, oz);
@@ -66,7 +68,7 @@ _LOAD = """
         const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
         inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
         t_min[k] = least[k];
-        t[k] = valid ? most[k] : -INF;
+        t[k] = valid ? farthest : -INF;
         ((int*)primitive)[k] = -1;
         u[k] = 0.0f; v[k] = 0.0f;
         const bool xy = size_x >= size_y, xz = size_x >= size_z, yz = size_y >= size_z;
@@ -88,7 +90,7 @@ def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     the batch are not active: no hit improves on their t of -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n"
+    constants = f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
     head = layout.head + constants + NUMBERS + bounding_head(layout, slopes)
 
     @wp.func_native(head + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)

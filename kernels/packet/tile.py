@@ -12,11 +12,11 @@ from wrt.kernels.boxes import SLACK
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.intervals import INTERVALS
-from wrt.kernels.rays import TINY, RayBatch
+from wrt.kernels.rays import DIRECTION_LANES, RayBatch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-_HEAD = f"{FOR_LANES}    constexpr int RUN = 64;\n    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;\n"
+_HEAD = f"{FOR_LANES}    constexpr int RUN = 64;\n    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
 
 _GATHER = """
     const float INF = WRT_INFINITY;
@@ -49,11 +49,13 @@ _GATHER = """
         if (rays.t_min_stride) { WRT_FOR(here, k) t0[k] = rays.t_min.data[begin + k]; }
         if (rays.t_max_stride) { WRT_FOR(here, k) t1[k] = rays.t_max.data[begin + k]; }
         WRT_FOR(here, k) {
-            const float x = d[0][k], y = d[1][k], z = d[2][k], px = o[0][k], py = o[1][k], pz = o[2][k];
+            float x = d[0][k], y = d[1][k], z = d[2][k];
+            wrt_direction(x, y, z);
+            const float px = o[0][k], py = o[1][k], pz = o[2][k];
             const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
             float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
             const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f) & (px - px == 0.0f) & (py - py == 0.0f)
-                & (pz - pz == 0.0f) & (size >= TINY) & (t0[k] >= 0.0f) & (t0[k] <= t1[k]);
+                & (pz - pz == 0.0f) & (size >= SHORTEST) & (t0[k] >= 0.0f) & (t0[k] <= t1[k]);
             active += valid ? 1 : 0;
             WRT_WIDEN(dx, x, valid) WRT_WIDEN(dy, y, valid) WRT_WIDEN(dz, z, valid)
             WRT_WIDEN(ox, px, valid) WRT_WIDEN(oy, py, valid) WRT_WIDEN(oz, pz, valid)

@@ -6,15 +6,15 @@ leaf of a BVH; but in a kd-tree it is listed in each leaf that it reaches into.
 
 **Ideas.** A mailbox that remembers triangles would have to remember all that a ray has crossed. Instead a crossing is
 reported only in the leaf that owns it. The interval of a leaf on the ray, which a hit's t must lie in, rules out nearly all
-others. Intervals are conservative (`wrt.kernels.boxes`), so neighbours overlap by a hair, in which a hit has several leaves,
-and none of them can be told by its t alone: a triangle may be in only one of them. So, by a way down from the root: at a
-node whose plane the triangle straddles, the near child owns the hit if t is not beyond the near interval's end, else the far
-one does; at any other node it is the child that has the triangle.
+others. Intervals are conservative (`wrt.kernels.boxes`), so neighbours overlap by a hair, in which a hit has several leaves.
+Of those that list its triangle and whose intervals hold its t, the first one in the order of the nodes owns it. A leaf that
+asks looks for an earlier one: on the way from the root to it, wherever that goes to the right child, in the left one if that
+holds t.
 
-**Why once.** The way down ends at one leaf, whatever leaf asks. That leaf has the triangle, and its interval holds t: where
-the triangle straddles the plane, t is in the near interval or beyond its end, and so behind the far one's start; where it
-does not, its box lies on one side, t is in the interval of the box, and rounding is monotone. A leaf whose interval holds t
-is visited. A triangle in the plane itself is in one of the children only; the one who asks has it.
+**Why once.** Which leaf is first depends on nothing but the ray, t and the triangle, and a leaf whose interval holds t is
+visited. There is one. In a tree of whole boxes, go down from the root: where the triangle straddles the plane, t is in the near
+interval or beyond its end, and so behind the far one's start; where it does not, its box lies on one side, t is in the interval
+of the box, and rounding is monotone. Where triangles are clipped, see `wrt.builders.kdtree.clipping`.
 
 The next crossing needs none of that, nor does the nearest hit that is not with a given triangle
 (`wrt.kernels.traversal.skipping`): found in two leaves it is still the same one.
@@ -29,15 +29,16 @@ import warp as wp
 
 from wrt.kernels import kdtree
 from wrt.kernels.boxes import RaySlabs, cross_plane
-from wrt.kernels.kdtree import KdNodes
+from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.lanes import lanes, lowest_bit
+from wrt.kernels.memory import load_int, store_int
 from wrt.kernels.rays import HitBatch
 from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
 from wrt.kernels.traversal.results import Passed, results_of
 from wrt.kernels.traversal.skipping import count_unskipped, take_unskipped
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
+from wrt.kernels.triangle.records import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -98,7 +99,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     Lanes, RayState = lanes(width), test.ray_state
     intersect_block = test.forms(config.crossing).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
-    take, owns = take_crossing(config), owns_crossing(config.triangle_test, width)
+    take, owns = take_crossing(config), owns_crossing(width)
     shared, Results = Tree is KdNodes and config.crossing and config.query != NEXT, results_of(config)
 
     @wp.func
@@ -146,13 +147,55 @@ def overlap(slabs: wp.ref[RaySlabs]):
     return 2.0 * widest
 
 
+@wp.func
+def holds(crossing: wp.vec3, is_left: bool, t: float):
+    """Whether the interval of a child, as bounded by its parent's plane, holds t; crossing: see `cross_plane`."""
+    is_near = is_left == (not (crossing[0] < 0.0))
+    return (is_near and not (t > crossing[1])) or (not is_near and not (t < crossing[2]))
+
+
 @cache
-def owns_crossing(triangle_test: str, width: int) -> wp.Function:
+def is_listed(width: int) -> wp.Function:
+    """`wp.func(tree, root, triangles, primitive, slabs, t) -> bool`: whether a leaf at or below a node
+    has the triangle and holds t."""
+
+    @wp.func
+    def search(tree: KdNodes, root: int, triangles: TriangleBlocks, primitive: int, slabs: wp.ref[RaySlabs], t: float):
+        waiting = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+        store_int(waiting, 0, root)
+        size = int(1)
+        found = bool(False)
+        while size > 0 and not found:
+            size -= 1
+            node = load_int(waiting, size)
+            word = kdtree.load_node(tree.nodes, node)
+            axis = kdtree.split_axis(word)
+            if axis == LEAF:
+                slot = kdtree.first_block(word) * wp.static(width)
+                end = slot + kdtree.leaf_triangles(word)
+                while slot < end and not found:
+                    found = triangles.primitive[slot] == primitive
+                    slot += 1
+            else:
+                crossing = cross_plane(slabs, axis, kdtree.split_position(word))
+                if holds(crossing, False, t):
+                    store_int(waiting, size, kdtree.right_child(word))
+                    size += 1
+                if holds(crossing, True, t):
+                    store_int(waiting, size, node + 1)
+                    size += 1
+        return found
+
+    return search
+
+
+@cache
+def owns_crossing(width: int) -> wp.Function:
     """`wp.func(tree, leaf, interval, triangles, slot, slabs, t) -> bool`: whether this leaf is the one to report a crossing.
 
     leaf: a leaf that has the triangle in the slot. interval: of t there, which holds t.
     """
-    load = load_corners(TRIANGLE_TESTS[triangle_test].record.components)
+    search = is_listed(width)
 
     @wp.func
     def owns(
@@ -167,22 +210,17 @@ def owns_crossing(triangle_test: str, width: int) -> wp.Function:
         margin = overlap(slabs)
         owned = bool(True)
         if not (t > interval[0] + margin and t < interval[1] - margin):
-            corners = load(triangles.records, slot, wp.static(width))
-            low = corners_low(corners)
-            high = corners_high(corners)
             node = int(0)
             while owned and node != leaf:
                 word = kdtree.load_node(tree.nodes, node)
-                axis = kdtree.split_axis(word)
-                position = kdtree.split_position(word)
                 right = kdtree.right_child(word)
-                is_left = leaf < right  # nodes are in depth-first order
-                if low[axis] < position and position < high[axis]:
-                    crossing = cross_plane(slabs, axis, position)
-                    to_near = not (t > crossing[1])
-                    is_near = is_left == (not (crossing[0] < 0.0))
-                    owned = is_near == to_near
-                node = wp.where(is_left, node + 1, right)
+                if leaf < right:  # nodes are in depth-first order
+                    node += 1
+                else:
+                    crossing = cross_plane(slabs, kdtree.split_axis(word), kdtree.split_position(word))
+                    if holds(crossing, True, t):
+                        owned = not search(tree, node + 1, triangles, triangles.primitive[slot], slabs, t)
+                    node = right
         return owned
 
     return owns

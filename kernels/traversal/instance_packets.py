@@ -27,7 +27,7 @@ from wrt.kernels.packet.bounds import PacketBounds
 from wrt.kernels.packet.interval import cull_boxes
 from wrt.kernels.packet.load import load_packet
 from wrt.kernels.packet.numbers import ray_at
-from wrt.kernels.rays import HitBatch, RayBatch, load_ray
+from wrt.kernels.rays import DIRECTION_LANES, HitBatch, RayBatch, load_ray
 from wrt.kernels.traversal import packet
 from wrt.kernels.traversal.config import ANY, TraversalConfig
 from wrt.kernels.traversal.instances import BvhPart, InstanceTree
@@ -45,7 +45,8 @@ _TRANSFORM = """
     float* to_direction = (float*)(own.directions.data + slot);
     for (int k = 0; k < P; ++k) {
         const int i = number.data[k];
-        const wp::vec3 o = rays.origins.data[i * rays.origin_stride], d = rays.directions.data[i * rays.direction_stride];
+        wp::vec3 o = rays.origins.data[i * rays.origin_stride], d = rays.directions.data[i * rays.direction_stride];
+        wrt_direction(d.c[0], d.c[1], d.c[2]);
         const double x = ((double)o.c[0] - cx) - px, y = ((double)o.c[1] - cy) - py, z = ((double)o.c[2] - cz) - pz;
         const double dx = d.c[0], dy = d.c[1], dz = d.c[2];
         for (int a = 0; a < 3; ++a) {
@@ -65,7 +66,7 @@ def transform_packet(packet_rays: int) -> wp.Function:
     The arithmetic of `wrt.kernels.instances.object_ray`. own: from `slot` on, gets rays from their t_min up to `bound`.
     """
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int P = {packet_rays};\n{_TRANSFORM}")
+    @wp.func_native(f"{FOR_LANES}    constexpr int P = {packet_rays};\n{DIRECTION_LANES}{_TRANSFORM}")
     def transform_packet_native(
         rays: RayBatch,
         number: wp.array(dtype=int),

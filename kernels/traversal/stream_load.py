@@ -15,7 +15,7 @@ import warp as wp
 from wrt.kernels.boxes import SLACK
 from wrt.kernels.lanes import FOR_LANES
 from wrt.kernels.memory import load_float
-from wrt.kernels.rays import TINY, RayBatch
+from wrt.kernels.rays import DIRECTION_LANES, RayBatch
 from wrt.kernels.transpose import TRANSPOSE
 from wrt.kernels.traversal.stream import LIST_LANES, ray_words, stream_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -26,7 +26,9 @@ COMMON_WORDS = 14
 """4-byte words of a `stream_ray` before the test's state: slabs, t_min, best."""
 
 
-RAYS_TO_LANES = """
+RAYS_TO_LANES = (
+    DIRECTION_LANES
+    + """
     // rays beyond the last are the first again, and not written
     auto number = [&](int k, int stride) { return (first + (k < here ? k : 0)) * stride; };
     const double center_x = batch.center.c[0], center_y = batch.center.c[1], center_z = batch.center.c[2];
@@ -54,7 +56,14 @@ RAYS_TO_LANES = """
     else WRT_SCALAR for (int k = 0; k < L; ++k) t_min[k] = batch.t_min.data[number(k, batch.t_min_stride)];
     if (here == L && batch.t_max_stride) { WRT_FOR(L, k) t[k] = batch.t_max.data[first + k]; }
     else WRT_SCALAR for (int k = 0; k < L; ++k) t[k] = batch.t_max.data[number(k, batch.t_max_stride)];
+    WRT_FOR(L, k) {
+        float x = dx[k], y = dy[k], z = dz[k];
+        wrt_direction(x, y, z);
+        dx[k] = x; dy[k] = y; dz[k] = z;
+        t[k] = t[k] > FARTHEST ? FARTHEST : t[k];
+    }
 """
+)
 """C++: the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min and t."""
 
 VALID_LANE = """
@@ -63,7 +72,7 @@ VALID_LANE = """
         float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
         const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
             & (px - px == 0.0f) & (py - py == 0.0f) & (pz - pz == 0.0f)
-            & (size >= TINY) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
+            & (size >= SHORTEST) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
 """
 """C++ for a ray k of those: its numbers, and whether it is `valid`, as `load_ray` tells."""
 
@@ -112,7 +121,7 @@ def load_stream(triangle_test: str) -> wp.Function:
         raise ValueError(f"a ray of {triangle_test!r} has {words} words in a stream; one or two vectors of 16 are written")
     constants = f"""{FOR_LANES}{TRANSPOSE}
     constexpr int L = {LIST_LANES}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
-    constexpr float SLACK = {SLACK!r}f, TINY = {TINY!r}f;
+    constexpr float SLACK = {SLACK!r}f;
     """
     code = _LOAD.replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
     code = constants + code.replace("WRT_PREPARE", test.prepare_lanes)

@@ -38,12 +38,12 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, intersect_block = get_ray(config.triangle_test), test.forms(config.crossing).block_test(width)
-    append = append_candidates(width)
+    get, forms, append = get_ray(config.triangle_test), test.forms(config.crossing), append_candidates(width)
+    intersect_block = (forms.line_test or forms.block_test)(width)
 
     @wp.func
     def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
-        t = Lanes()  # where nothing reads t, u and v, the compiler leaves out what makes them
+        t = Lanes()  # which nothing reads
         u = Lanes()
         v = Lanes()
         return intersect_block(triangles.records, block, state, t, u, v)

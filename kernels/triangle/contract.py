@@ -16,10 +16,12 @@ class CrossingForms:
     Attributes:
         intersect: as `TriangleTest.intersect`.
         block_test: as `TriangleTest.block_test`.
+        line_test: as `TriangleTest.line_test`.
     """
 
     intersect: wp.Function
     block_test: Callable[[int], wp.Function]
+    line_test: Callable[[int], wp.Function] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +80,8 @@ class TriangleTest(TestForm):
         two_sided: whether both sides of a triangle are hit.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
             The twin of the lane loops, in plain Warp.
+        line_test: width -> `block_test` that leaves t, u and v as they are, for streams; None where the compiler makes it of
+            `block_test`, as it leaves out what nobody reads.
         crossing: the forms that count crossings exactly; None if it has none.
         any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
     """
@@ -87,9 +91,10 @@ class TriangleTest(TestForm):
     accurate: bool = False
     two_sided: bool = True
     intersect: wp.Function
+    line_test: Callable[[int], wp.Function] | None = None
     crossing: CrossingForms | None = None
     any_hit: str = ""
 
     def forms(self, crossing: bool) -> CrossingForms:
         """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
-        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test)
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test, self.line_test)

@@ -10,6 +10,9 @@ one is zero, the ray passes the edge to the last bit, or the products underflowe
 float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the
 sheared vertices, and a ray can slip between neighbours at no edge and no vertex; on an edge it hits both.
 
+**Where it is hit.** The areas of a hit weigh the vertices too. Those of a thin triangle are computed again for that
+(`wrt.kernels.triangle.woop_areas`), so that every hit is near its triangle.
+
 **Exactly one of them.** Whoever counts crossings needs a rule by which a ray on an edge belongs to one side of it. Rasterisers
 give pixels on an edge to the triangle whose top or left edge it is; here the point 0 is thought of as moved by (e, e^2) for
 an infinitely small e > 0 (simulation of simplicity). To first order that adds e (p.y - q.y) + e^2 (q.x - p.x) to the area
@@ -34,11 +37,13 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes
+from wrt.kernels.lanes import BITS, FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.contract import CrossingForms, TriangleTest
-from wrt.kernels.triangle.lane_form import HandWritten, PacketForm
+from wrt.kernels.triangle.lane_form import HandWritten
 from wrt.kernels.triangle.operations import Operations
 from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS, area64, exact_area, precise_areas
+from wrt.kernels.triangle.woop_packets import PACKET
 from wrt.kernels.triangle.woop_streams import CANDIDATE_LANES, INCLUSIVE_SIDE, PREPARE_LANES
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -90,17 +95,11 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def sheared(ray: ShearedRay, vertex: wp.vec3):
-    """The vertex in the ray's space; its third component is the t of its plane across the ray's main axis."""
+    """The vertex as seen along the ray: across the main axis, and its distance along that."""
     z = vertex[ray.z] - ray.origin[2]
     x = (vertex[ray.x] - ray.origin[0]) - ray.shear[0] * z
     y = (vertex[ray.y] - ray.origin[1]) - ray.shear[1] * z
-    return wp.vec3(x, y, ray.shear[2] * z)
-
-
-@wp.func
-def exact_area(p: wp.vec3, q: wp.vec3):
-    """Signed area p x q in float64, rounded to float32: the sign is exact, or the area so small that it counts as 0."""
-    return float(wp.float64(p[0]) * wp.float64(q[1]) - wp.float64(p[1]) * wp.float64(q[0]))
+    return wp.vec3(x, y, z)
 
 
 @wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
@@ -129,24 +128,19 @@ def intersect(ray: ShearedRay, corners: Corners):
         area_a = exact_area(c, b)
         area_b = exact_area(a, c)
         area_c = exact_area(b, a)
-    total = (area_a + area_b) + area_c
-    if not on_one_side(area_a, area_b, area_c) or total == 0.0:
+    if not on_one_side(area_a, area_b, area_c) or (area_a + area_b) + area_c == 0.0:
         return wp.vec3(wp.nan, 0.0, 0.0)
-    return interpolate(wp.vec3(a[2], b[2], c[2]), area_a, area_b, area_c)
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), precise_areas(a, b, c, wp.vec3(area_a, area_b, area_c)))
 
 
 @wp.func
-def interpolate(depth: wp.vec3, area_a: float, area_b: float, area_c: float):
-    """(t, u, v) from the depths of the vertices and the areas against them."""
-    scale = 1.0 / ((area_a + area_b) + area_c)
-    t = ((area_a * depth[0] + area_b * depth[1]) + area_c * depth[2]) * scale
-    return wp.vec3(t, area_b * scale, area_c * scale)
+def interpolate(ray: ShearedRay, depth: wp.vec3, areas: wp.vec3):
+    """(t, u, v) from the distances of the vertices along the main axis and the areas against them.
 
-
-@wp.func
-def area64(p: wp.vec3, q: wp.vec3):
-    """Signed area p x q in float64; its sign is exact."""
-    return wp.float64(p[0]) * wp.float64(q[1]) - wp.float64(p[1]) * wp.float64(q[0])
+    These are multiplied before 1 / direction comes in: the product of all three may be beyond float32 where t is not."""
+    scale = 1.0 / ((areas[0] + areas[1]) + areas[2])
+    distance = ((areas[0] * depth[0] + areas[1] * depth[1]) + areas[2] * depth[2]) * scale
+    return wp.vec3(ray.shear[2] * distance, areas[1] * scale, areas[2] * scale)
 
 
 @wp.func
@@ -166,6 +160,7 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
     area_b = a[0] * c[1] - a[1] * c[0]
     area_c = b[0] * a[1] - b[1] * a[0]
     inside = on_one_side(area_a, area_b, area_c)
+    areas = wp.vec3(area_a, area_b, area_c)
     if wp.abs(area_a) < SMALL or wp.abs(area_b) < SMALL or wp.abs(area_c) < SMALL:
         exact_a = area64(c, b)
         exact_b = area64(a, c)
@@ -174,12 +169,12 @@ def intersect_crossing(ray: ShearedRay, corners: Corners):
         inside = side_a != 0 and side_a == side(exact_b, a, c) and side_a == side(exact_c, b, a)
         small = wp.abs((exact_a + exact_b) + exact_c) < wp.float64(SMALL)
         lift = wp.where(small, LIFT, wp.float64(1.0))
-        area_a = float(exact_a * lift)
-        area_b = float(exact_b * lift)
-        area_c = float(exact_c * lift)
+        areas = wp.vec3(float(exact_a * lift), float(exact_b * lift), float(exact_c * lift))
+    elif inside:
+        areas = precise_areas(a, b, c, areas)
     if not inside:
         return wp.vec3(wp.nan, 0.0, 0.0)
-    return interpolate(wp.vec3(a[2], b[2], c[2]), area_a, area_b, area_c)
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
 
 
 _BLOCK = """
@@ -190,7 +185,7 @@ _BLOCK = """
     WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
     const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
     const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
-    float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W];
+    float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W], sizes[W];
     int within[W], edge[W];
     WRT_FOR_LANES(i) {
         float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
@@ -198,7 +193,8 @@ _BLOCK = """
         float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
         float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
         area_a[i] = a; area_b[i] = b; area_c[i] = c;
-        depth_a[i] = sz * pz; depth_b[i] = sz * qz; depth_c[i] = sz * rz;
+        depth_a[i] = pz; depth_b[i] = qz; depth_c[i] = rz;
+        sizes[i] = AREAS_SIZE;
         bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
         bool on_edge = ON_EDGE;
         within[i] = inside ? -1 : 0;
@@ -217,24 +213,59 @@ _BLOCK = """
             mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
         }
     }
+WRT_WEIGHTS
+    return mask;
+"""
+
+_PRECISE_LANE = """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+#define WRT_APART __attribute__((noinline))
+#else
+#define WRT_APART
+#endif
+    auto wrt_precise_lane = [](const float* x, const float* y, const float* z, float ox, float oy, float oz, float sx, float sy,
+                               float* areas) WRT_APART {
+        const float pz = z[0] - oz, qz = z[3 * W] - oz, rz = z[6 * W] - oz;
+        const float px = (x[0] - ox) - sx * pz, qx = (x[3 * W] - ox) - sx * qz, rx = (x[6 * W] - ox) - sx * rz;
+        const float py = (y[0] - oy) - sy * pz, qy = (y[3 * W] - oy) - sy * qz, ry = (y[6 * W] - oy) - sy * rz;
+        WRT_PRECISE_AREAS
+        wrt_precise_areas(px, py, qx, qy, rx, ry, areas[0], areas[1], areas[2]);
+    };
+""".replace("WRT_PRECISE_AREAS", PRECISE_AREAS)
+"""Not inlined: what one hit in a hundred takes must not take registers from the others."""
+
+_WEIGHTS = """
     if (mask) {
+        int thin[W];
+        WRT_FOR_LANES(i) {
+            float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
+            thin[i] = (IS_THIN) & (edge[i] == 0) ? -1 : 0;
+        }
+        for (unsigned left = wrt_bits(thin) & mask; left; left &= left - 1u) {
+            const int i = wrt_lowest_bit(left);
+            float areas[3] = {area_a[i], area_b[i], area_c[i]};
+            wrt_precise_lane(x + i, y + i, z + i, ox, oy, oz, sx, sy, areas);
+            area_a[i] = areas[0]; area_b[i] = areas[1]; area_c[i] = areas[2];
+        }
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i];
             float scale = 1.0f / ((a + b) + c);
-            t.c[i] = ((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale;
+            t.c[i] = sz * (((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale);
             u.c[i] = b * scale;
             v.c[i] = c * scale;
         }
     }
-    return mask;
 """
+"""Where the lanes in the mask are hit."""
 
-_INCLUSIVE = {
+_THIN = {"AREAS_SIZE": AREAS_SIZE, "IS_THIN": IS_THIN}
+
+_INCLUSIVE = _THIN | {
     "ON_EDGE": "(a == 0.0f) | (b == 0.0f) | (c == 0.0f)",
     "WHICH_SIDE": INCLUSIVE_SIDE,
 }
 
-_CROSSING = {
+_CROSSING = _THIN | {
     "ON_EDGE": "(WRT_ABS(a) < SMALL) | (WRT_ABS(b) < SMALL) | (WRT_ABS(c) < SMALL)",
     "WHICH_SIDE": f"""
             auto side = [](double area, double px, double py, double qx, double qy) {{
@@ -249,30 +280,19 @@ _CROSSING = {
 }
 
 
-def _block(width: int, rule: dict[str, str]) -> str:
-    body = _BLOCK
+def _block(width: int, rule: dict[str, str], weights: bool) -> str:
+    body = _BLOCK.replace("WRT_WEIGHTS", _WEIGHTS if weights else "")
     for name, piece in rule.items():
         body = body.replace(name, piece)
-    return f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n{lane_bits()}{body}"
+    head = f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
+    return f"{head}{lane_bits()}{BITS}{_PRECISE_LANE if weights else ''}{body}"
 
 
-@cache
-def block_test(width: int) -> wp.Function:
-    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
-    return make_block_test(width, crossing=False)
-
-
-@cache
-def crossing_block_test(width: int) -> wp.Function:
-    """`block_test` for crossings."""
-    return make_block_test(width, crossing=True)
-
-
-def make_block_test(width: int, crossing: bool) -> wp.Function:
-    """The lane form by one of the two rules for a ray on an edge."""
+def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
+    """The lane form by one of the two rules for a ray on an edge; weights: whether t, u and v are worked out."""
     Lanes = lanes(width)
 
-    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE))
+    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE, weights))
     def woop_block(
         records: wp.array(dtype=float),
         block: int,
@@ -285,82 +305,32 @@ def make_block_test(width: int, crossing: bool) -> wp.Function:
     return woop_block
 
 
-CROSSING = CrossingForms(intersect_crossing, crossing_block_test)
-"""The forms by which a closed surface is crossed an even number of times."""
+@cache
+def block_test(width: int) -> wp.Function:
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    return make_block_test(width, crossing=False)
 
-PACKET = PacketForm(
-    state=("shear_z",),
-    passes=3,
-    prepare="shear_z[k] = main_x ? ix : main_y ? iy : iz;",
-    triangle="""
-            const int z = pass, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-            const float ax = corner[x * W], ay = corner[y * W], az = corner[z * W];
-            const float bx = corner[(3 + x) * W], by = corner[(3 + y) * W], bz = corner[(3 + z) * W];
-            const float cx = corner[(6 + x) * W], cy = corner[(6 + y) * W], cz = corner[(6 + z) * W];
-            const float *from_x = x == 0 ? origin_x : x == 1 ? origin_y : origin_z;
-            const float *from_y = y == 0 ? origin_x : y == 1 ? origin_y : origin_z;
-            const float *from_z = z == 0 ? origin_x : z == 1 ? origin_y : origin_z;
-            const float from_x0 = origin0[x], from_y0 = origin0[y], from_z0 = origin0[z];
-            const int* axis = (const int*)main_axis;
-    """,
-    inside="""
-                alignas(4 * W) int inside[W];
-                alignas(4 * W) float area_a[W], area_b[W], area_c[W];
-                int some = 0, edges = 0;
-                WRT_FOR_LANES(i) {
-                    const int k = f + i;
-                    const float ox = SHARED ? from_x0 : from_x[k], oy = SHARED ? from_y0 : from_y[k],
-                                oz = SHARED ? from_z0 : from_z[k];
-                    const float pz = az - oz, qz = bz - oz, rz = cz - oz, sx = slope_x[k], sy = slope_y[k];
-                    const float px = (ax - ox) - sx * pz, qx = (bx - ox) - sx * qz, rx = (cx - ox) - sx * rz;
-                    const float py = (ay - oy) - sy * pz, qy = (by - oy) - sy * qz, ry = (cy - oy) - sy * rz;
-                    const float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
-                    area_a[i] = a; area_b[i] = b; area_c[i] = c;
-                    const bool in = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-                    const bool on_edge = (a == 0.0f) | (b == 0.0f) | (c == 0.0f);
-                    inside[i] = (in & (axis[k] == z)) ? 1 : 0;
-                    some |= inside[i];
-                    edges |= on_edge ? 1 : 0;
-                }
-                if (edges) {
-                    some = 0;
-                    for (int i = 0; i < W; ++i) {
-                        const int k = f + i;
-                        if (area_a[i] == 0.0f || area_b[i] == 0.0f || area_c[i] == 0.0f) {
-                            const float ox = SHARED ? from_x0 : from_x[k], oy = SHARED ? from_y0 : from_y[k],
-                                        oz = SHARED ? from_z0 : from_z[k];
-                            const float pz = az - oz, qz = bz - oz, rz = cz - oz, sx = slope_x[k], sy = slope_y[k];
-                            const double px = (ax - ox) - sx * pz, qx = (bx - ox) - sx * qz, rx = (cx - ox) - sx * rz;
-                            const double py = (ay - oy) - sy * pz, qy = (by - oy) - sy * qz, ry = (cy - oy) - sy * rz;
-                            const float a = (float)(rx * qy - ry * qx), b = (float)(px * ry - py * rx),
-                                        c = (float)(qx * py - qy * px);
-                            area_a[i] = a; area_b[i] = b; area_c[i] = c;
-                            const bool in = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f))
-                                | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
-                            inside[i] = (in & ((a + b) + c != 0.0f) & (axis[k] == z)) ? 1 : 0;
-                        }
-                        some |= inside[i];
-                    }
-                }
-                if (!some) continue;
-    """,
-    hit="""
-                    const float from = SHARED ? from_z0 : from_z[k], sz = shear_z[k];
-                    const float scale = 1.0f / ((area_a[i] + area_b[i]) + area_c[i]);
-                    at = ((area_a[i] * (sz * (az - from)) + area_b[i] * (sz * (bz - from)))
-                        + area_c[i] * (sz * (cz - from))) * scale;
-                    hit_u = area_b[i] * scale;
-                    hit_v = area_c[i] * scale;
-    """,
-    ray="""
-    const float* origins[3] = {origin_x, origin_y, origin_z};
-    ray.z = ((const int*)main_axis)[k]; ray.x = ray.z == 2 ? 0 : ray.z + 1; ray.y = ray.x == 2 ? 0 : ray.x + 1;
-    const int axes[3] = {ray.x, ray.y, ray.z};
-    for (int a = 0; a < 3; ++a) ray.origin.c[a] = SHARED ? origin0[axes[a]] : origins[axes[a]][k];
-    ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
-    """,
-)
-"""W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
+
+@cache
+def line_test(width: int) -> wp.Function:
+    """`block_test` without t, u and v."""
+    return make_block_test(width, crossing=False, weights=False)
+
+
+@cache
+def crossing_block_test(width: int) -> wp.Function:
+    """`block_test` for crossings."""
+    return make_block_test(width, crossing=True)
+
+
+@cache
+def crossing_line_test(width: int) -> wp.Function:
+    """`line_test` for crossings."""
+    return make_block_test(width, crossing=True, weights=False)
+
+
+CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
+"""The forms by which a closed surface is crossed an even number of times."""
 
 OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
 """Of a miss, and what a hit adds; where nothing has to be computed again."""
@@ -376,5 +346,6 @@ TEST = TriangleTest(
     candidate_lanes=CANDIDATE_LANES,
     intersect=intersect,
     lanes=HandWritten(block_test, PACKET, OPERATIONS),
+    line_test=line_test,
     crossing=CROSSING,
 )

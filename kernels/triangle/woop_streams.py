@@ -3,6 +3,8 @@
 Both are that test number for number; what differs is that each lane has an axis order of its own, which is selected.
 """
 
+from wrt.kernels.triangle.woop_areas import IS_THIN, PRECISE_AREAS
+
 INCLUSIVE_SIDE = """
             float a = (float)exact_a, b = (float)exact_b, c = (float)exact_c;
             bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
@@ -34,11 +36,11 @@ _SHEAR = "".join(
     f"""
             const float z{v} = along(i, {v}, 2) - oz;
             const float x{v} = (along(i, {v}, 0) - ox) - sx * z{v}, y{v} = (along(i, {v}, 1) - oy) - sy * z{v};
-            x[{v}][i] = x{v}; y[{v}][i] = y{v}; depth[{v}][i] = sz * z{v};"""
+            x[{v}][i] = x{v}; y[{v}][i] = y{v}; depth[{v}][i] = z{v};"""
     for v in range(3)
 )
 
-CANDIDATE_LANES = f"""
+CANDIDATE_LANES = f"""{PRECISE_AREAS}
         float x[3][L], y[3][L], depth[3][L], area[3][L];
         int hits[L], edges[L];
         const int* main_axis = (const int*)words[19];
@@ -52,14 +54,19 @@ CANDIDATE_LANES = f"""
         }};
         WRT_FOR_LANES(i) {{
             const float ox = words[14][i], oy = words[15][i], oz = words[16][i];
-            const float sx = words[20][i], sy = words[21][i], sz = words[22][i];{_SHEAR}
+            const float sx = words[20][i], sy = words[21][i];{_SHEAR}
             const float a = x2 * y1 - y2 * x1, b = x0 * y2 - y0 * x2, c = x1 * y0 - y1 * x0;
             area[0][i] = a; area[1][i] = b; area[2][i] = c;
             hits[i] = (((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f))) ? -1 : 0;
-            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f)) ? -1 : 0;
+            const float size = (WRT_ABS(x2 * y1) + WRT_ABS(x0 * y2)) + WRT_ABS(x1 * y0);
+            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f) | ({IS_THIN})) ? -1 : 0;
         }}
         for (unsigned left = wrt_bits(edges); left; left &= left - 1u) {{
             const int i = wrt_lowest_bit(left);
+            if (area[0][i] != 0.0f && area[1][i] != 0.0f && area[2][i] != 0.0f) {{
+                wrt_precise_areas(x[0][i], y[0][i], x[1][i], y[1][i], x[2][i], y[2][i], area[0][i], area[1][i], area[2][i]);
+                continue;
+            }}
             const double px = x[0][i], qx = x[1][i], rx = x[2][i], py = y[0][i], qy = y[1][i], ry = y[2][i];
             const double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
             {INCLUSIVE_SIDE}
@@ -68,7 +75,7 @@ CANDIDATE_LANES = f"""
         }}
         WRT_FOR_LANES(i) {{
             const float a = area[0][i], b = area[1][i], c = area[2][i], scale = 1.0f / ((a + b) + c);
-            const float at = ((a * depth[0][i] + b * depth[1][i]) + c * depth[2][i]) * scale;
+            const float at = words[22][i] * (((a * depth[0][i] + b * depth[1][i]) + c * depth[2][i]) * scale);
             t[i] = hits[i] ? at : WRT_NAN;
             u[i] = b * scale;
             v[i] = c * scale;
