@@ -66,8 +66,9 @@ class Scene(Queries):
 
     Raises:
         TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
-        ValueError: unknown names, no such device, an empty sequence, one that contains itself, a `cache` that is a file; triangles
-            that spread over more than 6.9e10 (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot hold.
+        ValueError: unknown names, no such device, an empty sequence, one that contains itself, a `cache` that is a file;
+            triangles that spread over more than 6.9e10 (`wrt.geometry.MAX_EXTENT`) or lie beyond 1.3e36, which float32 cannot
+            hold.
         MemoryError: there is too little memory for the tree.
         OSError: the folder of `cache` cannot be made. (A tree that cannot be written there is a warning.)
     """
