@@ -3,8 +3,8 @@
 Meshes are small, with corners on a coarse grid, so that triangles without area, duplicates and shared edges are common. Rays
 come in every shape, type and memory layout. The oracle lists the crossings of each ray and each triangle by the formulas of
 Moeller and Trumbore in float64, and says which rays are *clear*: none of their crossings is so near to an edge, to a grazing
-angle or to an end of the ray that float32 decides. Clear rays must be answered exactly as the oracle says; of the others the queries
-must agree with one another.
+angle or to an end of the ray that float32 decides. Clear rays must be answered exactly as the oracle says; of the others the
+queries must agree with one another.
 
 `WRT_PROPERTY_EXAMPLES=5000 pytest tests/test_properties.py` looks further, at other examples each time.
 """
