@@ -155,7 +155,9 @@ class QueryFunction(wp.Function):
         """
         if builder is not None:
             name = f"a kernel of the module {builder.module.name!r}"
-            check_options(name, self.adj.used_by_backward_kernel, builder.options["fuse_fp"])
+            # a function's own mark outlives a build that failed, so a kernel of this module must have it, too
+            backward = any(kernel.adj.used_by_backward_kernel for kernel in builder.kernels)
+            check_options(name, backward and self.adj.used_by_backward_kernel, builder.options["fuse_fp"])
         super().build(builder, default_builder_options)
 
 
