@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.instances import members_of
 from wrt.kernels.hits import SceneMesh
 from wrt.mesh import TriangleMesh
 
@@ -109,6 +108,24 @@ def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """(V, 3) float32: vertices relative to a point. Those that no triangle uses may come to be infinite."""
     with np.errstate(over="ignore"):
         return (vertices - center).astype(np.float32)
+
+
+def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
+    """The members of a sequence and of sequences in it, or the one thing that there is.
+
+    Args:
+        geometry: that thing.
+        above: identities of the sequences that it is a member of.
+
+    Raises:
+        ValueError: a sequence contains itself.
+    """
+    if not isinstance(geometry, Sequence) or isinstance(geometry, (str, bytes)):
+        return [geometry]
+    if id(geometry) in above:
+        raise ValueError("geometry is a sequence that contains itself; pass the meshes themselves")
+    above = (*above, id(geometry))
+    return [member for item in geometry for member in members_of(item, above)]
 
 
 def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.geometry import MAX_COORDINATE
+from wrt.geometry import MAX_COORDINATE, members_of
 from wrt.mesh import TriangleMesh
 
 MOST_STRETCH = 1e12
@@ -162,24 +162,6 @@ def as_instances(geometry: Any) -> tuple[Instance, ...]:
         else:
             instances.append(member if isinstance(member, Instance) else Instance(member))
     return tuple(instances)
-
-
-def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
-    """The members of a sequence and of sequences in it, or the one thing that there is.
-
-    Args:
-        geometry: that thing.
-        above: identities of the sequences that it is a member of.
-
-    Raises:
-        ValueError: a sequence contains itself.
-    """
-    if not isinstance(geometry, Sequence) or isinstance(geometry, (str, bytes)):
-        return [geometry]
-    if id(geometry) in above:
-        raise ValueError("geometry is a sequence that contains itself; pass the meshes themselves")
-    above = (*above, id(geometry))
-    return [member for item in geometry for member in members_of(item, above)]
 
 
 def is_graph(geometry: Any) -> bool:
