@@ -89,7 +89,7 @@ def test_pickled_and_saved(tmp_path):
 
 def test_a_deep_group(tmp_path):
     """A chain as deep as a tree may be, below an upper tree, once lay deeper than what is loaded again."""
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]]) * 2.0 ** np.arange(-60, 60)[:, None, None]
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 1]]) * 2.0 ** np.arange(-86, 34)[:, None, None]  # as far as scenes go
     chain = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(360).reshape(-1, 3))
     across = wrt.TriangleMesh(-corners[-1], [[0, 1, 2]])  # the scene's centre is where the chain begins
     scene = wrt.GroupedScene([chain, across], wrt.Bvh(width=2, max_leaf_triangles=1, bins=2), device="cpu")
