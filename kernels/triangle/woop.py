@@ -239,7 +239,7 @@ _WEIGHTS = """
         int thin[W];
         WRT_FOR_LANES(i) {
             float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
-            thin[i] = (IS_THIN) & (edge[i] == 0) ? -1 : 0;
+            thin[i] = ((IS_THIN) & (edge[i] == 0)) ? -1 : 0;
         }
         for (unsigned left = wrt_bits(thin) & mask; left; left &= left - 1u) {
             const int i = wrt_lowest_bit(left);
