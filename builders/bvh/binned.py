@@ -39,6 +39,7 @@ from wrt.builders.bvh.tree import Frame, empty_tree
 from wrt.builders.common import Bvh, Phases
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import Step, get_num_threads, launch, launch_loop, load
+from wrt.kernels.structs import array_of_structs
 
 TASKS_PER_THREAD = 4
 """A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
@@ -134,7 +135,7 @@ class BinnedBuilder:
         root = LiveNode()
         root.frame.count = count
         if count <= self.large:
-            self.tasks = wp.array([root.frame], dtype=Frame, device=device)
+            self.tasks = array_of_structs([root.frame], Frame, device)
             return
         root.chunk_count = chunks
         root.part_count = chunks
@@ -148,7 +149,7 @@ class BinnedBuilder:
         totals = wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=device)
         scratch = make_scratch(most_chunks + most_nodes, device)
         domain = wp.empty(8 * most_chunks, dtype=float, device=device)
-        wp.copy(nodes[0], wp.array([root], dtype=LiveNode, device=device), count=1)
+        wp.copy(nodes[0], array_of_structs([root], LiveNode, device), count=1)
         self.run(level_phase.cut_root, 1, nodes[0], size, lists[0])
 
         def level(nodes: wp.array, lists: wp.array, next_nodes: wp.array, next_lists: wp.array) -> list[Step]:

@@ -39,6 +39,7 @@ from wrt.builders.kdtree.planes import Sweep
 from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
 from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load, specialise
+from wrt.kernels.structs import array_of_structs
 
 TASKS_PER_THREAD = 4
 """Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
@@ -126,7 +127,7 @@ class InPlaceBuilder:
         root.low = wp.vec3(*triangles.low)
         root.high = wp.vec3(*triangles.high)
         root.triangles = triangles.count
-        self.live = wp.array([root], dtype=LiveNode, device=self.device)
+        self.live = array_of_structs([root], LiveNode, self.device)
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
