@@ -208,7 +208,7 @@ def closest_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: fl
 
     Args:
         scene: `Scene.handle()`.
-        origin, direction: vec3 or vec3d, in the scene's coordinates; the direction has any length from 2^-100 on. A ray with a
+        origin, direction: vec3 or vec3d, in the scene's coordinates; the direction has any length from 2^-126 on. A ray with a
             NaN or an infinity, or with a shorter direction, misses.
         t_min, t_max: a hit counts if t_min <= t <= t_max; 0 <= t_min.
     """

@@ -2,9 +2,10 @@
 
 **Short directions.** 1 / direction overflows for components below 2^-128, and box tests then take the ray to be parallel to
 the axis; numbers below 2^-126, the smallest normal one, have fewer digits, and cost a CPU a hundred times as much wherever
-they come up. So rays are loaded by one rule. Components below 2^-126, or below 2^-100 of the largest one, count as 0, and a
-direction with no component of `SHORTEST`, 2^-100, is no direction: its ray misses. That turns a ray by less than 2^-26, a
-quarter of a rounding, and keeps slopes and inverses normal and finite.
+they come up. So rays are loaded by one rule. Components below 2^-126, or below 2^-100 of the largest one, count as 0, as on
+hardware that flushes such numbers to zero, and a direction without any other is no direction: its ray misses. That keeps
+slopes and inverses normal and finite. It turns a ray by less than 2^-26, a quarter of a rounding, if the largest component
+is 2^-100 or more; shorter directions have fewer digits.
 
 **Far hits.** t counts in units of the direction, and may be beyond float32 where that is short. No hit has a t of inf: every
 ray ends at `FARTHEST`, the largest float32."""
@@ -18,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 TINY = wp.constant(2.0**-126)
 """Smallest normal float32."""
 
-SHORTEST = wp.constant(2.0**-100)
+SHORTEST = TINY
 """A direction with no component as large is treated as zero: its ray misses."""
 
 FARTHEST = wp.constant(3.4028234663852886e38)

@@ -14,7 +14,6 @@ import wrt
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.config import ANY, CLOSEST
 
-SHORTEST = np.float32(2.0**-100)
 TREES = {"kdtree": wrt.KdTree(builder="in_place"), "bvh": wrt.Bvh()}
 MESH = SCENES["random_triangles"]()
 
@@ -55,15 +54,17 @@ def other_answers(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray)
 
 @pytest.mark.parametrize("kind", TREES)
 def test_short_directions_hit_or_miss_everywhere(kind):
-    """From 2^-100 on every length has the same hits, at t in proportion; below, every ray misses, whatever answers."""
+    """From 2^-126 on every length has the same hits, at t in proportion; below, every ray misses, whatever answers."""
     scene = wrt.Scene(MESH, TREES[kind], device="cpu")
     origins, directions = rays_at(MESH, 600)
     whole = scene.intersect(origins, directions, traversal="brute")
     assert 0.3 < whole.is_hit.mean() < 0.99
-    for power in (-100, -99, -64, 40):
+    for power in (-126, -116, -105, -100, -99, -64, 40):
         scaled = np.ldexp(directions, power).astype(np.float32)
         expected = scene.intersect(origins, scaled, traversal="brute")
-        same = (np.abs(directions) >= 2.0**-20).all(axis=1) | (directions == 0).any(axis=1)  # no component is lost
+        kept = (np.abs(directions) >= max(2.0**-20, 2.0 ** (-126 - power))) | (directions == 0)
+        same = kept.all(axis=1) & (whole.t < 2.0 ** (127 + power))  # no component is lost, and t is finite
+        assert same.any()
         np.testing.assert_array_equal(expected.primitive_id[same], whole.primitive_id[same])
         np.testing.assert_array_equal(expected.t[same], np.ldexp(whole.t[same], -power))
         for name, hits, dark in closest_and_any(scene, origins, scaled):
@@ -71,8 +72,8 @@ def test_short_directions_hit_or_miss_everywhere(kind):
                 assert_same_hits(hits, expected)
             if dark is not None:
                 np.testing.assert_array_equal(dark, expected.is_hit, err_msg=name)
-    short = np.ldexp(directions, -101).astype(np.float32)
-    for scale in (1.0, 2.0**-20, 2.0**-30, 2.0**-45):
+    short = np.ldexp(directions, -127).astype(np.float32)
+    for scale in (0.99, 2.0**-10, 2.0**-20):
         for name, hits, dark in closest_and_any(scene, origins, (short * np.float32(scale)).astype(np.float32)):
             assert hits is None or not hits.is_hit.any(), name
             assert dark is None or not dark.any(), name
@@ -111,7 +112,7 @@ def test_no_hit_at_infinity(kind):
     origins, directions = rays_at(MESH, 600, seed=4)
     origins = origins * np.float32(1e9)
     unit = scene.intersect(origins, directions, traversal="brute")
-    scaled = directions * SHORTEST
+    scaled = directions * np.float32(2.0**-100)
     expected = scene.intersect(origins, scaled, traversal="brute")
     finite = unit.t.astype(np.float64) * 2.0**100 <= np.finfo(np.float32).max
     assert 0.05 < finite.mean() < unit.is_hit.mean() - 0.05

@@ -47,13 +47,13 @@ class Queries(BlockQueries):
         nor the number of threads shows in the result. A ray with a NaN or an infinity, or with a direction of zero, misses.
 
         Directions need not be unit, and t counts in units of their length. In float32, components below 2^-126 (1.2e-38), or
-        below 2^-100 of the largest one, count as 0. A direction whose largest component is below 2^-100 (7.9e-31) is too short,
-        and its ray misses as one of zero does. What is so far away that t is no finite float32 (3.4e38 and less) is not hit: a
-        hit's t is always finite.
+        below 2^-100 of the largest one, count as 0: a direction without any other is one of zero, and one that is shorter
+        than 2^-100 (7.9e-31) has fewer digits than float32. What is so far away that t is no finite float32 (3.4e38 and
+        less) is not hit: a hit's t is always finite.
 
         Args:
             origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
-            directions: (..., 3), of any length from 2^-100 on; leading shapes broadcast.
+            directions: (..., 3), of any length from 2^-126 on; leading shapes broadcast.
             t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
             mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances that have a bit in
                 common with it (`wrt.Instance`); None for all bits.

@@ -32,7 +32,7 @@ class Rays:
 
     Attributes:
         origins: (..., 3) float32 or float64; the leading shapes of the four broadcast against each other.
-        directions: (..., 3) float32 or float64, of any length from 2^-100 on (`Scene.intersect`); t counts in units of it.
+        directions: (..., 3) float32 or float64, of any length from 2^-126 on (`Scene.intersect`); t counts in units of it.
         t_min, t_max: scalars or (...) arrays: hits count if t_min <= t <= t_max (closed interval), 0 <= t_min.
     """
 

@@ -51,6 +51,7 @@ _GATHER = """
         WRT_FOR(here, k) {
             float x = d[0][k], y = d[1][k], z = d[2][k];
             wrt_direction(x, y, z);
+            t1[k] = t1[k] > FARTHEST ? FARTHEST : t1[k];
             const float px = o[0][k], py = o[1][k], pz = o[2][k];
             const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
             float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;

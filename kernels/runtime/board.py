@@ -316,26 +316,32 @@ LEAD = (
 )
 
 
-@wp.func_native(SERVE)
+def on_cpu(code: str) -> str:
+    """The code where it is compiled for a CPU; the pool has no part in what runs on CUDA, where it is nothing."""
+    return f"#if !defined(__CUDA_ARCH__)\n{code}\n#endif\n    return 0;\n"
+
+
+@wp.func_native(on_cpu(SERVE))
 def serve_native(board: wp.array(dtype=wp.int64)) -> int:
     """A helper's work, until the board is closed."""
     ...
 
 
-@wp.func_native(LEAD)
+@wp.func_native(on_cpu(LEAD))
 def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
     """Begins the job at this address in a slot, or goes on with the one that is there, and with those that follow."""
     ...
 
 
 @wp.func_native(
-    NATIVE
-    + """
+    on_cpu(
+        NATIVE
+        + """
     word* const s = b + FIRST_SLOT + slot * SLOT_WORDS;
     s[STOPPED] = 1;
     if (s[PHASE] != 0 && (s[GENERATION] & 1)) set(s + GENERATION, s[GENERATION] + 1);
-    return 0;
 """
+    )
 )
 def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     """Makes all threads take no further chunk of a slot's job."""
@@ -343,13 +349,14 @@ def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
 
 
 @wp.func_native(
-    NATIVE
-    + """
+    on_cpu(
+        NATIVE
+        + """
     set(b + CLOSED, 1);
     add((word*)(b + EPOCH), 1);
     wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAKE_PRIVATE, 1 << 30, nullptr, nullptr, 0);
-    return 0;
 """
+    )
 )
 def close_native(board: wp.array(dtype=wp.int64)) -> int:
     """Makes all helpers leave."""

@@ -25,9 +25,9 @@ COMPARISONS = {
     "builders": ("wrt.bench.kdtree_builders", "builders_command"),
     "ray-aware": ("wrt.bench.ray_aware_command", "ray_aware_command"),
     "layouts": ("wrt.bench.layouts", "layouts_command"),
-    "animation": ("wrt.bench.animation", "animation_command"),
     "scaling": ("wrt.bench.scaling", "scaling_command"),
     "scheduling": ("wrt.bench.scaling", "scheduling_command"),
+    "animation": ("wrt.bench.animation", "animation_command"),
 }
 """What can be compared within wrt: module and attribute of a command of its own, by what stands in place of the model."""
 

@@ -54,7 +54,7 @@ def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     from wrt.kernels.target import choose
 
     try:
-        choose(**{param.name: value})
+        choose(**{{"target": "target", "lanes": "width"}[param.name]: value})
     except ValueError as error:
         raise click.BadParameter(str(error)) from None
 
@@ -64,7 +64,7 @@ def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
     shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
     lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or what suits the target]"
-    command = click.option("--lanes", "width", type=int, help=lanes, **shared)(command)
+    command = click.option("--lanes", type=int, help=lanes, **shared)(command)
     return click.option("--target", help=f"CPU to compile for: {name}", **shared)(command)
 
 
