@@ -124,8 +124,9 @@ def run(minutes: float, seed: int, tell: Callable[[float, Load], None]) -> Load:
         try:
             mine, order = jobs(folder, number), random.Random(seed * THREADS + number)
             expected = {name: job() for name, job in mine.items()}
-            while not end.is_set():
-                name = order.choice(list(mine))
+            left = list(mine)  # every job once, however short the run
+            while left or not end.is_set():
+                name = left.pop() if left else order.choice(list(mine))
                 answers = mine[name]()
                 load.done[name] += 1
                 if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(answers, expected[name], strict=True)):
