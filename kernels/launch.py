@@ -16,8 +16,6 @@ References:
     Supercomputers. IEEE Transactions on Computers C-36(12), 1987.
 """
 
-import ctypes
-import itertools
 import os
 import threading
 from collections import deque
@@ -28,7 +26,6 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-import numpy as np
 import warp as wp
 
 from wrt.kernels.cache import init_warp, load_module
@@ -213,62 +210,6 @@ class PreparedLaunch:
         run.used = used
         run_tasks(run, -(-count // largest))
         del run.used  # at once: the pool may hold the function for a moment longer
-
-
-@dataclass(frozen=True)
-class Step:
-    """A launch in a loop of launches.
-
-    Attributes:
-        kernel, inputs: as of `launch`.
-        count: number of items; None if `number` says it.
-        number: index among the loop's numbers of the number of items.
-    """
-
-    kernel: wp.Kernel
-    inputs: Sequence[Any]
-    count: int | None = None
-    number: int = 0
-
-    def items(self, numbers: np.ndarray) -> int:
-        """How many items the step has now."""
-        return int(numbers[self.number]) if self.count is None else self.count
-
-
-def launch_loop(turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
-    """Runs the steps of each turn one after the other, and the turns in a circle, until the first of `numbers` is 0.
-
-    On the CPU without Python between steps; elsewhere with a look at `numbers` before each turn. Every item is a chunk.
-
-    Args:
-        turns: at least one of at least one step.
-        numbers: (N,) int32, which the steps change.
-        device: where the arrays are.
-    """
-    load([step.kernel for steps in turns for step in steps], device)
-    threads = get_num_threads()
-    if device.is_cpu and threads > 1 and native.is_available():
-        schedule = SCHEDULES[DEFAULT_SCHEDULE]
-        jobs, memory = [], []
-        for steps in turns:
-            for step in steps:
-                packed = PackedKernel(step.kernel, [0, *step.inputs], device)
-                job, used = native.new_job(packed, step.count or 0, largest=1, smallest=1, threads=threads, schedule=schedule)
-                if step.count is None:
-                    job.count_at = numbers.ptr + 4 * step.number
-                jobs.append(job)
-                memory.append(used)
-            jobs[-1].while_at = numbers.ptr
-        for job, following in zip(jobs, [*jobs[1:], jobs[0]], strict=True):
-            job.following = ctypes.addressof(following)
-        native.the_pool().run(jobs[0], (jobs, memory, numbers))
-        return
-    for steps in itertools.cycle(turns):
-        now = numbers.numpy()
-        if now[0] == 0:
-            return
-        for step in steps:
-            launch(step.kernel, step.items(now), step.inputs, device=device, chunk=1)
 
 
 @contextmanager

@@ -13,7 +13,8 @@ import warp as wp
 
 import wrt
 from wrt.kernels import launch as launching
-from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, Step, launch, launch_loop, run_tasks, use_threads
+from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
+from wrt.kernels.launch_loop import Step, launch_loop
 
 
 @wp.kernel(enable_backward=False)

@@ -38,7 +38,8 @@ from wrt.builders.bvh.subtrees import STACK, make_build_subtrees
 from wrt.builders.bvh.tree import Frame, empty_tree
 from wrt.builders.common import Bvh, Phases
 from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import Step, get_num_threads, launch, launch_loop, load
+from wrt.kernels.launch import get_num_threads, launch, load
+from wrt.kernels.launch_loop import Step, launch_loop
 from wrt.kernels.structs import array_of_structs
 
 TASKS_PER_THREAD = 4
