@@ -41,8 +41,12 @@ from wrt.builders.triangles import TriangleBoxes
 from wrt.kernels.launch import get_num_threads, launch, load, specialise
 from wrt.kernels.structs import array_of_structs
 
-TASKS_PER_THREAD = 4
-"""Live nodes per thread at which the build goes over to subtrees: enough to share them out evenly."""
+TASKS_PER_THREAD = 2
+"""Live nodes per thread at which the build goes over to subtrees, with many threads: every level that they split together costs
+each of them a pass over memory (notebooks/records/2026-11-22-scaling.md)."""
+
+LEAST_TASKS = 8
+"""Live nodes for few threads, up to twice as many a thread: enough to share them out evenly."""
 
 CLIPPED_TRIANGLES = 1 << 12
 """Triangles of the mesh per live node at which a build that clips does so, for any number of threads: only tasks clip."""
@@ -73,7 +77,8 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     if config.split_clipping:  # which levels clip is not to depend on the threads
         return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
-    return build_in_place(triangles, config, TASKS_PER_THREAD * get_num_threads())
+    tasks = TASKS_PER_THREAD * get_num_threads()
+    return build_in_place(triangles, config, max(tasks, min(2 * tasks, LEAST_TASKS)))
 
 
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
