@@ -47,7 +47,7 @@ def test_scaling(tmp_path):
     jobs = json.loads((tmp_path / "figures.json").read_text())["jobs"]
     assert [job["job"] for job in jobs] == ["view 16 x 16", "random 2,000", "build bvh", "build kdtree"]
     for job in jobs:
-        assert job["names"] == ["1 threads", "2 threads", "3 threads"]
+        assert job["names"] == ["1 thread", "2 threads", "3 threads"]
         assert job["gains"][0] == 1.0
         assert all(figure > 0 for figure in job["figures"])
         ratio = job["figures"][1] / job["figures"][0]

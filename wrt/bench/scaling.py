@@ -109,7 +109,9 @@ def measure_scaling(
 ) -> list[JobFigures]:
     """Times every job with each number of threads."""
     return [
-        measure(job, [Contender(f"{count} threads", job.prepare(count)) for count in threads], rounds, on_turn)
+        measure(
+            job, [Contender(f"{count} thread{'s' * (count > 1)}", job.prepare(count)) for count in threads], rounds, on_turn
+        )
         for job in make_jobs(mesh)
     ]
 
@@ -184,7 +186,7 @@ def print_figures(title: str, figures: Sequence[JobFigures]) -> None:
     console = table_console()
     console.print(f"[bold]{title}[/bold]", highlight=False)
     console.print(table)
-    console.print(f"In brackets: speed over that of {figures[0].names[0]}.", style="dim", highlight=False)
+    console.print(f"In brackets: speed over that with {figures[0].names[0]}.", style="dim", highlight=False)
 
 
 def save_scaling_plot(figures: Sequence[JobFigures], path: Path) -> None:
