@@ -63,7 +63,7 @@ def test_short_directions_hit_or_miss_everywhere(kind):
         scaled = np.ldexp(directions, power).astype(np.float32)
         expected = scene.intersect(origins, scaled, traversal="brute")
         kept = (np.abs(directions) >= max(2.0**-20, 2.0 ** (-126 - power))) | (directions == 0)
-        same = kept.all(axis=1) & (whole.t < 2.0 ** (127 + power))  # no component is lost, and t is finite
+        same = kept.all(axis=1) & (whole.t.astype(np.float64) < 2.0 ** (127 + power))  # no component is lost, and t is finite
         assert same.any()
         np.testing.assert_array_equal(expected.primitive_id[same], whole.primitive_id[same])
         np.testing.assert_array_equal(expected.t[same], np.ldexp(whole.t[same], -power))
