@@ -21,6 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.mesh_arrays import checked_faces, checked_vertices, frozen
+
 if TYPE_CHECKING:
     import trimesh
 
@@ -49,8 +51,8 @@ class TriangleMesh:
     """
 
     def __init__(self, vertices: Any, faces: Any, *, name: str | None = None) -> None:
-        self._vertices = _checked_vertices(vertices)
-        self._faces = _checked_faces(faces, len(self._vertices))
+        self._vertices = checked_vertices(vertices)
+        self._faces = checked_faces(faces, len(self._vertices))
         self.name = name
 
     # -- in and out ----------------------------------------------------------------------------------------------------
@@ -167,7 +169,7 @@ class TriangleMesh:
     @cached_property
     def referenced(self) -> np.ndarray:
         """(V,) bool, read-only: the vertices that some triangle uses. Others may be anywhere: nothing is measured by them."""
-        return _frozen(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
+        return frozen(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -176,7 +178,7 @@ class TriangleMesh:
         Vertices that no triangle uses do not count.
         """
         points = self._vertices if self.referenced.all() else self._vertices[self.referenced]
-        return _frozen(np.array(extremes(points), dtype=np.float64))
+        return frozen(np.array(extremes(points), dtype=np.float64))
 
     @property
     def center(self) -> np.ndarray:
@@ -303,68 +305,6 @@ def extremes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The least and the greatest of each column of an (N, 3) array: column by column, NumPy takes a twentieth of the time."""
     columns = points.T
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
-
-
-def _as_array(values: Any, argument: str) -> np.ndarray:
-    try:
-        array = np.asarray(values)
-    except ValueError as error:  # NumPy's word for rows of different lengths
-        raise ValueError(f"{argument} must be an array of shape (N, 3), three numbers in every row: {error}") from error
-    return array
-
-
-def _checked_vertices(vertices: Any) -> np.ndarray:
-    array = _as_array(vertices, "vertices")
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"vertices must be real numbers, got dtype {array.dtype}; convert them to float32 or float64")
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"vertices must have shape (V, 3), got {array.shape}; reshape to one point a row")
-    kept = array.dtype.type in (np.float32, np.float64)
-    array = _frozen(array.astype(array.dtype.type if kept else np.float64, copy=False))
-    finite = np.isfinite(array).all(axis=1)
-    if not finite.all():
-        first = int(np.argmin(finite))
-        raise ValueError(
-            f"vertices must be finite: {int((~finite).sum())} of {len(array)} are NaN or infinite, the first is "
-            f"vertex {first} = {array[first].tolist()}; remove or repair them (and the faces that use them)"
-        )
-    return array
-
-
-def _checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
-    array = _as_array(faces, "faces")
-    if array.size == 0:
-        raise ValueError("faces is empty: a mesh needs at least one triangle, an index array of shape (F, 3)")
-    if array.dtype.kind not in "iu":
-        raise TypeError(f"faces must be integer vertex indices, got dtype {array.dtype}; convert with .astype('int32')")
-    if array.ndim == 2 and array.shape[1] == 4:
-        raise ValueError(
-            f"faces has shape {array.shape}: these look like quads; triangulate them, "
-            "for example with np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
-        )
-    if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"faces must have shape (F, 3), got {array.shape}; reshape to one triangle a row")
-    if array.dtype == np.int32:
-        array = _frozen(array)  # checked is what nobody can change
-    if array.min() < 0 or array.max() >= vertex_count:
-        bad = (array < 0) | (array >= vertex_count)
-        first = int(np.argmax(bad.any(axis=1)))
-        index = int(array[first][bad[first]][0])
-        raise ValueError(
-            f"faces[{first}] refers to vertex {index}, but there are {vertex_count} vertices (valid: 0 to "
-            f"{vertex_count - 1}); {int(bad.any(axis=1).sum())} faces are affected. Are the indices one-based?"
-        )
-    return _frozen(array.astype(np.int32, copy=False))
-
-
-def _frozen(array: np.ndarray) -> np.ndarray:
-    """A copy, row by row, that cannot be made writable again, as its memory is that of `bytes`; itself if it is one."""
-    owner = array
-    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # those out of a pickle lie in bytes and are writable
-        owner = owner.base
-    if isinstance(owner, bytes) and array.flags.c_contiguous:
-        return array.view(np.ndarray)
-    return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)
 
 
 def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,87 @@
+"""The arrays of a mesh: checked once, and copied so that nobody can change them afterwards.
+
+Kernels follow the indices in `faces` unchecked, so what is checked must be what stays.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def as_array(values: Any, argument: str) -> np.ndarray:
+    """A NumPy array of a caller's argument.
+
+    Raises:
+        ValueError: rows of different lengths.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError as error:  # NumPy's word for rows of different lengths
+        raise ValueError(f"{argument} must be an array of shape (N, 3), three numbers in every row: {error}") from error
+    return array
+
+
+def checked_vertices(vertices: Any) -> np.ndarray:
+    """(V, 3) float32 or float64, frozen.
+
+    Raises:
+        TypeError, ValueError: as `wrt.TriangleMesh`.
+    """
+    array = as_array(vertices, "vertices")
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"vertices must be real numbers, got dtype {array.dtype}; convert them to float32 or float64")
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"vertices must have shape (V, 3), got {array.shape}; reshape to one point a row")
+    kept = array.dtype.type in (np.float32, np.float64)
+    array = frozen(array.astype(array.dtype.type if kept else np.float64, copy=False))
+    finite = np.isfinite(array).all(axis=1)
+    if not finite.all():
+        first = int(np.argmin(finite))
+        raise ValueError(
+            f"vertices must be finite: {int((~finite).sum())} of {len(array)} are NaN or infinite, the first is "
+            f"vertex {first} = {array[first].tolist()}; remove or repair them (and the faces that use them)"
+        )
+    return array
+
+
+def checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
+    """(F, 3) int32, frozen; F >= 1, all indices below `vertex_count`.
+
+    Raises:
+        TypeError, ValueError: as `wrt.TriangleMesh`.
+    """
+    array = as_array(faces, "faces")
+    if array.size == 0:
+        raise ValueError("faces is empty: a mesh needs at least one triangle, an index array of shape (F, 3)")
+    if array.dtype.kind not in "iu":
+        raise TypeError(f"faces must be integer vertex indices, got dtype {array.dtype}; convert with .astype('int32')")
+    if array.ndim == 2 and array.shape[1] == 4:
+        raise ValueError(
+            f"faces has shape {array.shape}: these look like quads; triangulate them, "
+            "for example with np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])"
+        )
+    if array.ndim != 2 or array.shape[1] != 3:
+        raise ValueError(f"faces must have shape (F, 3), got {array.shape}; reshape to one triangle a row")
+    if array.dtype == np.int32:
+        array = frozen(array)  # checked is what nobody can change
+    if array.min() < 0 or array.max() >= vertex_count:
+        bad = (array < 0) | (array >= vertex_count)
+        first = int(np.argmax(bad.any(axis=1)))
+        index = int(array[first][bad[first]][0])
+        raise ValueError(
+            f"faces[{first}] refers to vertex {index}, but there are {vertex_count} vertices (valid: 0 to "
+            f"{vertex_count - 1}); {int(bad.any(axis=1).sum())} faces are affected. Are the indices one-based?"
+        )
+    return frozen(array.astype(np.int32, copy=False))
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """A copy, row by row, that cannot be made writable again, as its memory is that of `bytes`; itself if it is one."""
+    owner = array
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # those out of a pickle lie in bytes and are writable
+        owner = owner.base
+    if isinstance(owner, bytes) and array.flags.c_contiguous:
+        return array.view(np.ndarray)
+    return np.frombuffer(array.tobytes(), dtype=array.dtype).reshape(array.shape)
