@@ -336,3 +336,26 @@ def test_available_cores_follow_affinity():
     assert printed.split()[-1] == "1"
     assert available_cores() >= 1
     assert launching.native is pools
+
+
+def test_nobody_else_leads_a_job_whose_owner_waits():
+    """Two threads that led one job could end the next job of its slot before its time."""
+
+    class Interrupted:
+        is_idle, has_helpers, is_busy, owner_waits, turns = False, False, True, True, 0
+
+        def stop(self) -> None:
+            pass
+
+        def turn(self) -> None:
+            self.turns += 1
+            self.is_idle = True
+
+    pool, slot = pools.the_pool(), Interrupted()
+    pool._interrupted.append((slot, None))
+    pool._reap()
+    assert (slot.turns, slot.is_busy) == (0, True)
+    slot.owner_waits = False  # it was interrupted again
+    pool._reap()
+    assert (slot.turns, slot.is_busy) == (1, False)
+    assert not pool._interrupted

@@ -11,7 +11,7 @@ back; as many desks are made as threads ask at the same time.
     intersect      126 / 22    137 / 34    443 / 154
     occluded       115 / 19    127 / 31    412 / 138
 
-Of a call of one ray, 3 us are the launch; of 1000 rays, 120 are tracing, by the calling thread alone.
+Of a call of one ray, 3 us are the launch; of 1000 rays, 120 are tracing where one thread does it.
 """
 
 from __future__ import annotations

@@ -84,6 +84,7 @@ class Slot:
         self._lead = PackedKernel(layout.lead, [board, index, 0], board.device)
         self._stop = PackedKernel(layout.stop, [board, index], board.device)
         self.is_busy = False
+        self.owner_waits = False  # whether the interrupted owner finishes the job itself: one thread at a time leads it
 
     @property
     def is_idle(self) -> bool:
@@ -152,9 +153,13 @@ class Pool:
                 slot.turn()
             slot.is_busy = False
         except BaseException:
-            self._interrupted.append((slot, (job, used)))
-            if not self.closed:
-                self._finish(slot)
+            slot.owner_waits = True
+            try:
+                self._interrupted.append((slot, (job, used)))
+                if not self.closed:
+                    self._finish(slot)
+            finally:
+                slot.owner_waits = False
             self._reap()
             raise
 
@@ -200,11 +205,11 @@ class Pool:
             except IndexError:  # another thread was faster
                 return
             slot = entry[0]
-            if not slot.is_idle:
+            if not slot.is_idle and not slot.owner_waits:
                 slot.stop()
                 if not slot.has_helpers:
                     slot.turn()
-            if slot.is_idle:
+            if slot.is_idle and not slot.owner_waits:
                 slot.is_busy = False
             else:
                 self._interrupted.append(entry)
