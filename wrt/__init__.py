@@ -19,9 +19,15 @@ Names are loaded when they are first used, so that `import wrt` costs little mor
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
+
+if not (Path(__file__).parent / "kernels").is_dir():
+    # In a checkout kernels/ and builders/ lie beside this folder; installed they lie in it. Python started in a checkout's root
+    # imports this folder before the installed one.
+    __path__.append(str(Path(__file__).parents[1]))
 
 _HOME = {
     "AllHits": "wrt.all_hits",
