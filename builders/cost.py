@@ -8,17 +8,17 @@ For a box of surface area A split into two of areas A_L and A_R, with n_L and n_
 leaf tests W triangles at once: with W = 1 this is the textbook's formula. f < 1 rewards cutting off empty space; triangles
 in the splitting plane are tried on both sides.
 
-With a mailbox (`wrt.kernels.mailbox`) a ray that passes both children tests what straddles the plane once, not twice (Hunt
-2008). It passes both with probability A_L / A + A_R / A - 1, the share of the plane's faces, F / A, so that much of the tests
-of n_L + n_R - n straddlers comes off:
+With a mailbox (`wrt.kernels.traversal.mailbox`) a ray that passes both children tests what straddles the plane once, not twice
+(Hunt 2008). It passes both with probability A_L / A + A_R / A - 1, the share of the plane's faces, F / A, so that much of the
+tests of n_L + n_R - n straddlers comes off:
 
     cost = f (C_t + C_b (blocks(n_L) (A_L - F) / A + blocks(n_R) (A_R - F) / A + blocks(n) F / A))
 
 Written so, every term grows with its count, which a sweep that meets a plane several times relies on
-(`wrt.builders.kdtree.planes`), and the sum is the one above with another face and another price to begin with (`axis_frame`).
-Measured (in-place builder, 16 triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9 % more nodes,
-rays meet 4 to 6 % fewer triangles; in a soup of long triangles, which gets three times the references, a third fewer, in 0.85
-of the time.
+(`wrt.builders.kdtree.events.sweep_planes`), and the sum is the one above with another face and another price to begin with
+(`axis_frame`). Measured (in-place builder, 16 triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9
+% more nodes, rays meet 4 to 6 % fewer triangles; in a soup of long triangles, which gets three times the references, a third
+fewer, in 0.85 of the time.
 
 Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
 make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrt.kernels.boxes import INFINITY
+from wrt.kernels.simd.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

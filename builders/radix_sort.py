@@ -14,7 +14,7 @@ References:
 
 import warp as wp
 
-from wrt.kernels.launch import Chunks, PreparedLaunch, get_num_threads
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -30,7 +30,7 @@ from wrt.bench.results import machine
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.config import CLOSEST, COUNT
+from wrt.kernels.traversal.traversal_config import CLOSEST, COUNT
 
 sys.path.insert(0, str(Path(__file__).parent))
 from hostile_bodies import Body, bodies
@@ -145,8 +145,8 @@ def run_batches(rays: float, seed: int, tally: Tally, advance) -> None:
 
 def write_record(path: Path, tally: Tally, seconds: float, seed: int) -> None:
     """What ran, where, and what came out."""
-    from wrt.kernels.lanes import native_width
-    from wrt.kernels.launch import as_device
+    from wrt.kernels.runtime.launch import as_device
+    from wrt.kernels.simd.lanes import native_width
 
     host, rays = machine("cpu"), tally.rays["all"]
     lines = [

@@ -13,17 +13,17 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
-from wrt.kernels.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
-from wrt.kernels.memory import CACHE_LINE
-from wrt.kernels.packet import block as packet_block
-from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
-from wrt.kernels.packet.store import store_packet
-from wrt.kernels.rays import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.layout.unchecked import CACHE_LINE
+from wrt.kernels.simd.boxes import SLACK, RaySlabs, clamp_to_box, ray_slabs, reach
+from wrt.kernels.traversal.packet.core import packet_block as packet_block
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.packing import pack_blocks
-from wrt.kernels.triangle.records import TriangleBlocks, corners_high, corners_low, load_corners
+from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, corners_high, corners_low, load_corners
 
 BLOCKS = 4
 """Blocks of triangles that a packet is tested against."""

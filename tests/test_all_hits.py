@@ -10,10 +10,10 @@ from conftest import mixed_rays
 from test_watertight import BODIES, feature_points
 
 import wrt
-from wrt import all_hits
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.config import ALL, COUNT
+from wrt.kernels.traversal.traversal_config import ALL, COUNT
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.query import all_hits
 
 pytestmark = pytest.mark.width
 

@@ -14,7 +14,7 @@ from test_influence import picture, window
 from test_projected_bvh import AREA_KINDS, area_of, rays_of
 
 import wrt
-from wrt.builders.bvh.statistics import unpack
+from wrt.builders.bvh.bvh_statistics import unpack
 
 
 @pytest.mark.parametrize("kind", AREA_KINDS)

@@ -14,7 +14,7 @@ from wrt.bench.workloads import WORKLOADS
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli import main
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes import teapot
 
 SIZE = 16

@@ -18,9 +18,9 @@ from wrt.bench.measure import Timing
 from wrt.bench.precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
 from wrt.bench.triangle_tests import SITUATIONS, ratios, run_triangle_tests
 from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
-from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
-from wrt.kernels.triangle.records import Corners
-from wrt.kernels.triangle.vectors import PlainRay
+from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.vectors import PlainRay
 
 MESH = wrt.scenes.teapot(level=3, ground=False)
 

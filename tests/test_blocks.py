@@ -12,8 +12,8 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
-from wrt.blocks import BYTES_PER_RAY, parse_memory
-from wrt.rays import Rays, to_device
+from wrt.query.blocks import BYTES_PER_RAY, parse_memory
+from wrt.rays.rays import Rays, to_device
 
 COUNT = 3000
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")

@@ -7,16 +7,16 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.kernels.box_lanes import NO_CHILD_CONSTANT, met_boxes, nearest_child, ray_boxes
-from wrt.kernels.boxes import ray_slabs, slab_interval
-from wrt.kernels.lanes import lanes
-from wrt.kernels.packet.bounds import PacketBounds
-from wrt.kernels.packet.cells import enter_box
-from wrt.kernels.packet.interval import cull_boxes
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.load import load_packet
-from wrt.kernels.rays import RayBatch
-from wrt.rays import to_device
+from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, met_boxes, nearest_child, ray_boxes
+from wrt.kernels.simd.boxes import ray_slabs, slab_interval
+from wrt.kernels.simd.lanes import lanes
+from wrt.kernels.traversal.packet.core.packet_cells import enter_box
+from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.rays.rays import to_device
 
 pytestmark = pytest.mark.width
 

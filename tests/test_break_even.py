@@ -7,7 +7,7 @@ import pytest
 from conftest import SCENES
 
 import wrt
-from wrt.balance import FIND, break_even_share
+from wrt.known_rays.break_even import FIND, break_even_share
 
 
 def test_share():

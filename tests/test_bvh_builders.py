@@ -10,15 +10,16 @@ import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.builders.bvh import BVH_BUILDERS, binned
-from wrt.builders.bvh.collapse import collapse
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.refit import refit
-from wrt.builders.bvh.statistics import bvh_statistics, unpack
+from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.bvh import binned_bvh as binned
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.bvh_statistics import bvh_statistics, unpack
+from wrt.builders.bvh.phases.collapse import collapse
+from wrt.builders.bvh.update.refit import refit
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels.bvh import EMPTY_LANE, MAX_WIDE_DEPTH
-from wrt.kernels.launch import use_threads
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
+from wrt.kernels.runtime.launch import use_threads
 
 pytestmark = pytest.mark.width
 

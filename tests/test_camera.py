@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.camera import pixel_offset
+from wrt.imaging.cameras import pixel_offset
 from wrt.scenes import random_triangles
 
 ORIGIN = (0.0, 0.0, 0.0)

@@ -13,8 +13,8 @@ from click.testing import CliRunner
 from PIL import Image
 
 import wrt
-import wrt.rendering
-import wrt.scene
+import wrt.imaging.rendering
+import wrt.scene.scene
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli import main
 from wrt.kernels.traversal import TRAVERSALS
@@ -64,7 +64,7 @@ def test_render_passes_its_options_on(tmp_path, monkeypatch):
         seen.update(options, scene=scene, camera=camera)
         return np.zeros((camera.height, camera.width, 3), dtype=np.float32)
 
-    monkeypatch.setattr(wrt.rendering, "render", fake)
+    monkeypatch.setattr(wrt.imaging.rendering, "render", fake)
     result = run(
         "render", "-o", tmp_path / "a.png", "--scene", "random_triangles", "--option", "count=7", "--option", "size=0.5",
         "--width", 20, "--height", 10, "--samples", 3, "--ambient-samples", 5, "--ambient-distance", 2.5,
@@ -131,7 +131,7 @@ def test_info_shows_the_mesh_and_the_tree(model, monkeypatch):
         def to_dict(self):
             return {"tree": {"nodes": 12345, "by depth": {"0": 1}, "cost": 1.5}, "leaves": list(range(100)), "bytes": 7}
 
-    monkeypatch.setattr(wrt.scene.Scene, "statistics", lambda self: Figures())
+    monkeypatch.setattr(wrt.scene.scene.Scene, "statistics", lambda self: Figures())
     result = run("info", model)
     assert result.exit_code == 0, result.stderr
     assert all(word in result.stdout for word in ("triangles", "12,345", "by depth.0", "1.5", "leaves", "tetra"))
@@ -144,7 +144,7 @@ def test_info_shows_the_mesh_and_the_tree(model, monkeypatch):
 
 
 def test_info_of_real_statistics(model):
-    pytest.importorskip("wrt.statistics")
+    pytest.importorskip("wrt.scene.scene_statistics")
     assert run("info", model).exit_code == 0
     assert json.loads(run("info", "--json", "--level", 2).stdout)["tree"]["nodes"] > 0
 
@@ -254,7 +254,7 @@ def test_what_goes_wrong_on_the_way_ends_with_1(tmp_path, model, monkeypatch):
         assert result.stderr.startswith("error: ")
         assert result.stderr.count("\n") == 1
         assert message in result.stderr
-    monkeypatch.setattr(wrt.rendering, "render", lambda *args, **options: (_ for _ in ()).throw(MemoryError()))
+    monkeypatch.setattr(wrt.imaging.rendering, "render", lambda *args, **options: (_ for _ in ()).throw(MemoryError()))
     assert run("render", model, "-o", "a.png").stderr == "error: out of memory; take a smaller mesh or picture\n"
 
 
@@ -262,7 +262,7 @@ def test_interruption_ends_with_130(model, tmp_path, monkeypatch):
     def interrupted(*args, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(wrt.rendering, "render", interrupted)
+    monkeypatch.setattr(wrt.imaging.rendering, "render", interrupted)
     result = run("render", model, "-o", tmp_path / "a.png")
     assert result.exit_code == 130
     assert result.stderr.strip() == "interrupted"

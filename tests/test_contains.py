@@ -8,7 +8,7 @@ from conftest import load_model
 from test_watertight import BODIES, feature_points, winding_number
 
 import wrt
-from wrt import inside
+from wrt.query import inside
 
 
 def test_contains_an_analytic_body(device):

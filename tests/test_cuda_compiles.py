@@ -12,28 +12,29 @@ from conftest import ENGINE_TESTS, OTHER_WAYS_TO_PACKETS
 
 import wrt.builders
 import wrt.kernels
-from wrt.builders.bvh.collapse import make_pick_children, make_solve
-from wrt.builders.bvh.heuristic import SURFACE
-from wrt.builders.bvh.levels import make_search_planes
-from wrt.builders.bvh.projected import PROJECTED
-from wrt.builders.bvh.subtrees import make_build_subtrees as make_bvh_subtrees
-from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, exact_planes, medians
-from wrt.builders.kdtree.clipped_events import CLIPPED_EVENTS
-from wrt.builders.kdtree.event_lists import EVENTS
-from wrt.builders.kdtree.reference_lists import scanning
-from wrt.builders.kdtree.subtrees import make_build_subtrees
-from wrt.kernels.launch import CUDA_BLOCK
-from wrt.kernels.packet import CULLINGS
+from wrt.builders.bvh.phases.bin_heuristic import SURFACE
+from wrt.builders.bvh.phases.bvh_levels import make_search_planes
+from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
+from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
+from wrt.builders.bvh.projected_binned import PROJECTED
+from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, medians
+from wrt.builders.kdtree.events.clipped_events import CLIPPED_EVENTS
+from wrt.builders.kdtree.events.event_lists import EVENTS
+from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
+from wrt.builders.kdtree.scan import exact_planes
+from wrt.builders.kdtree.scan.reference_lists import scanning
+from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.config import NEAREST_QUERIES, QUERIES, TraversalConfig
-from wrt.kernels.traversal.fans import make_kernel as make_fan_kernel
+from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.alone import make_blocks, make_frusta, make_pairs
-from wrt.kernels.triangle.exits import make_kernel as make_exit_kernel
 from wrt.kernels.triangle.ferko import VARIANTS
-from wrt.kernels.triangle.ferko.counting import make_kernel as make_counting_kernel
-from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
-from wrt.kernels.triangle.packing import make_kernel as make_packing_kernel
+from wrt.kernels.triangle.study.exit_counts import make_kernel as make_exit_kernel
+from wrt.kernels.triangle.study.isolated_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.triangle.study.pruning_counts import make_kernel as make_counting_kernel
+from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75
 

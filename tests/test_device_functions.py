@@ -13,7 +13,7 @@ from conftest import DEVICES, degenerate_soup, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.device import handle_type
+from wrt.kernels.query.device_functions import handle_type
 
 TREES = {"keys": wrt.Bvh(), "stack": wrt.Bvh(width=4), "kdtree": wrt.KdTree()}
 """The three walks: a BVH's with a row of keys a level, that with a stack, which is CUDA's, and the kd-tree's."""

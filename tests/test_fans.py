@@ -8,7 +8,7 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.bench.fans import closest, compare, fans_of, on_device
-from wrt.builders.fans import build_fans
+from wrt.builders.triangle_fans import build_fans
 
 GRID = np.arange(49).reshape(7, 7)
 CELLS = np.stack([GRID[:-1, :-1], GRID[:-1, 1:], GRID[1:, 1:], GRID[1:, :-1]], axis=-1).reshape(-1, 4)

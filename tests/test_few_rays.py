@@ -8,8 +8,8 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.few_rays import FewHits, trace_few
-from wrt.plan import CLOSEST, FEW_RAYS
+from wrt.execution.few_rays import FewHits, trace_few
+from wrt.execution.plan import CLOSEST, FEW_RAYS
 
 pytestmark = pytest.mark.width
 

@@ -9,10 +9,10 @@ from conftest import assert_same_hits, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.builders.motion import assigned, decompose, fit_maps, fuzzy_boxes
-from wrt.kernels.launch import CUDA_BLOCK
-from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.fuzzy import make_kernel
+from wrt.builders.motion_clusters import assigned, decompose, fit_maps, fuzzy_boxes
+from wrt.kernels.runtime.launch import CUDA_BLOCK
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 TWO = wrt.TriangleMesh.concatenate([BALL, BALL.transformed(trimesh.transformations.translation_matrix([4, 0, 0]))])

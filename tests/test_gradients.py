@@ -8,7 +8,7 @@ import warp as wp
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.gradients import make_kernel
+from wrt.kernels.query.hit_gradients import make_kernel
 
 OUTPUTS = ("t", "uv", "position", "normal")
 

@@ -10,7 +10,7 @@ import trimesh
 from conftest import assert_same_hits, mixed_rays, snapped_soup
 
 import wrt
-from wrt.kernels.bvh import MAX_WIDE_DEPTH
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 FEW = wrt.TriangleMesh(np.eye(3), [[0, 1, 2]])

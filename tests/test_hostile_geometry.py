@@ -17,7 +17,7 @@ from click.testing import CliRunner
 
 import wrt
 from wrt.cli import main
-from wrt.geometry import MAX_COORDINATE, MAX_EXTENT
+from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
 
 CUBE = trimesh.creation.box()
 UTM = np.array([691000.0, 5334000.0, 520.0])
@@ -145,7 +145,7 @@ def test_up_to_the_limit(tree):
 
 def test_builders_refuse_what_has_no_differences():
     """Whoever builds without a scene is told too: the box of all boxes tells whether one of them is NaN or infinite."""
-    from wrt.builders.triangles import boxes_of
+    from wrt.builders.triangle_boxes import boxes_of
 
     low, high = np.zeros((4, 3)), np.ones((4, 3))
     for value in (np.nan, np.inf, 2e38):

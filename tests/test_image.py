@@ -5,7 +5,7 @@ import pytest
 from PIL import Image
 
 import wrt
-import wrt.rendering
+import wrt.imaging.rendering
 
 
 @pytest.mark.parametrize("shape", [(5, 7), (5, 7, 3), (5, 7, 4)])

@@ -9,10 +9,10 @@ import pytest
 import warp as wp
 from shapely import MultiPoint, box
 
-from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
-from wrt.kernels.influence.clipping import clipped_areas, projected_area
+from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
+from wrt.kernels.influence.box_clipping import clipped_areas, projected_area
+from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_window, polygon_area
-from wrt.kernels.influence.projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.influence.silhouette import projected_hull
 from wrt.kernels.influence.view import AreaView
 

@@ -13,12 +13,12 @@ from conftest import assert_same_hits, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.launch import CUDA_BLOCK, use_threads
-from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.instances import make_kernel
-from wrt.plan import make_plan
-from wrt.rays import Rays, to_device
-from wrt.tracing import trace
+from wrt.execution.executor import trace
+from wrt.execution.plan import make_plan
+from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.two_level.instance_single import make_kernel
+from wrt.rays.rays import Rays, to_device
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 BOX = wrt.TriangleMesh.from_trimesh(trimesh.creation.box())
@@ -216,8 +216,8 @@ def test_more_boxes_than_a_list_holds(traversal):
 @pytest.mark.parametrize("traversal", ["stream", "packet"])
 def test_blocks_of_a_picture(traversal, monkeypatch):
     """Blocks that end within rows of tiles, rounds of a few rays: nothing shows."""
-    monkeypatch.setattr("wrt.instance_batches.BLOCK", 512)
-    monkeypatch.setattr("wrt.instance_batches.FEW", 1000)
+    monkeypatch.setattr("wrt.execution.instance_rounds.BLOCK", 512)
+    monkeypatch.setattr("wrt.execution.instance_rounds.FEW", 1000)
     scene = wrt.Scene(random_instances(), device="cpu")
     rays = wrt.PinholeCamera.framing(scene.flattened(), 61, 43).rays()
     hits = scene.intersect(rays, traversal=traversal)

@@ -8,12 +8,13 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, reference_levels, scanning, streaming
-from wrt.builders.kdtree.events import sorted_events
-from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels import kdtree
-from wrt.kernels.launch import use_threads
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
+from wrt.builders.kdtree.events.event_sort import sorted_events
+from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.scan import reference_levels, scanning
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime.launch import use_threads
 
 pytestmark = pytest.mark.width
 

@@ -8,11 +8,11 @@ import warp as wp
 from test_kdtree_builders import build
 
 import wrt
-from wrt.builders.common import StopRules
 from wrt.builders.cost import SplitCost, SurfaceAreaCost, axis_frame, plane_cost
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.levels import may_win
-from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.phases.in_place_levels import may_win
+from wrt.builders.tree import StopRules
 
 MEDIANS = ("spatial_median", "object_median", "between_medians")
 """Builders that do not choose planes by their cost."""

@@ -8,9 +8,9 @@ from conftest import SCENES
 
 import wrt
 from wrt.bench.layouts import compare_layouts, trace_pairs
-from wrt.builders.kdtree.layouts import LAYOUTS, lay_out
-from wrt.builders.kdtree.statistics import unpack
-from wrt.rays import Rays, to_device
+from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
+from wrt.builders.kdtree.kdtree_statistics import unpack
+from wrt.rays.rays import Rays, to_device
 
 
 @pytest.fixture(scope="module")

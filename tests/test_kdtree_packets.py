@@ -10,13 +10,14 @@ from conftest import SCENES, assert_same_hits, brute_force
 from test_packets import beams, ragged
 
 import wrt
-from wrt.kernels.mailbox import MAILBOXES, NONE
-from wrt.kernels.traversal import TRAVERSALS, entry_point
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
+from wrt.kernels.traversal.packet.core import entry_point
 
 ENTRY_POINTS = ("mlrta", "aepsa")
 
 
-def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.plan.Plan:
+def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.execution.plan.Plan:
     """A plan with changes."""
     return replace(scene.explain(rays, traversal=traversal), **changes)
 

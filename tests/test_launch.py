@@ -12,9 +12,9 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.kernels import launch as launching
-from wrt.kernels.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
-from wrt.kernels.launch_loop import Step, launch_loop
+from wrt.kernels.runtime import launch as launching
+from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
+from wrt.kernels.runtime.launch_loop import Step, launch_loop
 
 
 @wp.kernel(enable_backward=False)
@@ -81,7 +81,7 @@ def test_small_batches_stay_in_the_calling_thread():
     """A launch of fewer items than a chunk starts no thread."""
     code = (
         "import threading, warp as wp; wp.config.log_level = wp.LOG_WARNING\n"
-        "from wrt.kernels.launch import run_tasks\n"
+        "from wrt.kernels.runtime.launch import run_tasks\n"
         "run_tasks(lambda i: None, 1)\n"
         "assert threading.active_count() == 1\n"
     )

@@ -11,8 +11,8 @@ from test_kdtree_builders import build, leaf_references
 
 import wrt
 from wrt import scenes
-from wrt.builders.kdtree import lazy
-from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
 
 pytestmark = pytest.mark.width
 

@@ -10,9 +10,9 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH
-from wrt.kernels.traversal.config import TraversalConfig
-from wrt.kernels.traversal.lockstep import lane_count, rays_per_item
+from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH
+from wrt.kernels.traversal.lockstep.lockstep_kernel import lane_count, rays_per_item
+from wrt.kernels.traversal.traversal_config import TraversalConfig
 
 pytestmark = pytest.mark.width
 

@@ -12,9 +12,9 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.desks import MOST_KEYS
-from wrt.look import look_at
-from wrt.ready import ReadyKernel
+from wrt.execution.launch_cache import MOST_KEYS
+from wrt.execution.ready import ReadyKernel
+from wrt.rays.coherence import look_at
 
 PAIRS = 64
 

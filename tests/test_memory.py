@@ -13,7 +13,7 @@ import warp as wp
 
 import wrt
 from wrt import memory
-from wrt.builders.kdtree.reference_levels import LiveRange
+from wrt.builders.kdtree.scan.reference_levels import LiveRange
 from wrt.memory import GRAIN, BlockPool, large_pages
 
 COUNT = 1 << 20

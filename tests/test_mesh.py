@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 import wrt
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)

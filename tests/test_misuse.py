@@ -16,7 +16,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.archives import CHECKSUM, checksum
+from wrt.scene.archives import CHECKSUM, checksum
 from wrt.verification import FALSE_HIT, Fault
 
 TEAPOT = wrt.scenes.build("teapot", level=2)
@@ -210,7 +210,7 @@ def test_a_full_disk_does_not_lose_the_tree(tmp_path, monkeypatch):
     def full(path, arrays):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr("wrt.storage.write_archive", full)
+    monkeypatch.setattr("wrt.scene.storage.write_archive", full)
     with pytest.warns(UserWarning, match="the tree is not kept"):
         assert wrt.Scene(TEAPOT, cache=tmp_path, device="cpu").intersect(*rays()).is_hit.any()
 
@@ -286,7 +286,7 @@ def test_kernels_that_cannot_be_kept(tmp_path):
     """A kernel cache that is not writable: one line says so and names the variable, and the process goes on."""
     (tmp_path / "file").write_text("")
     code = (
-        "from wrt.kernels.launch import as_device\n"  # every scene starts Warp by it
+        "from wrt.kernels.runtime.launch import as_device\n"  # every scene starts Warp by it
         "print(as_device('cpu'), as_device('cpu'), wp.config.kernel_cache_dir)\n"
     )
     done = run(code, tmp_path, WARP_CACHE_PATH=str(tmp_path / "file" / "cache"))
@@ -300,7 +300,7 @@ def test_kernels_that_cannot_be_kept(tmp_path):
 
 def test_a_kernel_cache_that_runs_full(monkeypatch, capfd):
     """Compiling fails with whatever the system says; then a folder of the process's own is taken, and it works."""
-    from wrt.kernels import cache
+    from wrt.kernels.runtime import kernel_cache as cache
 
     class Module:
         modified = False

@@ -7,9 +7,9 @@ import pytest
 import warp as wp
 from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.parting import ALONE, DONE, MOST_PARTS, settle_part, take_part
-from wrt.kernels.packet.tile import bound_rays
+from wrt.kernels.traversal.packet.core.packet_splitting import ALONE, DONE, MOST_PARTS, settle_part, take_part
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
 
 pytestmark = pytest.mark.width
 

@@ -7,12 +7,10 @@ import pytest
 import warp as wp
 from packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
-from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
-from wrt.kernels.packet import CULLINGS
-from wrt.kernels.packet.bounds import FEW, PacketBounds
-from wrt.kernels.packet.cells import enter_box
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.packet.twins import (
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet.core.packet_cells import enter_box
+from wrt.kernels.traversal.packet.culling.twins import (
     corner_rays_keep,
     enter_frustum,
     every_ray_keeps,
@@ -21,8 +19,10 @@ from wrt.kernels.packet.twins import (
     side_planes_keep,
     vertex_keeps,
 )
+from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import load_corners
+from wrt.kernels.triangle.support.record_blocks import load_corners
 
 pytestmark = pytest.mark.width
 
@@ -32,7 +32,7 @@ NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE = range(len(C
 VERTICES = load_corners(TRIANGLE_TESTS["woop"].record.components)
 FRUSTA = ("frustum", "two_plane", "transient_frustum")
 ERROR = 40.0 / 16.0
-"""What the lines of a frustum may err by, in slacks: 40 u reach (`wrt.kernels.packet.frustum`)."""
+"""What the lines of a frustum may err by, in slacks: 40 u reach (`wrt.kernels.traversal.packet.culling.inverse_frustum`)."""
 
 
 @cache

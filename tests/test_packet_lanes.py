@@ -22,8 +22,8 @@ from packet_loops import (
     plain_rays,
 )
 
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.rays import HitBatch
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 pytestmark = pytest.mark.width

@@ -17,10 +17,10 @@ import warp as wp
 from test_threads import from_threads, queries
 
 import wrt
-from wrt.kernels import launch as launching
-from wrt.kernels.launch import Chunks, PreparedLaunch, launch, use_schedule, use_threads
+from wrt.kernels.runtime import launch as launching
 from wrt.kernels.runtime import pool as pools
 from wrt.kernels.runtime.cores import available_cores, cpu_quota
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, launch, use_schedule, use_threads
 from wrt.kernels.runtime.schedules import SCHEDULES
 
 pytestmark = pytest.mark.skipif(not pools.is_available(), reason="native helpers need Linux")

@@ -9,8 +9,8 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.kernels.exact import make_kernel
-from wrt.kernels.traversal.config import EXACT, TraversalConfig
+from wrt.kernels.query.exact_closest import make_kernel
+from wrt.kernels.traversal.traversal_config import EXACT, TraversalConfig
 from wrt.verification import nearest64
 
 TREES = ("bvh", "kdtree")

@@ -13,17 +13,18 @@ from test_bvh_builders import arrays_of, assert_same_tree, check, mesh_of
 from test_influence import picture, window
 
 import wrt
-from wrt.builders.bvh import binned, projected
-from wrt.builders.bvh.axes import AXIS_CHOICES, AxisChoice
-from wrt.builders.bvh.bins import FEW
-from wrt.builders.bvh.collapse import collapse
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.known_rays import NodeRules, ProjectedConfig
-from wrt.builders.bvh.statistics import unpack
+from wrt.builders.bvh import binned_bvh as binned
+from wrt.builders.bvh import projected_binned as projected
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.bvh_statistics import unpack
+from wrt.builders.bvh.known_rays_config import NodeRules, ProjectedConfig
+from wrt.builders.bvh.phases.bvh_bins import FEW
+from wrt.builders.bvh.phases.collapse import collapse
+from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES, AxisChoice
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.projected_cost import RayDistribution
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels.launch import use_threads
+from wrt.builders.influence.projected_cost import RayDistribution
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.runtime.launch import use_threads
 
 AREA_KINDS = ("plane along an axis", "plane", "point", "point inside")
 

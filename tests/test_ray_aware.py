@@ -8,13 +8,13 @@ import warp as wp
 from conftest import SCENES, assert_same_hits, mixed_rays
 
 import wrt
-from wrt.builders import octree
-from wrt.builders.areas import TopLevel, region_of
-from wrt.builders.regions import classify_boxes, contain_points
-from wrt.kernels.regions import APART
-from wrt.kernels.regions import Region as RegionStruct
-from wrt.local_trees import assign
-from wrt.rays import Rays, to_device
+from wrt.builders.influence import area_octree as octree
+from wrt.builders.influence.area_top_level import TopLevel, region_of
+from wrt.builders.influence.regions import classify_boxes, contain_points
+from wrt.execution.area_trees import assign
+from wrt.kernels.influence.region_tests import APART
+from wrt.kernels.influence.region_tests import Region as RegionStruct
+from wrt.rays.rays import Rays, to_device
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")
 

@@ -12,7 +12,7 @@ import wrt
 from wrt.bench import ray_distribution
 from wrt.bench.node_searches import Searches
 from wrt.bench.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
-from wrt.builders.bvh.axes import AxisChoice
+from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.cli import main
 
 SMALL = wrt.scenes.random_triangles(count=300, size=0.2)

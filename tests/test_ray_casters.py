@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.builders.influence import frame_of
+from wrt.builders.influence.influence_area import frame_of
 
 AIM = {"position": (1e4, -2.0, 3.0), "direction": (1.0, -2.0, 0.7), "up": (0.2, 0.1, 1.0)}
 COUNT = 1 << 14

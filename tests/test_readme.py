@@ -12,9 +12,9 @@ from PIL import Image
 import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.kernels.mailbox import MAILBOXES
-from wrt.kernels.packet import CULLINGS
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 ROOT = Path(__file__).resolve().parents[1]

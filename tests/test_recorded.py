@@ -14,11 +14,11 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
-from wrt import plan as planning
-from wrt.kernels.launch import use_threads
-from wrt.plan import FEW_RAYS
-from wrt.rays import Rays, lay_out
-from wrt.recorded import Recording, trace_recorded
+from wrt.execution import plan as planning
+from wrt.execution.plan import FEW_RAYS
+from wrt.execution.recorded import Recording, trace_recorded
+from wrt.kernels.runtime.launch import use_threads
+from wrt.rays.rays import Rays, lay_out
 
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "instance_id", "is_hit", "position", "normal")
 COUNT = 60

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from wrt.builders.regions import Aabb, Frustum, Obb, contain_points
-from wrt.kernels.launch import use_threads
+from wrt.builders.influence.regions import Aabb, Frustum, Obb, contain_points
+from wrt.kernels.runtime.launch import use_threads
 
 REGIONS = {
     "aabb": Aabb((-1, 0, 2), (2, 0.5, 3)),

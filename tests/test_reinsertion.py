@@ -11,15 +11,15 @@ import warp as wp
 from test_bvh_builders import assert_same_tree, build, check, mesh_of
 
 import wrt
-from wrt.builders.bvh.binned import BinnedBuilder
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.bvh.reinsertion import Reinsertion
-from wrt.builders.bvh.statistics import bvh_statistics, half_area, unpack
-from wrt.builders.bvh.tree import LEAF
+from wrt.builders.bvh.binned_bvh import BinnedBuilder
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.bvh_statistics import bvh_statistics, half_area, unpack
+from wrt.builders.bvh.phases.binary_tree import LEAF
+from wrt.builders.bvh.phases.reinsertion import Reinsertion
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels.bvh import MAX_WIDE_DEPTH
-from wrt.kernels.launch import use_threads
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.runtime.launch import use_threads
 
 WIDTH = 8
 ROUNDS = 4

@@ -6,8 +6,8 @@ import trimesh
 import warp as wp
 
 import wrt
-import wrt.rendering
-from wrt.kernels.launch import use_threads
+import wrt.imaging.rendering
+from wrt.kernels.runtime.launch import use_threads
 from wrt.scenes.shapes import boxes, plane
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
@@ -244,8 +244,8 @@ def test_creases_stay_sharp_and_winding_does_not_matter():
 def test_corner_normals_of_a_cylinder_keep_the_rim():
     mesh = wrt.TriangleMesh.from_trimesh(trimesh.creation.cylinder(1.0, 2.0, sections=32))
     scene = wrt.Scene(mesh)
-    normals = wrt.rendering.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
-    assert wrt.rendering.corner_normals(scene, 30.0) is wrt.rendering.corner_normals(scene, 30.0)
+    normals = wrt.imaging.rendering.corner_normals(scene, 30.0).numpy().reshape(-1, 3, 3)
+    assert wrt.imaging.rendering.corner_normals(scene, 30.0) is wrt.imaging.rendering.corner_normals(scene, 30.0)
     side = np.abs(mesh.face_normals[:, 2]) < 0.5
     radial = mesh.vertices[mesh.faces[side]] * (1, 1, 0)
     np.testing.assert_allclose(normals[side], radial, atol=1e-5)
@@ -267,7 +267,7 @@ def test_threads_and_tiles_do_not_show(monkeypatch):
     scene, camera = small_scene(), small_camera()
     images = []
     for threads, tile in ((1, 1 << 16), (3, 1 << 16), (2, 999)):
-        monkeypatch.setattr(wrt.rendering, "TILE_PIXELS", tile)
+        monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", tile)
         with use_threads(threads):
             images.append(wrt.render(scene, camera, samples=2, ambient_samples=3))
     np.testing.assert_array_equal(images[0], images[1])
@@ -295,7 +295,7 @@ def test_traversal_and_triangle_test_are_handed_on(names):
 
 
 def test_progress_counts_up_to_the_end(monkeypatch):
-    monkeypatch.setattr(wrt.rendering, "TILE_PIXELS", 1000)
+    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 1000)
     calls = []
     wrt.render(small_scene(), small_camera(), samples=2, ambient_samples=0, progress=lambda *call: calls.append(call))
     assert calls == [(1000 * i, 7000) for i in (1, 2, 3)] + [(3500 + 1000 * i, 7000) for i in (0, 1, 2, 3)] + [(7000, 7000)]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from wrt import scenes
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.newell_teapot import bernstein, teapot, teapot_patches
 from wrt.scenes.shapes import boxes, copies, lathe, plane
 

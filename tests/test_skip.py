@@ -9,8 +9,8 @@ from conftest import degenerate_soup, mixed_rays, snapped_soup
 from test_cuda_compiles import FUSIBLE, compile_to_ptx
 
 import wrt
-from wrt.kernels.skipping import make_kernel
-from wrt.kernels.traversal.config import ANY, CLOSEST, TraversalConfig
+from wrt.kernels.query.skip_triangle import make_kernel
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, TraversalConfig
 
 TREES = ("bvh", "kdtree")
 

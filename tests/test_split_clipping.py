@@ -10,9 +10,9 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 import wrt
 from wrt import scenes
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
-from wrt.builders.kdtree.clipping import PAD
-from wrt.builders.kdtree.statistics import kdtree_statistics, unpack
-from wrt.kernels.launch import use_threads
+from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.phases.split_clipping import PAD
+from wrt.kernels.runtime.launch import use_threads
 
 
 def part_in(corners: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

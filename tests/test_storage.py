@@ -17,13 +17,13 @@ import pytest
 from conftest import DEVICES, assert_same_hits, mixed_rays
 
 import wrt
-from wrt.accelerator import Bvh, KdTree
-from wrt.archives import read_archive, write_archive
+from wrt.accelerators.accelerator import Bvh, KdTree
 from wrt.builders.bvh import BVH_BUILDERS
-from wrt.builders.check import check_tree
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.kernels.bvh import leaf_child
-from wrt.storage import pack_tree, unpack_tree
+from wrt.builders.tree_check import check_tree
+from wrt.kernels.layout.bvh_nodes import leaf_child
+from wrt.scene.archives import read_archive, write_archive
+from wrt.scene.storage import pack_tree, unpack_tree
 
 DESCRIPTIONS = {
     "bvh": wrt.Bvh(bins=12),
@@ -175,7 +175,7 @@ def test_another_version_builds_again(built, tmp_path, monkeypatch):
     assert_same_tree(scene, pickle.loads(pickled))
     assert built == ["bvh"] * 3
     monkeypatch.undo()
-    monkeypatch.setattr("wrt.kernels.lanes.native_width", lambda device: 2)
+    monkeypatch.setattr("wrt.kernels.simd.lanes.native_width", lambda device: 2)
     assert wrt.Scene.load(tmp_path / "scene", device="cpu").tree.width == 2
 
 

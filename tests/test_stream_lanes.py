@@ -7,13 +7,13 @@ import pytest
 import warp as wp
 from packet_loops import OPTIONS, Packets, PlainRays, make_packets, plain_rays
 
-from wrt.kernels.box_lanes import NO_CHILD_CONSTANT
-from wrt.kernels.packet.layout import PacketLayout
-from wrt.kernels.rays import RayBatch
-from wrt.kernels.traversal.stream import LIST_LANES, RAY_BITS, stream_ray
-from wrt.kernels.traversal.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
-from wrt.kernels.traversal.stream_load import load_stream
-from wrt.kernels.traversal.stream_pairs import Pairs, load_pair
+from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
+from wrt.kernels.traversal.stream.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
+from wrt.kernels.traversal.stream.stream_load import load_stream
+from wrt.kernels.traversal.stream.stream_pairs import Pairs, load_pair
 
 pytestmark = pytest.mark.width
 

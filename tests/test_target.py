@@ -12,8 +12,8 @@ import warp as wp
 from click.testing import CliRunner
 
 from wrt.cli import main
-from wrt.kernels import target
-from wrt.kernels.lanes import native_width
+from wrt.kernels.runtime import target
+from wrt.kernels.simd.lanes import native_width
 
 pytestmark = pytest.mark.width
 
@@ -40,9 +40,9 @@ def show(bits: wp.array(dtype=int)):
 
 kernels = [wp.kernel(show, module="unique", enable_backward=False)]  # hashed here, with the flags of now
 if len(sys.argv) > 1:
-    from wrt.kernels.target import choose
+    from wrt.kernels.runtime.target import choose
     choose(sys.argv[1])
-from wrt.kernels.lanes import native_width
+from wrt.kernels.simd.lanes import native_width
 wp.config.log_level = wp.LOG_ERROR
 bits = wp.zeros(1, dtype=int, device="cpu")
 wp.launch(kernels[0], 1, [bits], device="cpu")

@@ -10,7 +10,7 @@ import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
-from wrt.kernels.traversal.config import ANY, CLOSEST, NEAREST_QUERIES
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, NEAREST_QUERIES
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 TREES = [wrt.KdTree(builder="in_place"), wrt.KdTree(builder="binned")] + [wrt.Bvh(builder=name) for name in BVH_BUILDERS]

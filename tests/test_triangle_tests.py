@@ -11,10 +11,10 @@ import warp as wp
 from conftest import ENGINE_TESTS, assert_same_hits, degenerate_soup, mixed_rays
 
 import wrt
-from wrt.kernels.lanes import lanes
-from wrt.kernels.launch import launch
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.packing import pack_blocks
+from wrt.kernels.triangle.support.block_packing import pack_blocks
 
 
 @cache

@@ -9,12 +9,12 @@ import warp as wp
 from conftest import assert_same_hits, degenerate_soup, mixed_rays, snapped_soup
 
 import wrt
-from wrt.builders.bvh.grafting import unite_lanes
-from wrt.builders.kdtree import refill as refilling
-from wrt.builders.kdtree.statistics import unpack
-from wrt.builders.triangles import triangle_boxes
-from wrt.builders.worn_subtrees import MOST_SUBTREES, worn_subtrees
-from wrt.kernels.bvh import EMPTY_LANE
+from wrt.builders.bvh.update.bvh_grafting import unite_lanes
+from wrt.builders.kdtree.kdtree_statistics import unpack
+from wrt.builders.kdtree.update import refill as refilling
+from wrt.builders.rebuild_heuristic import MOST_SUBTREES, worn_subtrees
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 
 pytestmark = pytest.mark.width
 

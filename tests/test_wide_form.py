@@ -8,15 +8,15 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.common import Bvh
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.convert.wide_kdtree import TOGETHER, wide_form
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.kdtree.statistics import unpack
-from wrt.builders.kdtree.wide import TOGETHER, wide_form
-from wrt.builders.triangles import TriangleBoxes, triangle_boxes
-from wrt.kernels.kdtree import LEAF
-from wrt.kernels.launch import use_threads
-from wrt.wide_trees import wide_tree
+from wrt.builders.kdtree.kdtree_statistics import unpack
+from wrt.builders.tree import Bvh
+from wrt.builders.triangle_boxes import TriangleBoxes, triangle_boxes
+from wrt.execution.wide_trees import wide_tree
+from wrt.kernels.layout.kdtree_nodes import LEAF
+from wrt.kernels.runtime.launch import use_threads
 
 pytestmark = pytest.mark.width
 

@@ -40,8 +40,8 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.kernels import launch as launching
-from wrt.kernels.device import (
+from wrt.execution.plan import Plan, stack_levels
+from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
     Hit,
     any_hit,
@@ -56,11 +56,11 @@ from wrt.kernels.device import (
     position,
     spawn,
 )
-from wrt.plan import Plan, stack_levels
+from wrt.kernels.runtime import launch as launching
 from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:
-    from wrt.scene import Scene
+    from wrt.scene.scene import Scene
 
 __all__ = [
     "Hit",

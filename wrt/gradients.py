@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import load
-from wrt.rays import as_vectors
+from wrt.kernels.runtime.launch import load
+from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
-    from wrt.hits import Hits
-    from wrt.scene import Scene
+    from wrt.query.hits import Hits
+    from wrt.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
         TypeError: an argument is no array of real numbers.
         ValueError: a wrong shape, hits of another scene, a scene of instances, or an array on another device.
     """
-    from wrt.kernels.gradients import make_kernel
+    from wrt.kernels.query.hit_gradients import make_kernel
 
     if scene.instances:
         raise ValueError(

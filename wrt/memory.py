@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.rays import RayBatch
+from wrt.kernels.layout.ray_batch import RayBatch
 
 LEAST_BYTES = 1 << 20
 """Smaller arrays are allocated as usual."""

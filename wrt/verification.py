@@ -8,7 +8,7 @@ centre, so that the scene and the reference ask about the same rays.
 
 **What is a fault.** The scene rounds to float32, and may answer as if a ray passed beside where it passes, by `TOLERANCE` of
 its reach in the scene, and no more. Along the ray it may be off by as much, and on a triangle of length L and height h, as
-seen along the ray, by another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.spawn` explains, at most L:
+seen along the ray, by another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.query.spawn` explains, at most L:
 
 * a *false hit* is a hit whose point on the ray is farther than that from its triangle;
 * a *miss* is a ray with no hit, or with one behind the reference's, of which that is also true for the rays around it, moved
@@ -28,10 +28,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    from wrt.scene import Scene
+    from wrt.scene.scene import Scene
 
 TOLERANCE = 2.0**-21
 """Distance by which an answer may be off, as a share of the ray's reach: eight roundings of half a unit in the last place."""

@@ -1,9 +1,9 @@
 """Builders of bounding volume hierarchies: one file per way to build, and the table of them.
 
 **Contract.** A builder is a function `build(triangles, config) -> Bvh`: boxes of the triangles in
-(`wrt.builders.triangles.TriangleBoxes`), cost model and leaf size as a frozen `BvhConfig`, a tree in the layout of
-`wrt.kernels.bvh` out, with the time of each phase. Builders make a binary tree (`tree`); `collapse` makes it wide. Every
-triangle is in exactly one leaf; every box is the exact union of the boxes of its triangles.
+(`wrt.builders.triangle_boxes.TriangleBoxes`), cost model and leaf size as a frozen `BvhConfig`, a tree in the layout of
+`wrt.kernels.layout.bvh_nodes` out, with the time of each phase. Builders make a binary tree (`tree`); `collapse` makes it wide.
+Every triangle is in exactly one leaf; every box is the exact union of the boxes of its triangles.
 
 To add a builder: write its file, add one line to `BVH_BUILDERS`; tests, command line and benchmarks pick it up.
 """
@@ -11,10 +11,11 @@ To add a builder: write its file, add one line to `BVH_BUILDERS`; tests, command
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wrt.builders.bvh import binned, sweep
-from wrt.builders.bvh.config import BvhConfig
-from wrt.builders.common import Bvh
-from wrt.builders.triangles import TriangleBoxes
+from wrt.builders.bvh import binned_bvh as binned
+from wrt.builders.bvh import sweep_bvh as sweep
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.tree import Bvh
+from wrt.builders.triangle_boxes import TriangleBoxes
 
 
 @dataclass(frozen=True)

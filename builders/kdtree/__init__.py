@@ -1,9 +1,10 @@
 """Kd-tree builders: one file per way to build, and the table of them.
 
 **Contract.** A builder is a function `build(triangles, config) -> KdTree`: boxes of the triangles in
-(`wrt.builders.triangles.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
-`wrt.kernels.kdtree` out, with the time of each phase. The root's box is that of the triangles; a triangle is listed in
-every leaf whose interior its box meets, and a triangle that lies in a splitting plane on the side that the split chose.
+(`wrt.builders.triangle_boxes.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
+`wrt.kernels.layout.kdtree_nodes` out, with the time of each phase. The root's box is that of the triangles; a triangle is
+listed in every leaf whose interior its box meets, and a triangle that lies in a splitting plane on the side that the split
+chose.
 
 To add a builder: write its file, add one line to `KDTREE_BUILDERS`; tests, command line and benchmarks pick it up.
 """
@@ -13,22 +14,22 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.builders.common import KdTree
 from wrt.builders.kdtree import (
     adaptive_sampling,
     between_medians,
     binned,
     in_place,
-    lazy,
     medians,
     naive,
     sorting_sweep,
     streaming,
     sweep,
 )
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.kdtree import MAX_INDEX
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.kdtree_nodes import MAX_INDEX
 
 
 @dataclass(frozen=True)

@@ -22,16 +22,16 @@ References:
 
 import warp as wp
 
-from wrt.builders.common import KdTree
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split
-from wrt.builders.kdtree.bins import bin_count, bin_range, place
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
-from wrt.builders.kdtree.scanning import build_scanning, one_task
-from wrt.builders.kdtree.subtrees import Frame
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.lanes import FOR_LANES
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, place
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.simd.lanes import FOR_LANES
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -22,17 +22,17 @@ References:
 
 import warp as wp
 
-from wrt.builders.common import KdTree
 from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
-from wrt.builders.kdtree.bins import bin_count
-from wrt.builders.kdtree.config import KdTreeConfig
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
-from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
-from wrt.builders.kdtree.scanning import build_scanning, one_task
-from wrt.builders.kdtree.subtrees import Frame
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.boxes import INFINITY
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.kdtree_bins import bin_count
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.simd.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -23,17 +23,17 @@ References:
 
 import warp as wp
 
-from wrt.builders.common import KdTree
 from wrt.builders.cost import SplitCost
-from wrt.builders.kdtree.bins import best_bin_plane, bin_range, place
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.reference_levels import LevelRules, sample_step
-from wrt.builders.kdtree.reference_lists import ReferenceLists, scanning
-from wrt.builders.kdtree.scanning import Scan, build_scanning
-from wrt.builders.kdtree.subtrees import Frame, Method
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import get_num_threads
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method
+from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, place
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, sample_step
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scan.scanning import Scan, build_scanning
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.runtime.launch import get_num_threads
 
 BINS = 32
 """Bins an axis, and triangles of a node up to which every plane is tried."""

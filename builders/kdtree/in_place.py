@@ -25,21 +25,21 @@ References:
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import KdTree, Phases, StopLimits
 from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree import fill as fill_phase
-from wrt.builders.kdtree import levels as level_phase
-from wrt.builders.kdtree.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.clipped_events import arrays_of, events_method, lists_for
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.event_lists import EventLists
-from wrt.builders.kdtree.events import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
-from wrt.builders.kdtree.levels import LiveNode, Membership
-from wrt.builders.kdtree.planes import Sweep
-from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import get_num_threads, launch, load, specialise
-from wrt.kernels.structs import array_of_structs
+from wrt.builders.kdtree.events.clipped_events import arrays_of, events_method, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
+from wrt.builders.kdtree.events.sweep_planes import Sweep
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases import in_place_levels as level_phase
+from wrt.builders.kdtree.phases import task_fill as fill_phase
+from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.phases.in_place_levels import LiveNode, Membership
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.tree import KdTree, Phases, StopLimits
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.struct_arrays import array_of_structs
+from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
 
 TASKS_PER_THREAD = 2
 """Live nodes per thread at which the build goes over to subtrees, with many threads: every level that they split together costs

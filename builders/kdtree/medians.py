@@ -9,7 +9,7 @@ on which no plane divides the node is passed over. One thread.
 on average, for the other.
 
 **What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
-(`wrt.builders.common.StopRules`), so that trees differ by their planes alone.
+(`wrt.builders.tree.StopRules`), so that trees differ by their planes alone.
 
 References:
     D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
@@ -20,15 +20,15 @@ References:
 
 import warp as wp
 
-from wrt.builders.common import KdTree
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.reference_lists import ReferenceLists, Sides, measure_sides, scanning
-from wrt.builders.kdtree.scanning import build_scanning, one_task
-from wrt.builders.kdtree.subtrees import Frame
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.boxes import INFINITY
-from wrt.kernels.memory import load_float
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides, scanning
+from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.unchecked import load_float
+from wrt.kernels.simd.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

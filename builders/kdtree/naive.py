@@ -14,12 +14,12 @@ References:
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
-from wrt.builders.common import KdTree
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.reference_lists import scanning
-from wrt.builders.kdtree.scanning import build_scanning, one_task
-from wrt.builders.triangles import TriangleBoxes
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.scan.reference_lists import scanning
+from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

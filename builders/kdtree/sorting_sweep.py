@@ -22,13 +22,13 @@ from time import perf_counter
 
 import warp as wp
 
-from wrt.builders.common import BuildStats, Descent, KdTree, StopLimits, descend
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.events import END, PLANAR, START
-from wrt.builders.triangles import Boxes, TriangleBoxes
-from wrt.kernels import kdtree
-from wrt.kernels.launch import launch
+from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.tree import BuildStats, Descent, KdTree, StopLimits, descend
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

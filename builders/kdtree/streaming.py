@@ -22,16 +22,16 @@ References:
 import numpy as np
 import warp as wp
 
-from wrt.builders.common import KdTree, Phases
-from wrt.builders.kdtree.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.clipped_events import arrays_of, events_method, lists_for
-from wrt.builders.kdtree.config import KdTreeConfig
-from wrt.builders.kdtree.event_lists import EventLists
-from wrt.builders.kdtree.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
-from wrt.builders.kdtree.subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
-from wrt.builders.kdtree.task_events import list_task_events
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import launch, load, specialise
+from wrt.builders.kdtree.events.clipped_events import arrays_of, events_method, lists_for
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.task_events import list_task_events
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
+from wrt.builders.tree import KdTree, Phases
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.runtime.launch import launch, load, specialise
 
 SAMPLES = 1024
 """Bins an axis, with a sample between any two."""

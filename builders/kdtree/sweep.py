@@ -16,11 +16,11 @@ References:
     V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
-from wrt.builders.common import KdTree
-from wrt.builders.kdtree.config import KdTreeConfig
 from wrt.builders.kdtree.in_place import build_in_place
-from wrt.builders.triangles import TriangleBoxes
-from wrt.kernels.launch import use_threads
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.tree import KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.runtime.launch import use_threads
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:

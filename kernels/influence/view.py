@@ -7,7 +7,7 @@ References:
 
 import warp as wp
 
-from wrt.kernels.boxes import INFINITY
+from wrt.kernels.simd.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

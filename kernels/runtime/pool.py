@@ -12,7 +12,7 @@ kept in `_interrupted` until the last helper has left.
 **Fork.** A child has none of the helpers: it gets a new pool when it first asks. **Exit.** Helpers leave before the interpreter
 frees compiled code; a query of a daemon thread that is under way then ends with a RuntimeError.
 
-Linux only; elsewhere `wrt.kernels.launch` hands out chunks in Python (`is_available`).
+Linux only; elsewhere `wrt.kernels.runtime.launch` hands out chunks in Python (`is_available`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.cache import load_module
 from wrt.kernels.runtime import board as layout
+from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.cores import available_cores
-from wrt.kernels.runtime.packed import PackedKernel
+from wrt.kernels.runtime.kernel_cache import load_module
 from wrt.kernels.runtime.schedules import Schedule
 
 SPIN_SECONDS = 0.001

@@ -1,7 +1,7 @@
 """From hits to the points that light falls on, and the rays from there to the light.
 
 **Where a secondary ray starts.** Off the triangle and away from its edges, to the side where the ray came from, as
-`wrt.kernels.spawn` explains; as far off as `OFFSET` times the reach of the point in the scene.
+`wrt.kernels.query.spawn` explains; as far off as `OFFSET` times the reach of the point in the scene.
 
 **Smooth normals and the terminator.** Where a smooth normal still faces the light, the flat triangle may face away from it
 and lie in its own shadow, whose edge then shows the triangles. Hanika moves the origin of the shadow ray off the triangle to
@@ -13,16 +13,16 @@ References:
 
 import warp as wp
 
-from wrt.kernels.hits import SceneMesh, Triangle, triangle_of, winding
-from wrt.kernels.instances import scene_normal
+from wrt.kernels.layout.instance_maps import scene_normal
+from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
+from wrt.kernels.query.spawn import INSET, keep_from_edges, origin_offset
 from wrt.kernels.shading.normals import unit_or_zero
-from wrt.kernels.spawn import INSET, keep_from_edges, origin_offset
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 OFFSET = wp.constant(2.0**-18)
 """Distance of secondary origins from the surface, as a share of the point's reach: eight times that of
-`wrt.kernels.spawn`, four times the slack of boxes."""
+`wrt.kernels.query.spawn`, four times the slack of boxes."""
 
 
 @wp.struct

@@ -2,13 +2,13 @@
 
 **Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
 `(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind of tree for which it is made, `triangles`
-the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.rays`, `counters` is written only where the config
-asks for it. One skeleton serves every query that it answers through `wp.static` switches; closest and any hits are answered
-by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits
-to the bit (`wrt.kernels.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.layout.ray_batch`, `counters` is written only where the
+config asks for it. One skeleton serves every query that it answers through `wp.static` switches; closest and any hits are
+answered by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same
+hits to the bit (`wrt.kernels.simd.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
 
-Kernels that are built around one ray's walk elsewhere (`wrt.kernels.device`, `wrt.kernels.exact`, `wrt.kernels.skipping`) find
-it in `walk_table`.
+Kernels that are built around one ray's walk elsewhere (`wrt.kernels.query.device_functions`, `wrt.kernels.query.exact_closest`,
+`wrt.kernels.query.skip_triangle`) find it in `walk_table`.
 
 Scenes of instances are walked on two levels by kernels of their own, made of the same parts: `instances` for single rays,
 `instance_packets`, and `instance_batches` for streams.
@@ -21,22 +21,16 @@ from dataclasses import dataclass, field
 
 import warp as wp
 
-from wrt.kernels.traversal import (
-    brute,
-    entry_point,
-    lockstep,
-    omnidirectional,
-    packet,
-    packet_kdtree,
-    packet_kernel,
-    single,
-    single_bvh,
-    stream,
-    stream_bvh,
-    stream_kdtree,
-)
-from wrt.kernels.traversal.config import ALL, NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal import brute_force as brute
 from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
+from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel
+from wrt.kernels.traversal.packet.core import packet_bvh as packet
+from wrt.kernels.traversal.single import single_bvh
+from wrt.kernels.traversal.single import single_kdtree as single
+from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
+from wrt.kernels.traversal.stream import stream_kernel as stream
+from wrt.kernels.traversal.traversal_config import ALL, NEAREST_QUERIES, QUERIES, TraversalConfig
 
 
 def one_ray(config: TraversalConfig) -> int:
@@ -56,7 +50,7 @@ class Traversal:
         packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
         mailbox: whether `mailbox` of the config matters, on a kd-tree.
         streams: whether rays go in streams: `stream` of the config matters.
-        wide: whether a kd-tree is walked in its wide form, which has the layout of a BVH (`wrt.builders.kdtree.wide`).
+        wide: whether a kd-tree is walked in its wide form, which has the layout of a BVH (`wrt.builders.convert.wide_kdtree`).
         counters: struct of the work that its kernels count, at the first ray of an item.
         queries: for each kind of tree that answers more than the nearest queries, what it answers.
     """

@@ -6,18 +6,18 @@ leaf of a BVH; but in a kd-tree it is listed in each leaf that it reaches into.
 
 **Ideas.** A mailbox that remembers triangles would have to remember all that a ray has crossed. Instead a crossing is
 reported only in the leaf that owns it. The interval of a leaf on the ray, which a hit's t must lie in, rules out nearly all
-others. Intervals are conservative (`wrt.kernels.boxes`), so neighbours overlap by a hair, in which a hit has several leaves.
-Of those that list its triangle and whose intervals hold its t, the first one in the order of the nodes owns it. A leaf that
-asks looks for an earlier one: on the way from the root to it, wherever that goes to the right child, in the left one if that
-holds t.
+others. Intervals are conservative (`wrt.kernels.simd.boxes`), so neighbours overlap by a hair, in which a hit has several
+leaves. Of those that list its triangle and whose intervals hold its t, the first one in the order of the nodes owns it. A leaf
+that asks looks for an earlier one: on the way from the root to it, wherever that goes to the right child, in the left one if
+that holds t.
 
 **Why once.** Which leaf is first depends on nothing but the ray, t and the triangle, and a leaf whose interval holds t is
 visited. There is one. In a tree of whole boxes, go down from the root: where the triangle straddles the plane, t is in the near
 interval or beyond its end, and so behind the far one's start; where it does not, its box lies on one side, t is in the interval
-of the box, and rounding is monotone. Where triangles are clipped, see `wrt.builders.kdtree.clipping`.
+of the box, and rounding is monotone. Where triangles are clipped, see `wrt.builders.kdtree.phases.split_clipping`.
 
 The next crossing needs none of that, nor does the nearest hit that is not with a given triangle
-(`wrt.kernels.traversal.skipping`): found in two leaves it is still the same one.
+(`wrt.kernels.traversal.single.skip_step`): found in two leaves it is still the same one.
 
 **Cost.** A leaf asks only about a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one in
 many thousands.
@@ -27,18 +27,18 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels import kdtree
-from wrt.kernels.boxes import RaySlabs, cross_plane
-from wrt.kernels.kdtree import LEAF, MAX_TREE_DEPTH, KdNodes
-from wrt.kernels.lanes import lanes, lowest_bit
-from wrt.kernels.memory import load_int, store_int
-from wrt.kernels.rays import HitBatch
-from wrt.kernels.traversal.config import ALL, NEXT, TraversalConfig
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.simd.boxes import RaySlabs, cross_plane
+from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
-from wrt.kernels.traversal.results import Passed, results_of
-from wrt.kernels.traversal.skipping import count_unskipped, take_unskipped
+from wrt.kernels.traversal.search_results import Passed, results_of
+from wrt.kernels.traversal.single.skip_step import count_unskipped, take_unskipped
+from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import TriangleBlocks
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

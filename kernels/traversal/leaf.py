@@ -7,12 +7,20 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.boxes import RaySlabs, clamp_to_box, slab_interval
-from wrt.kernels.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
-from wrt.kernels.rays import HitBatch, store_hit
-from wrt.kernels.traversal.config import ANY, TraversalConfig
+from wrt.kernels.layout.ray_batch import HitBatch, store_hit
+from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
+from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.records import Corners, Record, TriangleBlocks, corners_high, corners_low, load_corners, vertex_box
+from wrt.kernels.triangle.support.record_blocks import (
+    Corners,
+    Record,
+    TriangleBlocks,
+    corners_high,
+    corners_low,
+    load_corners,
+    vertex_box,
+)
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -1,11 +1,11 @@
 """Ray-triangle tests: one file per published test, and the table of them.
 
-**Contract** (`wrt.kernels.triangle.contract`). A test is a `TriangleTest`: a record of floats a triangle
-(`wrt.kernels.triangle.records`), a struct per ray that `prepare` makes once before a traversal, and the intersection itself in
-three forms that give the same bits: one ray x one triangle in plain Warp (`intersect`), and, from one piece of C++
-(`wrt.kernels.triangle.lane_form`), one ray x W triangles (`block_test`) and W rays x one triangle (`packet_form`). A test
-decides whether the ray's *line* meets the triangle and where; whether that t counts is the traversal's business, by one rule
-for all tests (`wrt.kernels.boxes`). A NaN anywhere must come out as a miss.
+**Contract** (`wrt.kernels.triangle.support.triangle_contract`). A test is a `TriangleTest`: a record of floats a triangle
+(`wrt.kernels.triangle.support.record_blocks`), a struct per ray that `prepare` makes once before a traversal, and the
+intersection itself in three forms that give the same bits: one ray x one triangle in plain Warp (`intersect`), and, from one
+piece of C++ (`wrt.kernels.triangle.support.lane_form`), one ray x W triangles (`block_test`) and W rays x one triangle
+(`packet_form`). A test decides whether the ray's *line* meets the triangle and where; whether that t counts is the traversal's
+business, by one rule for all tests (`wrt.kernels.simd.boxes`). A NaN anywhere must come out as a miss.
 
 To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command line and benchmarks pick it up.
 
@@ -33,9 +33,9 @@ from wrt.kernels.triangle import (
     segura_feito,
     shevtsov,
     wald,
-    woop,
 )
-from wrt.kernels.triangle.contract import TriangleTest
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.watertight import woop
 
 TRIANGLE_TESTS: dict[str, TriangleTest] = {
     test.name: test

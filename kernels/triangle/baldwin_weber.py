@@ -7,9 +7,9 @@ its twelve numbers are many to keep and to multiply with.
 normal's largest component, one column of the matrix becomes (0, 0, 1): nine numbers and the column's index are left, and two
 multiplications less a row. The third row gives t; the first two, applied to the point at t, give u and v.
 
-**Data.** Nine floats and the index, 40 bytes: `wrt.kernels.triangle.projection`. Found from another side, they are the ten
-numbers of Wald's projection, and the arithmetic is the same; what differs is how the end is compared. The point of the paper
-is how little memory a transformation needs, and that no case has to be told apart.
+**Data.** Nine floats and the index, 40 bytes: `wrt.kernels.triangle.support.axis_projection`. Found from another side, they are
+the ten numbers of Wald's projection, and the arithmetic is the same; what differs is how the end is compared. The point of the
+paper is how little memory a transformation needs, and that no case has to be told apart.
 
 **Departures.** The comparison of t with the ray's range, the paper's first exit, is left to the caller, so there is one exit.
 The paper has code for each index; on vectors it selects components, as Wald's does. The hypotenuse belongs to the triangle.
@@ -23,11 +23,11 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
-from wrt.kernels.triangle.records import Record
-from wrt.kernels.triangle.vectors import PlainRay, miss, prepare
+from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

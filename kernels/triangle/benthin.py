@@ -26,11 +26,11 @@ References:
 import warp as wp
 
 from wrt.kernels.triangle import komatsu
-from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.komatsu import OriginPlanes, ScaledRay, along_plane, seen_from
-from wrt.kernels.triangle.lane_form import LaneForm, Step
-from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import miss
+from wrt.kernels.triangle.support.lane_form import LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import miss
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -24,10 +24,10 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import (
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import (
     PlainRay,
     cross,
     dot,

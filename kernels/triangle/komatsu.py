@@ -42,10 +42,10 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import LaneForm, RayValue, Step
-from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import cross, largest, scale_to_one
+from wrt.kernels.triangle.support.lane_form import LaneForm, RayValue, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import cross, largest, scale_to_one
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -23,10 +23,10 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare, three
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare, three
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -24,11 +24,11 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.projection import main_axis, next_axis, turned, turned_lanes
-from wrt.kernels.triangle.records import Corners, Record
-from wrt.kernels.triangle.vectors import PlainRay, cross, miss, prepare
+from wrt.kernels.triangle.support.axis_projection import main_axis, next_axis, turned, turned_lanes
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

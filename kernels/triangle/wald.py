@@ -7,7 +7,7 @@ projection again for every ray.
 functions of the two other coordinates of the point at which the line meets the plane. All that is left is one division and
 ten multiplications.
 
-**Data.** Ten floats, 40 bytes: the axis, and three rows of three (`wrt.kernels.triangle.projection`).
+**Data.** Ten floats, 40 bytes: the axis, and three rows of three (`wrt.kernels.triangle.support.axis_projection`).
 
 **Integer comparisons.** Waechter compares bit patterns as unsigned integers: those of numbers from 0 to 1 are the least there
 are, up to that of 1, and negative numbers, NaN and infinities come after. So `bits(x) <= bits(1)` alone is 0 <= x <= 1, and u,
@@ -31,11 +31,11 @@ References:
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
-from wrt.kernels.triangle.records import Record
-from wrt.kernels.triangle.vectors import PlainRay, miss, prepare
+from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Record
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, miss, prepare
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -13,10 +13,10 @@ import numpy as np
 import warp as wp
 
 import wrt
-from wrt.accelerator import Accelerator
-from wrt.builders.check import check_tree
-from wrt.builders.common import Bvh, KdTree
-from wrt.builders.triangles import Boxes, TriangleBoxes, triangle_boxes
+from wrt.accelerators.accelerator import Accelerator
+from wrt.builders.tree import Bvh, KdTree
+from wrt.builders.tree_check import check_tree
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes, triangle_boxes
 
 from . import floats
 from .cases import Case, WrongAnswer
@@ -126,8 +126,8 @@ def check(tree: Bvh | KdTree, triangles: int, complete: bool) -> None:
 
 def measure(tree: Bvh | KdTree, accelerator: Accelerator) -> None:
     """Walks the whole tree for its figures."""
-    from wrt.builders.bvh.node_costs import node_costs
-    from wrt.builders.kdtree.statistics import unpack
+    from wrt.builders.bvh.update.node_costs import node_costs
+    from wrt.builders.kdtree.kdtree_statistics import unpack
 
     with np.errstate(all="ignore"):
         if isinstance(tree, Bvh):
@@ -138,8 +138,8 @@ def measure(tree: Bvh | KdTree, accelerator: Accelerator) -> None:
 
 def move(tree: Bvh | KdTree, vertices: wp.array, faces: wp.array) -> None:
     """The same tree around triangles that are elsewhere."""
-    from wrt.builders.bvh.refit import refit
-    from wrt.builders.kdtree.refill import refill
+    from wrt.builders.bvh.update.refit import refit
+    from wrt.builders.kdtree.update.refill import refill
 
     if isinstance(tree, Bvh):
         check(refit(tree, vertices, faces), len(faces), complete=True)
@@ -154,7 +154,7 @@ def move(tree: Bvh | KdTree, vertices: wp.array, faces: wp.array) -> None:
 
 def widen(tree: KdTree, boxes: TriangleBoxes, complete: bool) -> None:
     """The tree in nodes of eight children."""
-    from wrt.builders.kdtree.wide import wide_form
+    from wrt.builders.convert.wide_kdtree import wide_form
 
     form = wide_form(tree, boxes, wrt.Bvh(width=8).config(8))
     check(dataclasses.replace(form), boxes.count, complete)

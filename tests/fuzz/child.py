@@ -85,7 +85,7 @@ def prepare(what: str, threads: int, compiler_flags: str | None = None) -> None:
     if compiler_flags is not None:
         wp.config.cpu_compiler_flags = compiler_flags
     wp.init()
-    from wrt.kernels.launch import set_num_threads
+    from wrt.kernels.runtime.launch import set_num_threads
 
     from .guards import GuardedAllocator
 
@@ -100,8 +100,11 @@ def prepare(what: str, threads: int, compiler_flags: str | None = None) -> None:
 
 def share_small_work() -> None:
     """Makes what only large meshes meet happen with small ones: levels that threads split together, chunks, cells."""
-    from wrt.builders.bvh import binned as bvh
-    from wrt.builders.kdtree import binned, clusters, lazy, reference_levels, streaming
+    from wrt.builders.bvh import binned_bvh as bvh
+    from wrt.builders.kdtree import binned, streaming
+    from wrt.builders.kdtree.lazy import lazy_kdtree as lazy
+    from wrt.builders.kdtree.lazy import triangle_clusters as clusters
+    from wrt.builders.kdtree.scan import reference_levels
 
     bvh.LEAST_LARGE, bvh.LEAST_CHUNK, bvh.TASKS_PER_THREAD = 8, 4, 8
     streaming.EXACT, clusters.LEAST_CHUNK, clusters.TRIANGLES_PER_CELL = 12, 16, 1

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 import wrt
-from wrt.geometry import MAX_COORDINATE, MAX_EXTENT
+from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
 from wrt.verification import LEAST_EXTENT
 
 from . import floats

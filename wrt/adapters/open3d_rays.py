@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.kernels.launch import check_num_threads, use_threads
-from wrt.mesh import TriangleMesh
+from wrt.kernels.runtime.launch import check_num_threads, use_threads
+from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
-    from wrt.scene import Scene
+    from wrt.scene.scene import Scene
 
 
 class RaycastingScene:
@@ -53,7 +53,7 @@ class RaycastingScene:
     @cached_property
     def scene(self) -> Scene | None:
         """The `wrt.Scene` of the triangles added so far; None if there are none."""
-        from wrt.scene import Scene
+        from wrt.scene.scene import Scene
 
         return Scene(self._meshes, device=self._device) if self._meshes else None
 

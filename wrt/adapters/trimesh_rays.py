@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerator import Accelerator
-from wrt.kernels.launch import launch, use_threads
-from wrt.plan import AUTO
+from wrt.accelerators.accelerator import Accelerator
+from wrt.execution.plan import AUTO
+from wrt.kernels.runtime.launch import launch, use_threads
 
 if TYPE_CHECKING:
     import trimesh
 
-    from wrt.scene import Scene
+    from wrt.scene.scene import Scene
 
 
 class RayMeshIntersector:
@@ -74,8 +74,8 @@ class RayMeshIntersector:
     @property
     def scene(self) -> Scene | None:
         """The `wrt.Scene` of the mesh as it is now; None if the mesh has no faces."""
-        from wrt.mesh import TriangleMesh
-        from wrt.scene import Scene
+        from wrt.meshes.mesh import TriangleMesh
+        from wrt.scene.scene import Scene
 
         key = hash(self.mesh)
         built = self._built
@@ -111,7 +111,7 @@ class RayMeshIntersector:
             TypeError: an argument is of a wrong type.
             ValueError: the rays' shapes are not (n, 3) and equal, or max_hits is below 1.
         """
-        from wrt.all_hits import check_max_hits
+        from wrt.query.all_hits import check_max_hits
 
         check_max_hits(max_hits)
         origins, directions = _checked_rays(ray_origins, ray_directions)
@@ -173,7 +173,7 @@ def locate(
     scene: Scene, origins: np.ndarray, directions: np.ndarray, ray: np.ndarray, primitive: np.ndarray, uv: np.ndarray
 ) -> np.ndarray:
     """Points (h, 3) float64 where the rays with these numbers meet these triangles of a scene of one mesh."""
-    from wrt.kernels.hits import meet_planes
+    from wrt.kernels.query.hit_attributes import meet_planes
 
     (mesh,), device = scene.meshes, scene.device
     points = wp.empty(len(ray), dtype=wp.vec3d, device=device)

@@ -17,14 +17,14 @@ import click
 import numpy as np
 
 from wrt.bench.loading import json_option, progress, table_console, threads_option, usage_errors, write_json
-from wrt.camera import PinholeCamera
 from wrt.cli.arguments import target_options
-from wrt.fuzzy_scene import FuzzyScene
-from wrt.grouped_scene import GroupedScene
-from wrt.instances import Instance
-from wrt.kernels.launch import get_num_threads, use_threads
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.imaging.cameras import PinholeCamera
+from wrt.kernels.runtime.launch import get_num_threads, use_threads
+from wrt.meshes.instance import Instance
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.fuzzy_scene import FuzzyScene
+from wrt.scene.grouped_scene import GroupedScene
+from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 from wrt.scenes.colonnade import atrium
 
@@ -106,7 +106,7 @@ def by_groups(stage: Stage) -> Show:
 
 def by_fuzzy_boxes(stage: Stage) -> Show:
     """A tree for all frames. What stays is a cluster that does not move; the others are bones, or looked for."""
-    from wrt.builders.motion import decompose
+    from wrt.builders.motion_clusters import decompose
 
     animation, static = stage.animation, stage.static
     maps = animation.bones

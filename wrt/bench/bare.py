@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.launch import launch
-from wrt.kernels.triangle.alone import make_blocks, make_frusta, make_pairs
-from wrt.kernels.triangle.contract import TestForm, TriangleTest
-from wrt.kernels.triangle.exits import make_kernel as make_exits
-from wrt.kernels.triangle.operations import Operations
-from wrt.kernels.triangle.packing import pack_blocks
-from wrt.kernels.triangle.records import Record, TriangleBlocks
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.triangle.study.exit_counts import make_kernel as make_exits
+from wrt.kernels.triangle.study.isolated_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.triangle.study.operation_counts import Operations
+from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
+from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
 CPU = "cpu"
 
@@ -152,7 +152,7 @@ def closest(test: TestForm, soup: Soup, rays: Beams, *, frustum: int, width: int
 
 
 def exits(test: TestForm, soup: Soup, rays: Beams, *, group_rays: int = 1, group_triangles: int = 1) -> Exits:
-    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.triangle.exits`."""
+    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.triangle.study.exit_counts`."""
     names = (*test.lanes.exits, "hit")
     groups = rays.count // group_rays
     counts = wp.zeros((groups, 2 * len(names)), dtype=int, device=CPU)

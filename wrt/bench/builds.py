@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from wrt.accelerator import Accelerator, Bvh, KdTree, resolve_accelerator
+from wrt.accelerators.accelerator import Accelerator, Bvh, KdTree, resolve_accelerator
 from wrt.bench.contract import Peer
 from wrt.bench.engines import Engine
 from wrt.bench.measure import Contender, Timing, take_turns
@@ -17,8 +17,8 @@ from wrt.bench.peers import Open3D
 from wrt.bench.results import Question, Row
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.mesh import TriangleMesh
-from wrt.plan import AUTO
+from wrt.execution.plan import AUTO
+from wrt.meshes.mesh import TriangleMesh
 
 BUDGET = 10.0
 """Seconds for each builder."""

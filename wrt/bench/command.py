@@ -14,8 +14,8 @@ from wrt.bench.peers import PEERS, make_peers
 from wrt.bench.results import ModelResult, Report, machine
 from wrt.bench.workloads import ORDERS, WORKLOADS, WorkloadMaker
 from wrt.cli.arguments import start_warp, target_options
-from wrt.kernels.launch import MAX_THREADS, get_num_threads
-from wrt.mesh import TriangleMesh
+from wrt.kernels.runtime.launch import MAX_THREADS, get_num_threads
+from wrt.meshes.mesh import TriangleMesh
 
 DEFAULT_MODELS = ("teapot", "atrium", "wood")
 """Built-in scenes that are measured when no model is named."""

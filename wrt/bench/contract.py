@@ -20,7 +20,7 @@ import warp as wp
 
 from wrt.bench.measure import time_call
 from wrt.bench.workloads import ALL, CLOSEST, INSIDE, OCCLUSION, Workload
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ No compiler is needed: the library (version 3; Debian and Ubuntu: libembree3-3) 
 threads run meanwhile, with some hundreds of packets a call. What is timed is what a C++ program would do that keeps its rays in
 packets: set the ends of the rays and the ids of their hits back, trace, leave the hits in the packets. Scenes are built for
 speed, not with Embree's "robust" flag, which costs it 5 to 20 %; views and shadows are declared coherent. Where wrt is
-compiled for CPUs with AVX2 (`wrt.kernels.target`), Embree runs its code for them too.
+compiled for CPUs with AVX2 (`wrt.kernels.runtime.target`), Embree runs its code for them too.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 
 from wrt.bench.contract import Answer, Peer, Query, spread_rays
 from wrt.bench.workloads import Workload
-from wrt.kernels.target import target_name
-from wrt.mesh import TriangleMesh
+from wrt.kernels.runtime.target import target_name
+from wrt.meshes.mesh import TriangleMesh
 
 WIDTH = 16
 """Rays of a packet."""

@@ -14,12 +14,12 @@ import warp as wp
 
 from wrt.bench.pichler import SCENES, ratios, timed
 from wrt.bench.workloads import WorkloadMaker
-from wrt.builders.fans import TriangleFans, build_fans
-from wrt.kernels.launch import launch
-from wrt.kernels.traversal.fans import FanSet, make_kernel
-from wrt.rays import Rays, to_device
-from wrt.scene import Scene
-from wrt.tracing import BRUTE_FORCE_TESTS, new_hits
+from wrt.builders.triangle_fans import TriangleFans, build_fans
+from wrt.execution.executor import BRUTE_FORCE_TESTS, new_hits
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.traversal.fan_brute_force import FanSet, make_kernel
+from wrt.rays.rays import Rays, to_device
+from wrt.scene.scene import Scene
 
 TESTS = ("moeller_trumbore", "moeller_trumbore_precomputed", "baldwin_weber")
 """Triangle by triangle; the first is the reference."""

@@ -16,7 +16,7 @@ from typing import Any
 
 import click
 
-from wrt.accelerator import KdTree
+from wrt.accelerators.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SETTLE, kdtree_descriptions
 from wrt.bench.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth, print_growth
 from wrt.bench.loading import (
@@ -33,10 +33,10 @@ from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli.arguments import target_options
-from wrt.kernels.launch import get_num_threads
-from wrt.mesh import TriangleMesh
-from wrt.plan import AUTO
-from wrt.scene import Scene
+from wrt.execution.plan import AUTO
+from wrt.kernels.runtime.launch import get_num_threads
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 REFERENCE = "sweep"
 """The builder that all figures refer to."""

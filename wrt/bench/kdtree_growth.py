@@ -14,12 +14,12 @@ from time import perf_counter
 from typing import Any
 
 from wrt import scenes
-from wrt.accelerator import KdTree
+from wrt.accelerators.accelerator import KdTree
 from wrt.bench.builds import BUDGET, SMALL
 from wrt.bench.measure import Contender, take_turns
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 LEAST = 1_000
 """Triangles of the smallest teapot, about."""

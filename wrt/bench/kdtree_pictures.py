@@ -14,9 +14,9 @@ import numpy as np
 from wrt.bench.kdtree_builders import BuilderFigures
 from wrt.bench.kdtree_growth import Growth, n_log_n
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.statistics import KdTreeStatistics, unpack
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.builders.kdtree.kdtree_statistics import KdTreeStatistics, unpack
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -24,15 +24,15 @@ from time import thread_time
 
 import numpy as np
 
-from wrt.accelerator import KdTree
+from wrt.accelerators.accelerator import KdTree
 from wrt.bench.layouts import CLASSIC_BLOCK
 from wrt.bench.measure import Contender, take_turns
 from wrt.bench.workloads import WorkloadMaker
-from wrt.builders.kdtree.statistics import UnpackedKdTree, unpack
-from wrt.kernels.launch import use_threads
-from wrt.mesh import TriangleMesh
-from wrt.rays import Rays
-from wrt.scene import Scene
+from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
+from wrt.kernels.runtime.launch import use_threads
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays
+from wrt.scene.scene import Scene
 
 MAILBOX = "hashed"
 """Of the rays that have one: it forgets little."""

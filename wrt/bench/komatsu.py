@@ -33,13 +33,13 @@ from wrt.bench.bare import Beams, Soup, closest, exits
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.triangle_tests import ratios
 from wrt.bench.workloads import WorkloadMaker
-from wrt.kernels.lanes import native_width
-from wrt.kernels.launch import use_threads
+from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.contract import TestForm
-from wrt.kernels.triangle.komatsu_2008 import PUBLISHED
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.triangle.support.triangle_contract import TestForm
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 Row = dict[str, Any]
 

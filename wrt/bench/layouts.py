@@ -1,4 +1,4 @@
-"""`wrt bench layouts`: what a step through a kd-tree costs, by the order of its nodes (`wrt.builders.kdtree.layouts`).
+"""`wrt bench layouts`: what a step through a kd-tree costs, by the order of its nodes (`wrt.builders.convert.node_layouts`).
 
 One tree in every layout, walked by the same rays, one at a time; layouts take turns. All of a query's time is charged to its
 steps, inner nodes and leaves, triangle tests included: those are the same for every layout.
@@ -13,23 +13,23 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.accelerator import KdTree
+from wrt.accelerators.accelerator import KdTree
 from wrt.bench.loading import load_model, progress, table_console, threads_option, usage_errors
 from wrt.bench.measure import Contender, take_turns
 from wrt.bench.workloads import WorkloadMaker
+from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.layouts import LAYOUTS, lay_out
 from wrt.cli.arguments import target_options
-from wrt.kernels.launch import get_num_threads, launch, use_threads
-from wrt.mesh import TriangleMesh
-from wrt.plan import CLOSEST, make_plan
-from wrt.rays import Rays, to_device
-from wrt.scene import Scene
+from wrt.execution.plan import CLOSEST, make_plan
+from wrt.kernels.runtime.launch import get_num_threads, launch, use_threads
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays, to_device
+from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
-    from wrt.builders import common
-    from wrt.kernels.rays import HitBatch
-    from wrt.rays import RayBuffers
+    from wrt.builders import tree as common
+    from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.rays.rays import RayBuffers
 
 REFERENCE = "random"
 """The layout that all figures refer to."""
@@ -60,9 +60,9 @@ class LayoutFigures:
 
 def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> HitBatch:
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
+    from wrt.execution.executor import counter_rows, new_hits, no_work, traversal_config
     from wrt.kernels.traversal.leaf import Counters
-    from wrt.kernels.traversal.single import make_kernel
-    from wrt.tracing import counter_rows, new_hits, no_work, traversal_config
+    from wrt.kernels.traversal.single.single_kdtree import make_kernel
 
     plan = make_plan(scene, rays, "single", "auto")
     config = replace(traversal_config(plan, scene, CLOSEST, False), pairs=True)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.kernels.launch import MAX_THREADS
-from wrt.mesh import TriangleMesh
+from wrt.kernels.runtime.launch import MAX_THREADS
+from wrt.meshes.mesh import TriangleMesh
 
 if TYPE_CHECKING:
     from rich.console import Console

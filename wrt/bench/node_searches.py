@@ -9,20 +9,20 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrt.accelerator import Bvh
-from wrt.builders.bvh import levels
-from wrt.builders.bvh.binned import BinnedBuilder
-from wrt.builders.bvh.bins import Plane, Scratch, make_scratch
-from wrt.builders.bvh.config import BuildRules
-from wrt.builders.bvh.heuristic import Heuristic
-from wrt.builders.bvh.levels import Chunk, LiveNode
-from wrt.builders.bvh.projected import ProjectedBuilder
-from wrt.builders.bvh.tree import BinaryTree
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels.launch import launch
-from wrt.mesh import TriangleMesh
-from wrt.projected_bvh import ProjectedBvh
-from wrt.scene import Scene
+from wrt.accelerators.accelerator import Bvh
+from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.builders.bvh.binned_bvh import BinnedBuilder
+from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.phases import bvh_levels as levels
+from wrt.builders.bvh.phases.bin_heuristic import Heuristic
+from wrt.builders.bvh.phases.binary_tree import BinaryTree
+from wrt.builders.bvh.phases.bvh_bins import Plane, Scratch, make_scratch
+from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode
+from wrt.builders.bvh.projected_binned import ProjectedBuilder
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.runtime.launch import launch
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 
 @cache

@@ -15,7 +15,7 @@ from wrt.bench.contract import Answer, Lists, Peer, Query, device_rays, spread_r
 from wrt.bench.embree_native import Embree
 from wrt.bench.engines import all_engines, default_engine, plain_engine
 from wrt.bench.workloads import Workload
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.tables import lookup
 
 

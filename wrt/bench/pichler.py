@@ -28,17 +28,17 @@ import warp as wp
 
 from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
-from wrt.camera import PinholeCamera
-from wrt.kernels.launch import launch, use_threads
+from wrt.imaging.cameras import PinholeCamera
+from wrt.imaging.rendering import render
+from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.triangle.ferko import VARIANTS
-from wrt.kernels.triangle.ferko.counting import Pruned, make_kernel
-from wrt.kernels.triangle.ferko.part import join
+from wrt.kernels.triangle.ferko.record_part import join
 from wrt.kernels.triangle.ferko.variant import Variant
-from wrt.kernels.triangle.packing import pack_blocks
-from wrt.mesh import TriangleMesh
-from wrt.rays import Rays, to_device
-from wrt.rendering import render
-from wrt.scene import Scene
+from wrt.kernels.triangle.study.pruning_counts import Pruned, make_kernel
+from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays, to_device
+from wrt.scene.scene import Scene
 from wrt.scenes import build
 
 Row = dict[str, Any]
@@ -129,14 +129,14 @@ class Case:
 
 
 def count_comparisons(scene: Scene, rays: Rays, variant: Variant) -> dict[str, int]:
-    """Tests, points that reach the pruning, comparisons and hits, of all rays: `wrt.kernels.triangle.ferko.counting`.
+    """Tests, points that reach the pruning, comparisons and hits, of all rays: `wrt.kernels.triangle.study.pruning_counts`.
 
     Args:
         scene: triangles; all are looked at for each ray.
         rays: rays; a triangle is tested if its box is met before the ray's closest hit.
         variant: one that prunes.
     """
-    from wrt.kernels.traversal.brute import AllTriangles
+    from wrt.kernels.traversal.brute_force import AllTriangles
 
     if not variant.fold:
         raise ValueError("variant does not prune; give one whose fold is 3 or 4")

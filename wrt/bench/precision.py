@@ -24,7 +24,7 @@ from wrt.bench.bare import Beams, Soup, pairs
 if TYPE_CHECKING:
     import trimesh
 
-    from wrt.kernels.triangle.contract import TriangleTest
+    from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 
 DISTANCES = (1.0, 10.0, 100.0, 1e3, 1e4)
 """From the origin to the triangle, in lengths of its longest edge."""
@@ -152,7 +152,7 @@ def leaks(test: TriangleTest, origins: int = 32, subdivisions: int = 4, seed: in
     Returns:
         For each feature "rays", "leaked" and "per_million".
     """
-    from wrt.scene import Scene
+    from wrt.scene.scene import Scene
 
     rng = np.random.default_rng(seed)
     counts = {"edges": np.zeros(2, int), "vertices": np.zeros(2, int)}

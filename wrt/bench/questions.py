@@ -7,18 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from wrt.bench.contract import Answer, Lists, Peer, Query
-from wrt.bench.measure import (
-    Agreement,
-    Contender,
-    Timing,
-    closest_agreement,
-    lists_agreement,
-    occlusion_agreement,
-    take_turns,
-)
+from wrt.bench.measure import Agreement, Contender, Timing, closest_agreement, lists_agreement, occlusion_agreement, take_turns
 from wrt.bench.results import Question, Row
 from wrt.bench.workloads import Workload
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 
 BUDGET = 10.0
 """Seconds for each contender and workload: slow ones get fewer rounds."""

@@ -24,21 +24,27 @@ from typing import Any
 
 import numpy as np
 
-from wrt.accelerator import Accelerator, Bvh
+from wrt.accelerators.accelerator import Accelerator, Bvh
+from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.bench.builds import BUDGET, SETTLE
 from wrt.bench.measure import Contender, take_turns
-from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
-from wrt.camera import PinholeCamera
-from wrt.influence_areas import corners_of
-from wrt.kernels.launch import use_threads
-from wrt.mesh import TriangleMesh
-from wrt.plan import ANY, CLOSEST, make_plan
-from wrt.projected_bvh import ProjectedBvh
-from wrt.ray_aware_bvh import RayAwareBvh
-from wrt.ray_casters import CircularCapCaster, PlaneCaster, SquareCapCaster, directional_shadow_rays, point_shadow_rays
-from wrt.rays import Rays, to_device
-from wrt.scene import Scene
-from wrt.tracing import trace
+from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.execution.executor import trace
+from wrt.execution.plan import ANY, CLOSEST, make_plan
+from wrt.imaging.cameras import PinholeCamera
+from wrt.kernels.runtime.launch import use_threads
+from wrt.known_rays.influence_areas import corners_of
+from wrt.known_rays.ray_casters import (
+    CircularCapCaster,
+    PlaneCaster,
+    SquareCapCaster,
+    directional_shadow_rays,
+    point_shadow_rays,
+)
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays, to_device
+from wrt.scene.scene import Scene
 
 REFERENCE = "Bvh"
 """The tree that all figures refer to."""

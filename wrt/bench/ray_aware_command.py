@@ -12,7 +12,7 @@ from wrt.bench.loading import json_option, load_model, progress, table_console, 
 from wrt.bench.ray_aware import REFERENCE, TRAVERSALS, Figure, Turns, areas_of, compare_builds, compare_searches, compare_traces
 from wrt.bench.results import machine
 from wrt.cli.arguments import target_options
-from wrt.kernels.launch import get_num_threads
+from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS as WALKS
 
 TITLES = {

@@ -19,12 +19,12 @@ from math import cos, degrees, radians, sin
 
 import numpy as np
 
-from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
-from wrt.influence_areas import corners_of
-from wrt.mesh import TriangleMesh
-from wrt.projected_bvh import ProjectedBvh
-from wrt.ray_casters import PlaneCaster
-from wrt.rays import Rays
+from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.known_rays.influence_areas import corners_of
+from wrt.known_rays.ray_casters import PlaneCaster
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays
 from wrt.scenes import build
 from wrt.scenes.shapes import boxes, copies, lathe, sheets
 

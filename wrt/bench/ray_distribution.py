@@ -27,25 +27,25 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerator import Bvh
-from wrt.analysis import TreeAnalysis, analyse
-from wrt.balance import break_even
+from wrt.accelerators.accelerator import Bvh
+from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.bench.pichler import ratios, timed
 from wrt.bench.ray_cases import TREES, Case
-from wrt.builders.areas import TopLevel, region_of, touch_of
-from wrt.builders.bvh.axes import AxisChoice
-from wrt.builders.bvh.known_rays import FELL_BACK
-from wrt.builders.bvh.projected import ProjectedBuilder
-from wrt.builders.influence import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
-from wrt.builders.regions import contain_points
-from wrt.builders.triangles import triangle_boxes
-from wrt.kernels.areas import assign_rays
-from wrt.kernels.launch import launch
-from wrt.local_trees import CHUNK
-from wrt.projected_bvh import ProjectedBvh
-from wrt.ray_aware_bvh import RayAwareBvh
-from wrt.rays import Rays, to_device
-from wrt.scene import Scene
+from wrt.builders.bvh.known_rays_config import FELL_BACK
+from wrt.builders.bvh.phases.split_axes import AxisChoice
+from wrt.builders.bvh.projected_binned import ProjectedBuilder
+from wrt.builders.influence.area_top_level import TopLevel, region_of, touch_of
+from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
+from wrt.builders.influence.regions import contain_points
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.execution.area_trees import CHUNK
+from wrt.kernels.influence.area_assignment import assign_rays
+from wrt.kernels.runtime.launch import launch
+from wrt.known_rays.break_even import break_even
+from wrt.known_rays.tree_analysis import TreeAnalysis, analyse
+from wrt.rays.rays import Rays, to_device
+from wrt.scene.scene import Scene
 
 Row = dict[str, Any]
 

@@ -15,7 +15,7 @@ import warp as wp
 
 from wrt.bench.measure import Agreement, Timing
 from wrt.kernels.runtime.cores import available_cores
-from wrt.kernels.target import cpu_name, lane_width, simd_bits, target_name
+from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
 
 FORMAT = 1
 """Version of the layout of `Report.to_dict`."""

@@ -17,11 +17,11 @@ import numpy as np
 from wrt.bench.loading import json_option, load_model, progress, table_console, threads_option, usage_errors, write_json
 from wrt.bench.measure import Contender, take_turns
 from wrt.bench.results import machine
-from wrt.camera import PinholeCamera
-from wrt.kernels.launch import get_num_threads, use_schedule
+from wrt.imaging.cameras import PinholeCamera
+from wrt.kernels.runtime.launch import get_num_threads, use_schedule
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 
 VIEWS = (256, 1024)
 """Pixels a side."""

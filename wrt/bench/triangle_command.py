@@ -9,7 +9,7 @@ import click
 from wrt.bench.loading import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.triangle_tests import SITUATIONS, run_triangle_tests
 from wrt.cli.arguments import target_options
-from wrt.kernels.launch import MAX_THREADS
+from wrt.kernels.runtime.launch import MAX_THREADS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 

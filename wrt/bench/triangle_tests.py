@@ -30,12 +30,12 @@ from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.precision import leaks, precision
 from wrt.bench.results import machine
 from wrt.bench.workloads import WorkloadMaker
-from wrt.kernels.lanes import native_width
-from wrt.kernels.launch import use_threads
+from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.mesh import TriangleMesh
-from wrt.scene import Scene
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
 from wrt.tables import lookup
 
 REFERENCE = "moeller_trumbore"

@@ -21,9 +21,9 @@ from functools import cached_property
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
-from wrt.rays import Rays
-from wrt.scene import Scene
+from wrt.meshes.mesh import TriangleMesh
+from wrt.rays.rays import Rays
+from wrt.scene.scene import Scene
 from wrt.tables import lookup
 
 CLOSEST = "closest"

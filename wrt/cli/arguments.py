@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
-    from wrt.mesh import TriangleMesh
-    from wrt.scene import Scene
+    from wrt.meshes.mesh import TriangleMesh
+    from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
 DEFAULT_SCENE = "teapot"
@@ -51,7 +51,7 @@ class UpDirection(Vector):
 
 
 def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    from wrt.kernels.target import choose
+    from wrt.kernels.runtime.target import choose
 
     try:
         choose(**{{"target": "target", "lanes": "width"}[param.name]: value})
@@ -60,7 +60,8 @@ def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 
 
 def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """What CPU kernels are compiled for (`wrt.kernels.target`): set while the arguments are read, before Warp starts."""
+    """What CPU kernels are compiled for (`wrt.kernels.runtime.target`): set while the arguments are read, before Warp
+    starts."""
     shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
     lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or what suits the target]"
@@ -88,7 +89,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | None]:
     """The mesh of the MODEL, or of the built-in scene, and in that case its entry in the table."""
-    from wrt.mesh import TriangleMesh
+    from wrt.meshes.mesh import TriangleMesh
     from wrt.scenes import BUILTIN_SCENES, build
 
     options = _scene_options(given["options"], given["level"])
@@ -122,8 +123,8 @@ def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
 
 def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "auto") -> Scene:
     """The scene, with the accelerator, the device and the threads that were asked for."""
-    from wrt.accelerator import resolve_accelerator
-    from wrt.scene import Scene
+    from wrt.accelerators.accelerator import resolve_accelerator
+    from wrt.scene.scene import Scene
 
     try:
         accelerator = resolve_accelerator(given["accelerator"])

@@ -36,7 +36,7 @@ def _cpu() -> dict[str, Any]:
     """This CPU, and what kernels for it are compiled for."""
     from wrt.kernels.runtime import pool
     from wrt.kernels.runtime.cores import available_cores
-    from wrt.kernels.target import cpu_name, lane_width, simd_bits, target_name
+    from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
 
     helpers = "native" if pool.is_available() else "Python (native ones need Linux)"
     found = {"name": cpu_name(), "threads": available_cores(), "helper threads": helpers}
@@ -65,9 +65,9 @@ def list_tables(as_json: bool) -> None:
 def _all_tables() -> dict[str, list[dict[str, Any]]]:
     from wrt.builders.bvh import BVH_BUILDERS
     from wrt.builders.kdtree import KDTREE_BUILDERS
-    from wrt.kernels.mailbox import MAILBOXES
-    from wrt.kernels.packet import CULLINGS
     from wrt.kernels.traversal import TRAVERSALS
+    from wrt.kernels.traversal.mailbox import MAILBOXES
+    from wrt.kernels.traversal.packet import CULLINGS
     from wrt.kernels.triangle import TRIANGLE_TESTS
     from wrt.scenes import BUILTIN_SCENES
 

@@ -22,9 +22,9 @@ from wrt.cli.arguments import (
 )
 
 if TYPE_CHECKING:
-    from wrt.camera import PinholeCamera
-    from wrt.mesh import TriangleMesh
-    from wrt.scene import Scene
+    from wrt.imaging.cameras import PinholeCamera
+    from wrt.meshes.mesh import TriangleMesh
+    from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
 Y_UP_FORMATS = {".glb", ".gltf", ".obj", ".off", ".ply"}
@@ -58,8 +58,8 @@ GROUND_SIZE = 32.0
 def render(output: Path, ground: bool, **given: Any) -> None:
     """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to a picture."""
     start_warp(given["device"])
-    from wrt.image import check_path, save_image
-    from wrt.rendering import render as render_image
+    from wrt.imaging.image_files import check_path, save_image
+    from wrt.imaging.rendering import render as render_image
 
     try:
         check_path(output)
@@ -94,7 +94,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
 
 def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:
     """The scene's camera, or one that frames the model, with what was given in place of its own."""
-    from wrt.camera import PinholeCamera
+    from wrt.imaging.cameras import PinholeCamera
 
     width, height = given["width"], given["height"]
     own: dict[str, Any] = dict(builtin.camera) if builtin else {"fov": 35.0, "look_at": mesh.center}
@@ -127,7 +127,7 @@ def _ground(mesh: TriangleMesh, up: tuple[float, ...]) -> TriangleMesh:
     """A square across `up` under the mesh."""
     import numpy as np
 
-    from wrt.mesh import TriangleMesh
+    from wrt.meshes.mesh import TriangleMesh
 
     upward = np.array(up) / np.linalg.norm(up)
     across = np.cross(upward, np.eye(3)[np.argmin(np.abs(upward))])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 from wrt.scenes.colonnade import atrium
 from wrt.scenes.newell_teapot import teapot

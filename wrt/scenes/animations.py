@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count, copies, lathe, sheets
 
 __all__ = ["Animation", "walking_figure", "waving_cloth"]

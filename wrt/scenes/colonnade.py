@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import boxes, check_count, copies, lathe, plane, sheets
 
 __all__ = ["atrium"]

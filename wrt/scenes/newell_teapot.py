@@ -22,7 +22,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count, plane, sheets, without_collapsed
 
 __all__ = ["bernstein", "teapot", "teapot_patches"]

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 
 __all__ = ["boxes", "check_count", "check_positive", "copies", "lathe", "plane", "sheets", "without_collapsed"]
 

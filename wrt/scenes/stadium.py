@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.newell_teapot import teapot
 from wrt.scenes.shapes import boxes, check_count, copies, lathe, plane, sheets
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count, sheets
 
 __all__ = ["wood"]

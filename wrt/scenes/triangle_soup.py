@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrt.mesh import TriangleMesh
+from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.shapes import check_count, check_positive
 
 __all__ = ["random_triangles"]

@@ -18,7 +18,7 @@ circle; and then two dimensions, by one of two transformations:
 **Departures.** The paper compares t with the ray's range at the plane, and (what it found faster) t_max after the rest; here
 that is the traversal's business for all tests, after the test. It does not compute u and v when it prunes, and its pictures
 were wrong; here they are computed of what passes. So the engine can use every variant, and tests can compare them. The weights
-go into the order at build. The engine's boxes (`wrt.kernels.boxes`) are those of the triangles themselves, widened by
+go into the order at build. The engine's boxes (`wrt.kernels.simd.boxes`) are those of the triangles themselves, widened by
 rounding, and asked after the test: what the box step finds first they would find last.
 
 **Limits.** Coordinates relative to the scene's centre are multiplied with the rows of small triangles, so precision is lost
@@ -32,8 +32,8 @@ References:
 
 from dataclasses import replace
 
-from wrt.kernels.triangle.contract import TriangleTest
 from wrt.kernels.triangle.ferko.variant import Variant, make_test
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 
 VARIANTS: dict[str, Variant] = {
     "ferko_utm": Variant(),

@@ -2,7 +2,7 @@
 
 Below the longest edge: Q_y < 0. Above C': Q_y > y. Left of A'C': Q_y x > Q_x y. Right of C'B': y (Q_x - 1) + Q_y (1 - x) > 0.
 Three of them (3-fold), or all four (4-fold), each an exit; in the order of their operations, or in the triangle's own order
-(`wrt.kernels.triangle.ferko.regions`).
+(`wrt.kernels.triangle.ferko.rejection_regions`).
 
 One triangle's order is not its neighbour's, so lanes that look at W triangles, or W rays, at once cannot branch on it: what
 one needs last another needs first, and all are computed. Their form makes all comparisons of a triangle with an order of
@@ -13,9 +13,9 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.triangle.ferko.regions import ABOVE, BELOW, LEFT, ORDER_OF_FOUR, RIGHT
+from wrt.kernels.triangle.ferko.rejection_regions import ABOVE, BELOW, LEFT, ORDER_OF_FOUR, RIGHT
 from wrt.kernels.triangle.ferko.similarity import IN_PLANE
-from wrt.kernels.triangle.lane_form import Step
+from wrt.kernels.triangle.support.lane_form import Step
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

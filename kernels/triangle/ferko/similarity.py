@@ -2,7 +2,7 @@
 
 **What.** A' = (0, 0) and B' = (1, 0) are the ends of the longest edge, C' = (x, y) is the third vertex, with y > 0 and
 x >= 1/2. Angles and ratios of lengths are kept, so the regions around the triangle in which a ray may pass it by keep their
-shares of the bounding circle: that is what `wrt.kernels.triangle.ferko.regions` computes.
+shares of the bounding circle: that is what `wrt.kernels.triangle.ferko.rejection_regions` computes.
 
 **How.** The paper multiplies a translation, three rotations, a scaling and two mirrorings (y, where C' came out below the
 axis; x, where it came out left of 1/2, because the comparison with the left edge is the cheaper one). The product has a short
@@ -22,9 +22,9 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.triangle.ferko.part import Part
-from wrt.kernels.triangle.records import Corners
-from wrt.kernels.triangle.vectors import cross, dot, three
+from wrt.kernels.triangle.ferko.record_part import Part
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.vectors import cross, dot, three
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

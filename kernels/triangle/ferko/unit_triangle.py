@@ -3,7 +3,8 @@
 Two rows of a matrix take the plane's points to u and v. The paper finds them by inverting the matrix of the three vertices,
 which no plane through the origin allows, and then settles for Baldwin and Weber's free vector: a column that is not needed is
 (0, 0, 1), so two factors a row and a constant are left, and the number of the column. They are the rows of
-`wrt.kernels.triangle.projection`; what differs from Baldwin and Weber's test is that u is compared before v is computed.
+`wrt.kernels.triangle.support.axis_projection`; what differs from Baldwin and Weber's test is that u is compared before v is
+computed.
 
 References:
     L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018 (after A. Ferko, M. Ferko, unpublished, 2015).
@@ -15,11 +16,11 @@ from typing import Any
 
 import warp as wp
 
-from wrt.kernels.triangle import projection
-from wrt.kernels.triangle.ferko.part import Part
-from wrt.kernels.triangle.lane_form import Step
-from wrt.kernels.triangle.projection import turned, turned_lanes
-from wrt.kernels.triangle.records import Corners
+from wrt.kernels.triangle.ferko.record_part import Part
+from wrt.kernels.triangle.support import axis_projection as projection
+from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
+from wrt.kernels.triangle.support.lane_form import Step
+from wrt.kernels.triangle.support.record_blocks import Corners
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

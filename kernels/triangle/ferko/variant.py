@@ -5,18 +5,18 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.triangle.contract import TriangleTest
-from wrt.kernels.triangle.ferko import bounds
-from wrt.kernels.triangle.ferko.bounds import BOX, CIRCLE, in_box, in_circle, meets_sphere
-from wrt.kernels.triangle.ferko.part import Part, join, place
+from wrt.kernels.triangle.ferko import triangle_bounds as bounds
 from wrt.kernels.triangle.ferko.pruning import FIXED_ORDER, prune, pruning_steps
-from wrt.kernels.triangle.ferko.regions import order_part
+from wrt.kernels.triangle.ferko.record_part import Part, join, place
+from wrt.kernels.triangle.ferko.rejection_regions import order_part
 from wrt.kernels.triangle.ferko.similarity import SIMILARITY, WEIGHTS, in_plane, weights
+from wrt.kernels.triangle.ferko.triangle_bounds import BOX, CIRCLE, in_box, in_circle, meets_sphere
 from wrt.kernels.triangle.ferko.unit_triangle import STEPS, UNIT_TRIANGLE, in_unit_triangle
-from wrt.kernels.triangle.lane_form import DIRECTION, ORIGIN, LaneForm, Step
-from wrt.kernels.triangle.projection import main_axis
-from wrt.kernels.triangle.records import Corners
-from wrt.kernels.triangle.vectors import PlainRay, cross, dot, dotted, miss, prepare, three
+from wrt.kernels.triangle.support.axis_projection import main_axis
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, miss, prepare, three
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -1,0 +1,198 @@
+"""Parallel binned SAH build of a bounding volume hierarchy (Wald 2007).
+
+**Problem.** A sweep over sorted centroids costs O(N log N) and three sorts; most of its planes are all but equal.
+
+**Algorithm.** Centroids fall into a few bins along each axis; only the planes between bins are tried (`bins`). Large nodes
+are split level by level, parallel over chunks of triangles (`levels`); the others are tasks, each of which builds a
+subtree depth first (`subtrees`). The binary tree, whose nodes may first move to better places (`reinsertion`), is then
+collapsed to nodes of W children (`collapse`).
+
+**Complexity.** O(N) a level of the tree, with sequential access to memory only. 64 bytes a triangle for references; nodes take
+what the tree needs, of a reserve of 88 bytes a triangle.
+
+**What we changed.** The paper parallelises over subtrees and over the triangles of large nodes as we do, but keeps a list of
+indices; here whole references are moved, which reads them in order. Leaf costs count blocks of W triangles
+(`wrt.builders.cost`). The tree is the same for any number of threads, chunks and tasks.
+
+**Limits.** Surface areas are float32: nodes larger than 1e19 or smaller than 1e-19 are split in the middle of their list.
+
+References:
+    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+    I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst: Embree: a kernel framework for efficient CPU ray tracing.
+        ACM Transactions on Graphics 33(4), 2014.
+"""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.phases import bvh_levels as level_phase
+from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
+from wrt.builders.bvh.phases.bvh_bins import make_scratch
+from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode, Totals, make_search_planes
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
+from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_kernels
+from wrt.builders.bvh.phases.reinsertion import find_places, reinsert
+from wrt.builders.tree import Bvh, Phases
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.struct_arrays import array_of_structs
+from wrt.kernels.runtime.launch import get_num_threads, launch, load
+from wrt.kernels.runtime.launch_loop import Step, launch_loop
+
+TASKS_PER_THREAD = 4
+"""A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
+
+LEAST_LARGE = 4096
+"""Triangles below which a node is not worth more than one thread."""
+
+CHUNKS_PER_THREAD = 4
+"""Chunks per thread on a level."""
+
+LEAST_CHUNK = 2048
+"""Triangles that are worth a chunk of their own."""
+
+NODES, CHUNKS = 0, 1
+"""Where `Totals` has the live nodes and their chunks."""
+
+MAX_LEVELS = 32
+"""Levels after which the remaining nodes become tasks in any case."""
+
+
+def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
+    """Builds the tree on the device that holds the boxes."""
+    return BinnedBuilder(triangles, config).build()
+
+
+class BinnedBuilder:
+    """The state of one build.
+
+    Args:
+        triangles: boxes of the triangles.
+        config: prices, bins, leaf size.
+        heuristic: how boxes are weighed, and planes chosen.
+        rays: what the heuristic knows of the rays; None for nothing.
+    """
+
+    def __init__(self, triangles: TriangleBoxes, config: BvhConfig, heuristic: Heuristic = SURFACE, rays: Any = None) -> None:
+        self.triangles = triangles
+        self.config = config
+        self.heuristic = heuristic
+        self.rays = AllDirections() if rays is None else rays
+        self.search_planes = make_search_planes(heuristic)
+        self.subtree_kernel = make_build_subtrees(heuristic)
+        self.device = triangles.boxes.low.device
+        self.rules = config.struct()
+        self.phase = Phases(self.device)
+        self.tree = empty_tree(triangles.count, self.device)
+        threads = get_num_threads()
+        self.chunk = max(LEAST_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
+        self.large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
+        self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
+        """Two buffers of references."""
+        self.top: wp.array | None = None
+
+    def build(self) -> Bvh:
+        """Builds the tree."""
+        load(self.kernels(), self.device)  # compiling them is no phase of the build
+        with self.phase("references"):
+            self.make_references()
+        with self.phase("top levels"):
+            self.build_levels()
+        with self.phase("subtrees"):
+            self.build_subtrees()
+        binary = self.result()
+        if self.config.reinsertion:
+            with self.phase("reinsertion"):
+                binary = reinsert(binary, self.triangles.count, self.config, self.phase.stats)
+        with self.phase("collapse"):
+            return collapse(binary, self.triangles, self.config, self.phase.stats)
+
+    def kernels(self) -> list[wp.Kernel]:
+        """One kernel of each module."""
+        moving = [find_places] if self.config.reinsertion else []
+        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *moving, *collapse_kernels(self.heuristic)]
+
+    def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
+        """Launches a kernel on the build's device."""
+        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=CHUNKS_PER_THREAD)
+
+    def make_references(self) -> None:
+        """Phase "references": the first buffer, and the root's box."""
+        count, size = self.triangles.count, self.chunk
+        chunks = -(-count // size)
+        self.parts = wp.empty(16 * (chunks + count // self.large + 1), dtype=float, device=self.device)
+        self.run(level_phase.make_references, chunks, self.triangles.boxes, count, size, self.references, self.parts)
+        root = np.zeros(8, dtype=np.float32)
+        root[0:3], root[4:7] = self.triangles.low, -self.triangles.high
+        wp.copy(self.tree.box, wp.array(root, dtype=float, device=self.device), count=8)
+
+    def build_levels(self) -> None:
+        """Phase "top levels": splits large nodes until there are none."""
+        count, size, device = self.triangles.count, self.chunk, self.device
+        chunks = -(-count // size)
+        root = LiveNode()
+        root.frame.count = count
+        if count <= self.large:
+            self.tasks = array_of_structs([root.frame], Frame, device)
+            return
+        root.chunk_count = chunks
+        root.part_count = chunks
+        most_nodes = count // self.large + 1
+        most_chunks = chunks + most_nodes
+        nodes = [wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2)]
+        lists = [wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2)]
+        tasks = wp.empty(2 * most_nodes * MAX_LEVELS, dtype=Frame, device=device)
+        top = wp.empty(most_nodes * MAX_LEVELS, dtype=int, device=device)
+        numbers = wp.array([1, chunks, 0, 0, 0], dtype=int, device=device)
+        totals = wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=device)
+        scratch = make_scratch(most_chunks + most_nodes, device)
+        domain = wp.empty(8 * most_chunks, dtype=float, device=device)
+        wp.copy(nodes[0], array_of_structs([root], LiveNode, device), count=1)
+        self.run(level_phase.cut_root, 1, nodes[0], size, lists[0])
+
+        def level(nodes: wp.array, lists: wp.array, next_nodes: wp.array, next_lists: wp.array) -> list[Step]:
+            binned = [self.rules, self.references, nodes, lists, self.parts, domain, scratch]
+            searched = [self.rules, self.rays, count, nodes, lists, domain, scratch, most_chunks, self.tree]
+            moved = [self.references, nodes, lists, self.parts]
+            emitted = [count, self.large, size, MAX_LEVELS, nodes, next_nodes, next_lists, tasks, top, totals]
+            return [
+                Step(level_phase.bin_chunks, binned, number=CHUNKS),
+                Step(self.search_planes, searched, number=NODES),
+                Step(level_phase.partition_chunks, moved, number=CHUNKS),
+                Step(level_phase.emit_children, emitted, count=1),
+            ]
+
+        even, odd = (nodes[0], lists[0]), (nodes[1], lists[1])
+        launch_loop([level(*even, *odd), level(*odd, *even)], numbers, device)
+        _, _, done, pairs, _ = numbers.numpy().tolist()
+        self.top = top[:pairs] if pairs else None
+        made = tasks[:done].numpy()
+        self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)
+
+    def build_subtrees(self) -> None:
+        """Phase "subtrees": the largest first, which shares them out evenly."""
+        count = len(self.tasks)
+        scratch = make_scratch(count, self.device)
+        domain = wp.empty(8 * STACK * count, dtype=float, device=self.device)
+        stack = wp.empty((count, STACK), dtype=Frame, device=self.device)
+        self.subtrees = wp.empty(count, dtype=wp.vec2i, device=self.device)
+        inputs = [
+            self.rules,
+            self.rays,
+            self.references,
+            self.triangles.count,
+            self.tasks,
+            scratch,
+            domain,
+            stack,
+            self.tree,
+            self.subtrees,
+        ]
+        launch(self.subtree_kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
+
+    def result(self) -> BinaryBuild:
+        """The finished binary tree; the references are no longer needed."""
+        return BinaryBuild(self.tree, self.subtrees, self.top, self.references, self.heuristic, self.rays)

@@ -1,0 +1,88 @@
+"""How a bounding volume hierarchy is to be built."""
+
+from dataclasses import dataclass, field
+
+import warp as wp
+
+from wrt.builders.cost import SplitCost, SurfaceAreaCost
+from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MAX_BINS = 32
+"""Bins along an axis that the work space has room for."""
+
+LEAST_GRAIN = 4
+"""Triangles of a leaf of the binary tree, if blocks are narrower."""
+
+LEAF_BLOCKS = 3
+"""Blocks that a leaf may have, unless `BvhConfig.max_leaf_triangles` says otherwise."""
+
+MAX_ROUNDS = 1000
+"""Rounds of reinsertion that can be asked for; it ends by itself after some dozen."""
+
+LEAST_MAX_LEAF = 8
+"""Triangles that a leaf may have, if so many blocks have less."""
+
+
+@wp.struct
+class BuildRules:
+    """`BvhConfig` as kernels see it."""
+
+    cost: SplitCost
+    bins: int
+    grain: int
+    """A node of the binary tree is a leaf if it has at most so many triangles; the collapse puts leaves together."""
+    max_leaf: int
+    """Most triangles in a leaf of the finished tree."""
+
+
+@dataclass(frozen=True)
+class BvhConfig:
+    """Cost model and leaf size: the same for every builder of bounding volume hierarchies.
+
+    Attributes:
+        cost: the cost model; its width, at least 2, is that of blocks and of nodes. `traversal` is the cost of visiting a
+            node of W children; `empty_factor` plays no part.
+        bins: bins along an axis, 2 to 32, for builders that bin.
+        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
+        reinsertion: rounds of `wrt.builders.bvh.phases.reinsertion` at most; leaves of the binary tree are then of half a
+            block.
+
+    Raises:
+        ValueError: a value is out of range.
+    """
+
+    cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
+    bins: int = 16
+    max_leaf_triangles: int | None = None
+    reinsertion: int = 0
+
+    def __post_init__(self) -> None:
+        if self.cost.width < 2:
+            raise ValueError(f"cost.width is {self.cost.width}; it must be at least 2, for nodes of as many children")
+        if not 2 <= self.bins <= MAX_BINS:
+            raise ValueError(f"bins is {self.bins}; it must be from 2 to {MAX_BINS}")
+        if (
+            isinstance(self.reinsertion, bool)
+            or not isinstance(self.reinsertion, int)
+            or not 0 <= self.reinsertion <= MAX_ROUNDS
+        ):
+            raise ValueError(f"reinsertion is {self.reinsertion!r}; it must be a whole number of rounds from 0 to {MAX_ROUNDS}")
+        if self.max_leaf_triangles is not None and not 1 <= self.max_leaf_triangles <= MAX_LEAF_TRIANGLES:
+            raise ValueError(f"max_leaf_triangles is {self.max_leaf_triangles}; it must be from 1 to {MAX_LEAF_TRIANGLES}")
+
+    @property
+    def leaf_limit(self) -> int:
+        """Most triangles in a leaf."""
+        return self.max_leaf_triangles or max(LEAST_MAX_LEAF, LEAF_BLOCKS * self.cost.width)
+
+    def struct(self) -> BuildRules:
+        """The values for a kernel."""
+        rules = BuildRules()
+        rules.cost = self.cost.struct()
+        rules.bins = self.bins
+        rules.max_leaf = self.leaf_limit
+        block = self.cost.width // 2 if self.reinsertion else self.cost.width
+        rules.grain = min(self.leaf_limit, max(LEAST_GRAIN, block))
+        return rules

@@ -1,0 +1,114 @@
+"""How a bounding volume hierarchy for known rays is to be built: prices, distribution, axes, and when to stop.
+
+References:
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024: section 5.1.
+"""
+
+from dataclasses import dataclass, field
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.phases.split_axes import AxisChoice, AxisRules
+from wrt.builders.cost import SurfaceAreaCost
+from wrt.builders.influence.projected_cost import Mixture, RayDistribution
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@dataclass(frozen=True)
+class NodeRules:
+    """When a node is a leaf, or is split without a look at the rays, before prices are asked.
+
+    Attributes:
+        leaf_cost, leaf_area, leaf_probability: a node is a leaf if its cost as a leaf times its hit probability, its projected
+            area (for several areas: that share of the mean of the scene's), or its hit probability is at most that, and if it
+            has no more triangles than a leaf may have.
+        max_depth: depth of the binary tree from which on nodes are halved, so that it is no deeper, if it can be; None for the
+            depth that traversals have room for.
+        aware_depth: depth of the binary tree from which on planes are chosen as if rays went in all directions, on the longest
+            side; None for never.
+
+    Raises:
+        ValueError: a value is out of its range.
+    """
+
+    leaf_cost: float = 0.0
+    leaf_area: float = 0.0
+    leaf_probability: float = 0.0
+    max_depth: int | None = None
+    aware_depth: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("leaf_cost", "leaf_area", "leaf_probability"):
+            if not 0.0 <= getattr(self, name) < float("inf"):
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be finite and not negative")
+        if self.max_depth is not None and not 1 <= self.max_depth <= MAX_WIDE_DEPTH:
+            raise ValueError(f"max_depth is {self.max_depth}; it must be None or from 1 to {MAX_WIDE_DEPTH}")
+        if self.aware_depth is not None and self.aware_depth < 0:
+            raise ValueError(f"aware_depth is {self.aware_depth}; it must be None or not negative")
+
+
+@dataclass(frozen=True)
+class ProjectedConfig:
+    """A build for known rays.
+
+    Attributes:
+        bvh: prices, bins, leaf size.
+        rays: where rays go.
+        axes: which axes of a node are tried.
+        nodes: early leaves and depths.
+    """
+
+    bvh: BvhConfig
+    rays: RayDistribution
+    axes: AxisChoice = field(default_factory=AxisChoice)
+    nodes: NodeRules = field(default_factory=NodeRules)
+
+    @property
+    def cost(self) -> SurfaceAreaCost:
+        """The prices."""
+        return self.bvh.cost
+
+
+FELL_BACK = wp.constant(8)
+"""In `KnownRays.tried`: no axis of enough quality had a plane that was acceptable."""
+
+
+@wp.struct
+class KnownRays:
+    """`ProjectedConfig` for a scene, as kernels see it."""
+
+    mixture: Mixture
+    axes: AxisRules
+    leaf_cost: float
+    leaf_probability: float
+    max_depth: int
+    aware_depth: int
+    weight: wp.array(dtype=float)
+    """(2 * triangles,) of each binary node, once all are made."""
+    parent_weight: wp.array(dtype=float)
+    """(triangles,) of the node that a pair belongs to."""
+    tried: wp.array(dtype=wp.uint8)
+    """(2 * triangles,) of each binary node whose axes were chosen: bit k if axis k was tried, FELL_BACK; else 0."""
+
+
+def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
+    """What a build knows of the rays."""
+    device, nodes = triangles.boxes.low.device, config.nodes
+    rays = KnownRays()
+    rays.mixture = config.rays.mixture(triangles.low, triangles.high, triangles.center, device)
+    rays.axes = config.axes.struct()
+    rays.leaf_cost = nodes.leaf_cost
+    rays.leaf_probability = nodes.leaf_probability
+    if rays.mixture.area > 0.0:
+        rays.leaf_probability = max(nodes.leaf_probability, nodes.leaf_area / rays.mixture.area)
+    rays.max_depth = MAX_WIDE_DEPTH if nodes.max_depth is None else nodes.max_depth
+    rays.aware_depth = MAX_WIDE_DEPTH + 1 if nodes.aware_depth is None else nodes.aware_depth
+    rays.weight = wp.empty(2 * triangles.count, dtype=float, device=device)
+    rays.parent_weight = wp.empty(triangles.count, dtype=float, device=device)
+    rays.tried = wp.zeros(2 * triangles.count, dtype=wp.uint8, device=device)
+    return rays

@@ -1,0 +1,1 @@
+"""Phases of BVH builds: binning, levels, subtrees, collapse, and reinsertion."""

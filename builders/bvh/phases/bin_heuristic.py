@@ -1,0 +1,74 @@
+"""What a build by bins asks of its cost model, and the model for rays in all directions.
+
+The loops of the binned build and of the collapse are written once (`levels`, `subtrees`, `collapse`); they are made into
+kernels for one `Heuristic` each. Rays in all directions meet a box in proportion to its surface area; `projected` knows more
+of its rays.
+
+References:
+    J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
+"""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, half_area_of_both
+from wrt.builders.bvh.phases.bvh_bins import Placement, Scratch, best_plane
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@dataclass(frozen=True)
+class Heuristic:
+    """How boxes are weighed, and planes chosen.
+
+    Attributes:
+        rays: a Warp struct: what is known of the rays.
+        search: (rules, rays, placement, scratch, slot, tree, frame) -> Plane, the best of a node whose bins are filled.
+        is_leaf: (rules, rays, tree, frame) -> bool, whether a node of more triangles than `BuildRules.grain` is a leaf, though
+            a wide one has to have room for them.
+        weigh: (rays, tree, node) -> float, a node's weight, in proportion to the rays that meet it.
+        weigh_parent: (rays, tree, pair) -> float, that of the box around a pair: the same to the bit as its parent's.
+    """
+
+    rays: type
+    search: wp.Function
+    is_leaf: wp.Function
+    weigh: wp.Function
+    weigh_parent: wp.Function
+
+
+@wp.struct
+class AllDirections:
+    """Nothing is known of the rays."""
+
+
+@wp.func
+def cheapest_by_surface(
+    rules: BuildRules, rays: AllDirections, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
+):
+    """The cheapest plane of all three axes."""
+    return best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
+
+
+@wp.func
+def never(rules: BuildRules, rays: AllDirections, tree: BinaryTree, frame: Frame):
+    """Leaves are made by the collapse."""
+    return False
+
+
+@wp.func
+def surface_of(rays: AllDirections, tree: BinaryTree, node: int):
+    """Half the surface area of a node's box."""
+    return half_area(tree.box, node)
+
+
+@wp.func
+def surface_of_parent(rays: AllDirections, tree: BinaryTree, pair: int):
+    """Half the surface area of the box around a pair."""
+    return half_area_of_both(tree.box, pair)
+
+
+SURFACE = Heuristic(AllDirections, cheapest_by_surface, never, surface_of, surface_of_parent)
+"""The surface area heuristic."""

@@ -1,0 +1,113 @@
+"""The binary tree between a builder and the collapse to wide nodes.
+
+Nodes come in pairs of siblings. The pair that a node's triangles [first, first + count) are split into is stored somewhere in
+the pairs first + 1 .. first + count - 1, of which there are as many as the subtree can need: so subtrees are built side by
+side without asking each other for room. The root is node 0; pair p is the nodes 2 p and 2 p + 1.
+
+A box is kept as (low, -high), 8 floats: it grows by a single minimum, all components at once.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.layout.struct_arrays import with_known_layout
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+LEAF = wp.constant(0)
+"""`BinaryTree.pair` of a leaf."""
+
+
+@wp.struct
+class BinaryTree:
+    """A tree over the triangles in the order `order`; most of the reserved memory stays untouched."""
+
+    box: wp.array(dtype=float)
+    """(2 * triangles * 8,) low x, y, z, unused, -high x, y, z, unused, a node."""
+    range: wp.array(dtype=wp.vec2i)
+    """(2 * triangles,) first triangle in `order` and number of triangles, of inner nodes too."""
+    pair: wp.array(dtype=int)
+    """(2 * triangles,) the pair of its children; LEAF."""
+    order: wp.array(dtype=int)
+    """(triangles,) triangle ids."""
+
+
+@with_known_layout
+@wp.struct
+class Frame:
+    """A node that is being built or waits for its left sibling."""
+
+    node: int
+    first: int
+    """Its first triangle in the tree's order."""
+    count: int
+    buffer: int
+    """Where the buffer begins that holds its references: 0 or the number of triangles."""
+    depth: int
+
+
+def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
+    """Room for the tree of so many triangles."""
+    tree = BinaryTree()
+    tree.box = wp.empty(16 * triangles, dtype=float, device=device)
+    tree.range = wp.empty(2 * triangles, dtype=wp.vec2i, device=device)
+    tree.pair = wp.empty(2 * triangles, dtype=int, device=device)
+    tree.order = wp.empty(triangles, dtype=int, device=device)
+    return tree
+
+
+@wp.func_native("""
+    const float* box = boxes.data + (size_t)node * 8;
+    const float x = -(box[0] + box[4]), y = -(box[1] + box[5]), z = -(box[2] + box[6]);
+    return x * y + y * z + z * x;
+""")
+def half_area(boxes: wp.array(dtype=float), node: int) -> float:
+    """Half the surface area of a node's box."""
+    ...
+
+
+@wp.func_native("""
+    const float* a = boxes.data + (size_t)pair * 16;
+    float size[3];
+    for (int i = 0; i < 3; ++i) {
+        const float low = a[i] < a[8 + i] ? a[i] : a[8 + i];
+        const float high = a[4 + i] < a[12 + i] ? a[4 + i] : a[12 + i];
+        size[i] = -(low + high);
+    }
+    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0];
+""")
+def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
+    """Half the surface area of the box around both nodes of a pair."""
+    ...
+
+
+@wp.func
+def halvings(count: int):
+    """ceil(log2(count)): how often a range is halved until one is left."""
+    bits = int(0)
+    while (1 << bits) < count and bits < 30:
+        bits += 1
+    return bits
+
+
+@wp.func
+def must_halve(depth: int, count: int):
+    """Whether a node has to be split in the middle lest its subtree become too deep.
+
+    `depth + halvings(count)` never exceeds MAX_WIDE_DEPTH: any other split adds at most 1 to it and is made only below
+    that; a split in the middle does not change it. At a leaf it is at least the depth.
+    """
+    return depth + halvings(count) >= wp.static(MAX_WIDE_DEPTH)
+
+
+@wp.func
+def middle(count: int, width_bits: int):
+    """Triangles on the left of a split in the middle: whole blocks, if there is more than one."""
+    blocks = (count + (1 << width_bits) - 1) >> width_bits
+    return wp.where(blocks > 1, ((blocks + 1) >> 1) << width_bits, (count + 1) >> 1)
+
+
+@wp.func
+def price_of_areas(left_area: float, left_cost: float, right_area: float, right_cost: float):
+    """The part of a split's cost that differs between the splits of a node."""
+    return left_area * left_cost + right_area * right_cost

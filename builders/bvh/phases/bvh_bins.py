@@ -1,0 +1,354 @@
+"""The innermost loops of the binned build: a range of triangles is binned, its best plane found, the range partitioned.
+
+**Data.** A triangle is a reference of 8 floats (`wrt.builders.triangle_references`). Its centroid, doubled, is low + high. A
+bin is 8 floats too: the box of its triangles grows by one minimum of 8 lanes (Wald 2007, section 3).
+
+**Same bits everywhere.** `Placement` says which bin a centroid falls into. Binning and partition evaluate the same
+expression, so what was counted on the left of a plane goes to the left. Minima and counts do not depend on the order, so
+a range binned in chunks gives what it gives at once.
+
+Every function works on the scratch of one slot: that of a subtree's task, or of a chunk of the top levels.
+
+References:
+    I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
+"""
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
+from wrt.builders.bvh.phases.binary_tree import price_of_areas
+from wrt.builders.cost import SplitCost, leaf_cost
+from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.kernels.simd.boxes import INFINITY
+from wrt.kernels.simd.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+SLOT_BINS = 3 * MAX_BINS
+"""Bins of a slot: axis * bins + bin, packed densely when fewer are in use."""
+
+FEW = wp.constant(64)
+FEW_BINS = wp.constant(8)
+"""A node of at most FEW triangles gets FEW_BINS bins: clearing and sweeping more would cost more than they improve."""
+
+_HEAD = f"""{FOR_LANES}
+    constexpr int W = 8;
+    constexpr int SLOT_BINS = {SLOT_BINS};
+    constexpr int PIECE = 1 << 23;
+    (void)W; (void)SLOT_BINS; (void)PIECE;
+"""
+
+
+@wp.struct
+class Scratch:
+    """Work space of all slots."""
+
+    box: wp.array(dtype=float)
+    """(slots * SLOT_BINS * 8,) box of each bin."""
+    count: wp.array(dtype=int)
+    """(slots * SLOT_BINS,) triangles in each bin."""
+    left_area: wp.array(dtype=float)
+    """(slots * SLOT_BINS,) half area of the box of all bins before this one."""
+    right_area: wp.array(dtype=float)
+    """(slots * SLOT_BINS,) half area of the box of this bin and all after it."""
+    left: wp.array(dtype=int)
+    """(slots * SLOT_BINS,) triangles before this bin."""
+
+
+def make_scratch(slots: int, device: wp.Device) -> Scratch:
+    """Work space for so many slots."""
+    scratch = Scratch()
+    scratch.box = wp.empty(slots * SLOT_BINS * 8, dtype=float, device=device)
+    for name in ("left_area", "right_area"):
+        setattr(scratch, name, wp.empty(slots * SLOT_BINS, dtype=float, device=device))
+    for name in ("count", "left"):
+        setattr(scratch, name, wp.empty(slots * SLOT_BINS, dtype=int, device=device))
+    return scratch
+
+
+@wp.struct
+class Placement:
+    """Which bin a doubled centroid c falls into: (c - low) * scale, cut off at 0 and at the last bin."""
+
+    low: wp.vec3
+    scale: wp.vec3
+    bins: int
+
+
+@wp.struct
+class Plane:
+    """The best plane found."""
+
+    price: float
+    """See `price_of_areas`; INFINITY: there is no plane with triangles on both sides."""
+    axis: int
+    bin: int
+    """First bin on the right."""
+    left: int
+    """Triangles on the left."""
+
+
+@wp.func
+def no_plane():
+    """A plane that any other beats."""
+    plane = Plane()
+    plane.price = INFINITY
+    return plane
+
+
+@wp.func
+def bins_for(rules: BuildRules, count: int):
+    """Bins a node gets: few triangles need few."""
+    return wp.where(count > FEW, rules.bins, wp.min(rules.bins, FEW_BINS))
+
+
+@wp.func
+def place(domain: wp.array(dtype=float), at: int, bins: int):
+    """The bins of a node. domain: 8 floats a node, (low, -high) of the doubled centroids."""
+    placement = Placement()
+    placement.bins = bins
+    for axis in range(3):
+        low = load_float(domain, at * 8 + axis)
+        extent = -load_float(domain, at * 8 + 4 + axis) - low
+        placement.low[axis] = low
+        placement.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
+    return placement
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const float* __restrict__ from = references.data + (size_t)begin * 8;
+    float grown[W];
+    WRT_FOR_LANES(j) grown[j] = INFINITY;
+    for (int i = 0; i < count; ++i, from += 8) {
+        float centroid[W];
+        for (int j = 0; j < 4; ++j) { centroid[j] = from[j] - from[4 + j]; centroid[4 + j] = from[4 + j] - from[j]; }
+        WRT_FOR_LANES(j) grown[j] = centroid[j] < grown[j] ? centroid[j] : grown[j];
+    }
+    WRT_FOR_LANES(j) domain.data[(size_t)at * 8 + j] = grown[j];
+"""
+)
+def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, domain: wp.array(dtype=float), at: int):
+    """The box of the doubled centroids of a range."""
+    ...
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const float* __restrict__ from = references.data + (size_t)begin * 8;
+    float grown[W];
+    WRT_FOR_LANES(j) grown[j] = INFINITY;
+    for (int i = 0; i < count; ++i, from += 8) {
+        WRT_FOR_LANES(j) grown[j] = from[j] < grown[j] ? from[j] : grown[j];
+    }
+    WRT_FOR_LANES(j) boxes.data[(size_t)node * 8 + j] = grown[j];
+"""
+)
+def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: wp.array(dtype=float), node: int):
+    """The box of a range of triangles."""
+    ...
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const int bins = placement.bins;
+    float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
+    int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
+    const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
+    for (int i = 0; i < 3 * bins; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
+    for (int i = 0; i < 3 * bins; ++i) counts[i] = 0;
+    float low[4], scale[4];
+    for (int j = 0; j < 3; ++j) { low[j] = placement.low.c[j]; scale[j] = placement.scale.c[j]; }
+    low[3] = 0.0f; scale[3] = 0.0f;
+    const float last = (float)(bins - 1);
+    float one_more[W];
+    WRT_FOR_LANES(j) one_more[j] = -0.0f;
+    one_more[7] = -1.0f;
+    const float* __restrict__ from = references.data + (size_t)begin * 8;
+    for (int done = 0; done < count; done += PIECE) {
+        const int piece = count - done < PIECE ? count - done : PIECE;
+        for (int i = 0; i < piece; ++i, from += 8) {
+            float reference[W];
+            memcpy(reference, from, sizeof(reference));
+            int bin[4];
+            for (int j = 0; j < 4; ++j) {
+                float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
+                t = t > 0.0f ? t : 0.0f;
+                t = t < last ? t : last;
+                bin[j] = (int)t;
+            }
+            for (int axis = 0; axis < 3; ++axis) {
+                float* box = grid + (axis * bins + bin[axis]) * 8;
+                float grown[W];
+                memcpy(grown, box, sizeof(grown));
+                WRT_FOR_LANES(j) grown[j] = (reference[j] < grown[j] ? reference[j] : grown[j]) + one_more[j];
+                memcpy(box, grown, sizeof(grown));
+            }
+        }
+        for (int i = 0; i < 3 * bins; ++i) {
+            counts[i] -= (int)grid[i * 8 + 7];
+            grid[i * 8 + 7] = 0.0f;
+        }
+    }
+"""
+)
+def bin_range(references: wp.array(dtype=float), begin: int, count: int, placement: Placement, scratch: Scratch, slot: int):
+    """Bins a range of triangles along the three axes.
+
+    The last lane of a bin counts down by one a triangle, in the same instruction that adds -0 to the others: a separate
+    counter would be another load and store. It is emptied before floats run out of whole numbers."""
+    ...
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    float* to = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
+    int* count = scratch.count.data + (size_t)slot * SLOT_BINS;
+    for (int i = 0; i < 3 * bins * 8; ++i) to[i] = INFINITY;
+    for (int i = 0; i < 3 * bins; ++i) count[i] = 0;
+    for (int other = first; other < end; ++other) {
+        const float* from = scratch.box.data + (size_t)other * (SLOT_BINS * 8);
+        for (int i = 0; i < 3 * bins * 8; ++i) to[i] = from[i] < to[i] ? from[i] : to[i];
+        for (int i = 0; i < 3 * bins; ++i) count[i] += scratch.count.data[(size_t)other * SLOT_BINS + i];
+    }
+"""
+)
+def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
+    """Makes the bins of a slot those of the slots first .. end - 1 together."""
+    ...
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const size_t base = (size_t)slot * SLOT_BINS;
+    const float* grid = scratch.box.data + base * 8;
+    for (int axis = 0; axis < 3; ++axis) {
+        float grown[W];
+        WRT_FOR_LANES(j) grown[j] = INFINITY;
+        for (int b = bins - 1; b > 0; --b) {
+            const float* __restrict__ box = grid + (axis * bins + b) * 8;
+            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
+            const float x = -(grown[0] + grown[4]), y = -(grown[1] + grown[5]), z = -(grown[2] + grown[6]);
+            scratch.right_area.data[base + axis * bins + b] = x * y + y * z + z * x;
+        }
+        WRT_FOR_LANES(j) grown[j] = INFINITY;
+        int before = 0;
+        for (int b = 1; b < bins; ++b) {
+            const float* __restrict__ box = grid + (axis * bins + b - 1) * 8;
+            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
+            const float x = -(grown[0] + grown[4]), y = -(grown[1] + grown[5]), z = -(grown[2] + grown[6]);
+            scratch.left_area.data[base + axis * bins + b] = x * y + y * z + z * x;
+            before += scratch.count.data[base + axis * bins + b - 1];
+            scratch.left.data[base + axis * bins + b] = before;
+        }
+    }
+"""
+)
+def sweep_bins(scratch: Scratch, slot: int, bins: int):
+    """Areas and counts on both sides of every plane between bins."""
+    ...
+
+
+@wp.func
+def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int):
+    """The cheapest plane; ties go to the smaller axis, then to the smaller bin."""
+    sweep_bins(scratch, slot, bins)
+    best = no_plane()
+    for axis in range(3):
+        for b in range(1, bins):
+            i = slot * SLOT_BINS + axis * bins + b
+            left = load_int(scratch.left, i)
+            if left > 0 and left < count:
+                price = price_of_areas(
+                    load_float(scratch.left_area, i),
+                    leaf_cost(cost, left),
+                    load_float(scratch.right_area, i),
+                    leaf_cost(cost, count - left),
+                )
+                if price < best.price:
+                    best.price = price
+                    best.axis = axis
+                    best.bin = b
+                    best.left = left
+    return best
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const float* grid = scratch.box.data + ((size_t)slot * SLOT_BINS + axis * bins) * 8;
+    for (int side = 0; side < 2; ++side) {
+        float grown[W];
+        WRT_FOR_LANES(j) grown[j] = INFINITY;
+        for (int b = side ? plane : 0; b < (side ? bins : plane); ++b) {
+            const float* __restrict__ box = grid + b * 8;
+            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
+        }
+        WRT_FOR_LANES(j) boxes.data[((size_t)pair * 2 + side) * 8 + j] = grown[j];
+    }
+"""
+)
+def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: int, boxes: wp.array(dtype=float), pair: int):
+    """The boxes of the bins on both sides of a plane."""
+    ...
+
+
+@wp.func_native(
+    _HEAD
+    + """
+    const float low = placement.low.c[axis], scale = placement.scale.c[axis], last = (float)(placement.bins - 1);
+    const float* __restrict__ from = references.data + (size_t)begin * 8;
+    float* left = references.data + (size_t)to_left * 8;
+    float* right = references.data + (size_t)to_right * 8;
+    const float floors[2] = {INFINITY, -INFINITY};
+    float low_side[W], high_side[W];
+    WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
+    for (int i = 0; i < count; ++i, from += 8) {
+        float t = ((from[axis] - from[4 + axis]) - low) * scale;
+        t = t > 0.0f ? t : 0.0f;
+        t = t < last ? t : last;
+        const bool on_left = (int)t < plane;
+        float reference[W], centroid[W];
+        memcpy(reference, from, sizeof(reference));
+        for (int j = 0; j < 4; ++j) {
+            centroid[j] = from[j] - from[4 + j];
+            centroid[4 + j] = from[4 + j] - from[j];
+        }
+        float* to = on_left ? left : right;
+        memcpy(to, reference, sizeof(reference));
+        left += on_left ? 8 : 0;
+        right += on_left ? 0 : 8;
+        const float floor = floors[on_left];  // lifts what is on the other side out of the minimum, without a branch
+        WRT_FOR_LANES(j) {
+            const float a = centroid[j] > floor ? centroid[j] : floor;
+            const float b = centroid[j] > -floor ? centroid[j] : -floor;
+            low_side[j] = a < low_side[j] ? a : low_side[j];
+            high_side[j] = b < high_side[j] ? b : high_side[j];
+        }
+    }
+    WRT_FOR_LANES(j) {
+        domain.data[(size_t)left_at * 8 + j] = low_side[j];
+        domain.data[(size_t)right_at * 8 + j] = high_side[j];
+    }
+"""
+)
+def partition_range(
+    references: wp.array(dtype=float),
+    begin: int,
+    count: int,
+    placement: Placement,
+    axis: int,
+    plane: int,
+    to_left: int,
+    to_right: int,
+    domain: wp.array(dtype=float),
+    left_at: int,
+    right_at: int,
+):
+    """Moves a range to the two sides of a plane, in order; writes the boxes of their doubled centroids to `domain`."""
+    ...

@@ -1,0 +1,274 @@
+"""The top of the binned build: the large nodes of a level at once, parallel over chunks of their triangles.
+
+A level takes four launches:
+
+    bin         every chunk bins its triangles; the centroid box of its node is put together from what the chunks of the
+                level before left
+    search      every node merges the bins of its chunks, finds its best plane, and says where each of its chunks has to
+                write: the counts in the chunk's own bins tell how many of its triangles go to the left
+    partition   every chunk moves its triangles to the other buffer, in order, and leaves the centroid boxes of both sides
+    emit        lists the children that are still large, with their chunks; the others become tasks (`subtrees`)
+
+Minima and counts are the same in any order and grouping, so neither chunks nor threads show in the result, and a node gets
+the split that a task would give it.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.phases.bin_heuristic import Heuristic
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, must_halve
+from wrt.builders.bvh.phases.bvh_bins import (
+    SLOT_BINS,
+    Placement,
+    Plane,
+    Scratch,
+    bin_range,
+    bins_for,
+    centroid_domain,
+    merge_bins,
+    no_plane,
+    partition_range,
+    place,
+    write_child_boxes,
+)
+from wrt.builders.triangle_boxes import Boxes
+from wrt.builders.triangle_references import write_references
+from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.layout.unchecked import load_float, store_float
+from wrt.kernels.simd.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@with_known_layout
+@wp.struct
+class LiveNode:
+    """A large node of the current level."""
+
+    frame: Frame
+    chunk_first: int
+    """Its chunks of this level follow one another."""
+    chunk_count: int
+    part_first: int
+    """Its centroid box is that of the parts part_first, part_first + 2, ... that the level before left."""
+    part_count: int
+    placement: Placement
+    plane: Plane
+
+
+@with_known_layout
+@wp.struct
+class Chunk:
+    """A range of a live node's triangles."""
+
+    node: int
+    """Index of the live node."""
+    begin: int
+    """First reference."""
+    count: int
+    to_left: int
+    """Where its triangles on the left of the plane are written to."""
+    to_right: int
+
+
+@wp.kernel
+def make_references(
+    first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float), parts: wp.array(dtype=float)
+):
+    """Item: a chunk of `size` triangles. Writes their references, and the centroid box of the chunk to part 2 * chunk."""
+    chunk = first + wp.tid()
+    begin = chunk * size
+    end = wp.min(triangles, begin + size)
+    write_references(boxes, begin, end, references)
+    centroid_domain(references, begin, end - begin, parts, 2 * chunk)
+
+
+@wp.func
+def merge_parts(node: LiveNode, parts: wp.array(dtype=float), domain: wp.array(dtype=float), at: int):
+    """Puts the centroid box of a node together."""
+    for lane in range(8):
+        least = load_float(parts, node.part_first * 8 + lane)
+        for part in range(1, node.part_count):
+            value = load_float(parts, (node.part_first + part * 2) * 8 + lane)
+            least = wp.where(value < least, value, least)
+        store_float(domain, at * 8 + lane, least)
+
+
+@wp.kernel
+def bin_chunks(
+    first: int,
+    rules: BuildRules,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveNode),
+    chunks: wp.array(dtype=Chunk),
+    parts: wp.array(dtype=float),
+    domain: wp.array(dtype=float),
+    scratch: Scratch,
+):
+    """Item: a chunk. domain: (chunks * 8,)."""
+    slot = first + wp.tid()
+    chunk = chunks[slot]
+    node = nodes[chunk.node]
+    merge_parts(node, parts, domain, slot)
+    placement = place(domain, slot, bins_for(rules, node.frame.count))
+    bin_range(references, chunk.begin, chunk.count, placement, scratch, slot)
+
+
+@cache
+def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a live node."""
+    rays_type, search = heuristic.rays, heuristic.search
+
+    def search_planes(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        triangles: int,
+        nodes: wp.array(dtype=LiveNode),
+        chunks: wp.array(dtype=Chunk),
+        domain: wp.array(dtype=float),
+        scratch: Scratch,
+        merged_first: int,
+        tree: BinaryTree,
+    ):
+        """Item: a live node. merged_first: the slots from here on are for the merged bins of the nodes."""
+        index = first + wp.tid()
+        node = nodes[index]
+        frame = node.frame
+        node.placement = place(domain, node.chunk_first, bins_for(rules, frame.count))
+        bins = node.placement.bins
+        slot = merged_first + index
+        node.plane = no_plane()
+        if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+            merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
+            node.plane = search(rules, rays, node.placement, scratch, slot, tree, frame)
+        if node.plane.price < INFINITY:
+            pair = frame.first + node.plane.left
+            tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
+            tree.pair[frame.node] = pair
+            write_child_boxes(scratch, slot, bins, node.plane.axis, node.plane.bin, tree.box, pair)
+            to_left = triangles - frame.buffer + frame.first
+            to_right = to_left + node.plane.left
+            for c in range(node.chunk_first, node.chunk_first + node.chunk_count):
+                chunks[c].to_left = to_left
+                chunks[c].to_right = to_right
+                left = int(0)
+                for b in range(node.plane.bin):
+                    left += scratch.count[c * SLOT_BINS + node.plane.axis * bins + b]
+                to_left += left
+                to_right += chunks[c].count - left
+        nodes[index] = node
+
+    return wp.kernel(search_planes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@with_known_layout
+@wp.struct
+class Totals:
+    """How many there are of each."""
+
+    nodes: int
+    chunks: int
+    tasks: int
+    pairs: int
+    levels: int
+    """Levels that are done."""
+
+
+@wp.func
+def add_chunks(index: int, node: LiveNode, size: int, chunks: wp.array(dtype=Chunk)):
+    """Cuts a live node into chunks of `size` triangles."""
+    for i in range(node.chunk_count):
+        chunk = Chunk()
+        chunk.node = index
+        chunk.begin = node.frame.buffer + node.frame.first + i * size
+        chunk.count = wp.min(size, node.frame.count - i * size)
+        chunks[node.chunk_first + i] = chunk
+
+
+@wp.kernel
+def cut_root(first: int, nodes: wp.array(dtype=LiveNode), size: int, chunks: wp.array(dtype=Chunk)):
+    """One item. The chunks of the first level."""
+    add_chunks(0, nodes[0], size, chunks)
+
+
+@wp.kernel
+def emit_children(
+    first: int,
+    triangles: int,
+    large: int,
+    size: int,
+    most_levels: int,
+    nodes: wp.array(dtype=LiveNode),
+    next_nodes: wp.array(dtype=LiveNode),
+    next_chunks: wp.array(dtype=Chunk),
+    tasks: wp.array(dtype=Frame),
+    top: wp.array(dtype=int),
+    totals: wp.array(dtype=Totals),
+):
+    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split, and
+    as do all children of the last level. top: the pairs made."""
+    total = totals[0]
+    live = total.nodes
+    total.nodes = 0
+    total.chunks = 0
+    total.levels += 1
+    for index in range(live):
+        node = nodes[index]
+        if node.plane.price < INFINITY:
+            top[total.pairs] = node.frame.first + node.plane.left
+            total.pairs += 1
+            for side in range(2):
+                child = LiveNode()
+                child.frame.first = node.frame.first + side * node.plane.left
+                child.frame.count = wp.where(side == 0, node.plane.left, node.frame.count - node.plane.left)
+                child.frame.node = 2 * (node.frame.first + node.plane.left) + side
+                child.frame.buffer = triangles - node.frame.buffer
+                child.frame.depth = node.frame.depth + 1
+                if child.frame.count > large and total.levels < most_levels:
+                    child.chunk_first = total.chunks
+                    child.chunk_count = (child.frame.count + size - 1) / size
+                    child.part_first = 2 * node.chunk_first + side
+                    child.part_count = node.chunk_count
+                    add_chunks(total.nodes, child, size, next_chunks)
+                    next_nodes[total.nodes] = child
+                    total.nodes += 1
+                    total.chunks += child.chunk_count
+                else:
+                    tasks[total.tasks] = child.frame
+                    total.tasks += 1
+        else:
+            tasks[total.tasks] = node.frame
+            total.tasks += 1
+    totals[0] = total
+
+
+@wp.kernel
+def partition_chunks(
+    first: int,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveNode),
+    chunks: wp.array(dtype=Chunk),
+    parts: wp.array(dtype=float),
+):
+    """Item: a chunk. Leaves the centroid boxes of its left and right triangles in the parts 2 * chunk and 2 * chunk + 1."""
+    slot = first + wp.tid()
+    chunk = chunks[slot]
+    node = nodes[chunk.node]
+    if node.plane.price < INFINITY:
+        partition_range(
+            references,
+            chunk.begin,
+            chunk.count,
+            node.placement,
+            node.plane.axis,
+            node.plane.bin,
+            chunk.to_left,
+            chunk.to_right,
+            parts,
+            2 * slot,
+            2 * slot + 1,
+        )

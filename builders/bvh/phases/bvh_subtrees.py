@@ -1,0 +1,181 @@
+"""The lower part of the binned build: one task builds one subtree, depth first.
+
+A node's references lie in one of two buffers; its children's are written to the same places of the other one. The right
+child waits on a stack. Phases of a node: stop, search, partition, emit.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.phases.bin_heuristic import Heuristic
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, half_area, middle, must_halve
+from wrt.builders.bvh.phases.bvh_bins import (
+    Placement,
+    Plane,
+    Scratch,
+    bin_range,
+    bins_for,
+    centroid_domain,
+    no_plane,
+    partition_range,
+    place,
+    range_box,
+    write_child_boxes,
+)
+from wrt.builders.triangle_references import write_order
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.simd.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+STACK = MAX_WIDE_DEPTH + 2
+
+
+@wp.func
+def divide_at_plane(
+    references: wp.array(dtype=float),
+    triangles: int,
+    placement: Placement,
+    plane: Plane,
+    scratch: Scratch,
+    slot: int,
+    domain: wp.array(dtype=float),
+    at: int,
+    frame: Frame,
+    pair: int,
+    tree: BinaryTree,
+):
+    """Moves a node's triangles to the other buffer, those on the left of the plane first."""
+    write_child_boxes(scratch, slot, placement.bins, plane.axis, plane.bin, tree.box, pair)
+    to = triangles - frame.buffer + frame.first
+    partition_range(
+        references,
+        frame.buffer + frame.first,
+        frame.count,
+        placement,
+        plane.axis,
+        plane.bin,
+        to,
+        to + plane.left,
+        domain,
+        at + 1,
+        at,
+    )
+
+
+@wp.func
+def divide_in_the_middle(
+    references: wp.array(dtype=float),
+    left: int,
+    domain: wp.array(dtype=float),
+    at: int,
+    frame: Frame,
+    pair: int,
+    tree: BinaryTree,
+):
+    """Leaves a node's triangles where they are: the first `left` of them are the left child's."""
+    begin = frame.buffer + frame.first
+    range_box(references, begin, left, tree.box, 2 * pair)
+    range_box(references, begin + left, frame.count - left, tree.box, 2 * pair + 1)
+    centroid_domain(references, begin, left, domain, at + 1)
+    centroid_domain(references, begin + left, frame.count - left, domain, at)
+
+
+@cache
+def make_build_subtree(heuristic: Heuristic) -> wp.Function:
+    """`wp.func(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree) -> end` of the pairs that it made,
+    which begin at `task.first + 1`; the rest as of the kernel below."""
+    rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
+
+    @wp.func
+    def build_subtree(
+        rules: BuildRules,
+        rays: rays_type,
+        references: wp.array(dtype=float),
+        triangles: int,
+        task: Frame,
+        slot: int,
+        scratch: Scratch,
+        domain: wp.array(dtype=float),
+        stack: wp.array2d(dtype=Frame),
+        tree: BinaryTree,
+    ):
+        frame = task
+        next_pair = frame.first + 1
+        waiting = int(0)
+        centroid_domain(references, frame.buffer + frame.first, frame.count, domain, slot * STACK)
+        building = bool(True)
+        while building:
+            tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
+            if frame.count <= rules.grain or is_leaf(rules, rays, tree, frame):
+                # stop, emit
+                tree.pair[frame.node] = LEAF
+                write_order(references, frame.buffer + frame.first, frame.count, tree.order, frame.first)
+                waiting -= 1
+                building = waiting >= 0
+                if building:
+                    frame = stack[slot, waiting]
+            else:
+                # search
+                at = slot * STACK + waiting
+                placement = place(domain, at, bins_for(rules, frame.count))
+                plane = no_plane()
+                if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+                    bin_range(references, frame.buffer + frame.first, frame.count, placement, scratch, slot)
+                    plane = search(rules, rays, placement, scratch, slot, tree, frame)
+                # partition
+                pair = next_pair
+                next_pair += 1
+                tree.pair[frame.node] = pair
+                if plane.price < INFINITY:
+                    divide_at_plane(references, triangles, placement, plane, scratch, slot, domain, at, frame, pair, tree)
+                    frame.buffer = triangles - frame.buffer
+                else:
+                    plane.left = middle(frame.count, rules.cost.width_bits)
+                    divide_in_the_middle(references, plane.left, domain, at, frame, pair, tree)
+                # emit
+                frame.depth += 1
+                right = frame
+                right.node = 2 * pair + 1
+                right.first += plane.left
+                right.count -= plane.left
+                stack[slot, waiting] = right
+                waiting += 1
+                frame.node = 2 * pair
+                frame.count = plane.left
+        return next_pair
+
+    return build_subtree
+
+
+@cache
+def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a task."""
+    rays_type, build_subtree = heuristic.rays, make_build_subtree(heuristic)
+
+    def build_subtrees(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        references: wp.array(dtype=float),
+        triangles: int,
+        tasks: wp.array(dtype=Frame),
+        scratch: Scratch,
+        domain: wp.array(dtype=float),
+        stack: wp.array2d(dtype=Frame),
+        tree: BinaryTree,
+        subtrees: wp.array(dtype=wp.vec2i),
+    ):
+        """Item: a task.
+
+        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
+        that of the current one. subtrees: (tasks,) the pairs that each task made.
+        """
+        slot = first + wp.tid()
+        task = tasks[slot]
+        end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
+        subtrees[slot] = wp.vec2i(task.first + 1, end)
+
+    return wp.kernel(build_subtrees, module="unique", enable_backward=False, module_options={"fuse_fp": False})

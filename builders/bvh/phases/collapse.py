@@ -1,0 +1,395 @@
+"""From a binary tree to nodes of W children, in the layout of `wrt.kernels.layout.bvh_nodes`, at the least possible cost.
+
+**Problem.** A node can take any W descendants of a binary node that cover it, and any subtree of few triangles can be one
+leaf. Opening the largest child until there are W leaves many nodes nearly empty.
+
+**Algorithm.** A dynamic programme from the leaves up (Ylitie, Karras, Laine 2017, section 3.1; blocks for triangles). For
+every binary node n of weight A(n), its surface area or what else a `Heuristic` weighs it by, F(n, j) is the least cost of its
+triangles if they may take up to j lanes:
+
+    leaf(n) = A(n) C_b blocks(n)                               if n has at most so many triangles as a leaf may
+    D(n, j) = min over k of F(left, k) + F(right, j - k)       both children share the lanes
+    F(n, 1) = min(leaf(n), A(n) C_t + D(n, W))                 a lane: a leaf, or a wide node
+    F(n, j) = min(F(n, 1), D(n, j))
+
+Wide nodes are then made from the root down, level by level, in parallel:
+
+    pick    every node picks its children by following the minima, and counts its inner ones and the blocks of its leaves
+    scan    the counts of the nodes before it tell each node where its children and blocks begin
+    list    the next level's nodes are listed
+
+When all levels are known, one launch writes boxes, child words and leaf blocks.
+
+**Complexity.** O(W^2) a binary node, in W vector steps.
+
+References:
+    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
+        IEEE Symposium on Interactive Ray Tracing 2008.
+    H. Ylitie, T. Karras, S. Laine: Efficient incoherent ray traversal on GPUs through compressed wide BVHs.
+        High Performance Graphics 2017.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree
+from wrt.builders.cost import leaf_cost
+from wrt.builders.tree import BuildStats, Bvh
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.simd.boxes import INFINITY
+from wrt.kernels.simd.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MAX_WIDTH = 16
+
+NO_NODE = wp.constant(0x7FFFFFFF)
+"""Binary node of an unused lane."""
+
+
+@wp.struct
+class WideLevels:
+    """The wide nodes as they are found, in breadth-first order."""
+
+    source: wp.array(dtype=int)
+    """(nodes,) the binary node that each stands for."""
+    pick: wp.array2d(dtype=int)
+    """(nodes, W) the binary nodes of its children; ~node: it is to be a leaf; NO_NODE."""
+    first: wp.array(dtype=wp.vec2i)
+    """(nodes,) its first inner child and its first block; before the scan, how many it has of each."""
+
+
+@wp.func_native(
+    f"""{FOR_LANES}
+    constexpr int W = {MAX_WIDTH};
+    const float* a = costs.data + (size_t)left * W;
+    float* to = costs.data + (size_t)pair * W;
+    float shifted[2 * W], best[W];
+    WRT_FOR_LANES(i) {{ shifted[i] = INFINITY; best[i] = INFINITY; }}
+    if (right) {{ WRT_FOR_LANES(i) shifted[W + i] = costs.data[(size_t)right * W + i]; }}
+    else {{ WRT_FOR_LANES(i) shifted[W + i] = right_leaf; }}
+    for (int k = 0; k < width - 1; ++k) {{
+        const float own = left ? a[k] : left_leaf;
+        WRT_FOR_LANES(i) {{
+            const float sum = own + shifted[W - 1 - k + i];
+            best[i] = sum < best[i] ? sum : best[i];
+        }}
+    }}
+    const float node = inner + best[width - 1];
+    const float one = leaf < node ? leaf : node;
+    WRT_FOR_LANES(i) to[i] = best[i] < one ? best[i] : one;
+"""
+)
+def combine(
+    costs: wp.array(dtype=float),
+    pair: int,
+    width: int,
+    left: int,
+    left_leaf: float,
+    right: int,
+    right_leaf: float,
+    inner: float,
+    leaf: float,
+):
+    """F(n, 1 .. W) of the parent of a pair from those of the pair's nodes.
+
+    left, right: where their costs are; LEAF: they are leaves that cost left_leaf, right_leaf. inner: A(n) C_t."""
+    ...
+
+
+@cache
+def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
+    """What a binary node costs as a leaf, and at least if it may take so many lanes."""
+    rays_type, weigh = heuristic.rays, heuristic.weigh
+
+    @wp.func
+    def cost_as_leaf(rules: BuildRules, rays: rays_type, tree: BinaryTree, node: int):
+        """leaf(n); INFINITY if it has too many triangles."""
+        count = tree.range[node][1]
+        return wp.where(count <= rules.max_leaf, weigh(rays, tree, node) * leaf_cost(rules.cost, count), INFINITY)
+
+    @wp.func
+    def least_cost(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), node: int, lanes: int):
+        """F(n, lanes)."""
+        pair = tree.pair[node]
+        if pair == LEAF:
+            return cost_as_leaf(rules, rays, tree, node)
+        return costs[pair * MAX_WIDTH + lanes - 1]
+
+    return cost_as_leaf, least_cost
+
+
+@cache
+def make_solve(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel that solves subtrees, and what is above them."""
+    rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
+    cost_as_leaf, _ = make_costs(heuristic)
+
+    @wp.func
+    def solve_pair(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int):
+        """F of the node that a pair belongs to."""
+        left = 2 * pair
+        right = left + 1
+        count = tree.range[left][1] + tree.range[right][1]
+        area = weigh_parent(rays, tree, pair)
+        leaf = wp.where(count <= rules.max_leaf, area * leaf_cost(rules.cost, count), INFINITY)
+        combine(
+            costs,
+            pair,
+            1 << rules.cost.width_bits,
+            tree.pair[left],
+            cost_as_leaf(rules, rays, tree, left),
+            tree.pair[right],
+            cost_as_leaf(rules, rays, tree, right),
+            area * rules.cost.traversal,
+            leaf,
+        )
+
+    def solve(
+        first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        tree: BinaryTree,
+        ranges: wp.array(dtype=wp.vec2i),
+        listed: wp.array(dtype=int),
+        costs: wp.array(dtype=float),
+    ):
+        """Item: a range of pairs, parents before children; of pairs in the list `listed`, if that is not empty."""
+        pairs = ranges[first + wp.tid()]
+        for i in range(pairs[1] - pairs[0]):
+            pair = pairs[1] - 1 - i
+            if listed.shape[0] > 0:
+                pair = listed[pair]
+            solve_pair(rules, rays, tree, costs, pair)
+
+    return wp.kernel(solve, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@cache
+def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
+    """The kernel whose item is a node of the level."""
+    rays_type = heuristic.rays
+    cost_as_leaf, least_cost = make_costs(heuristic)
+
+    @wp.func
+    def share_lanes(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
+        """Lanes of a pair's left node in D(n, lanes)."""
+        best = float(INFINITY)
+        share = int(1)
+        for k in range(1, lanes):
+            cost = least_cost(rules, rays, tree, costs, 2 * pair, k) + least_cost(
+                rules, rays, tree, costs, 2 * pair + 1, lanes - k
+            )
+            if cost < best:
+                best = cost
+                share = k
+        return share
+
+    def pick_children(
+        first: int,
+        level_first: int,
+        rules: BuildRules,
+        rays: rays_type,
+        tree: BinaryTree,
+        costs: wp.array(dtype=float),
+        wide: WideLevels,
+    ):
+        """Item: a node of the level."""
+        index = level_first + first + wp.tid()
+        width = 1 << rules.cost.width_bits
+        waiting = wp.zeros(shape=(MAX_WIDTH,), dtype=wp.vec2i)
+        node = wide.source[index]
+        lanes = int(width)
+        depth = int(0)
+        held = int(0)
+        counts = wp.vec2i(0, 0)
+        share = bool(True)  # the root has to be a node, even if a leaf or a lane would do
+        picking = bool(True)
+        while picking:
+            pair = tree.pair[node]
+            if pair != LEAF and not share:
+                share = costs[pair * MAX_WIDTH + lanes - 1] < costs[pair * MAX_WIDTH]
+            if pair != LEAF and share:
+                left = share_lanes(rules, rays, tree, costs, pair, lanes)
+                waiting[depth] = wp.vec2i(2 * pair + 1, lanes - left)
+                depth += 1
+                node = 2 * pair
+                lanes = left
+            else:
+                # costs do not tell where surface areas overflow or are NaN: what has no children is a leaf whatever it costs
+                is_leaf = pair == LEAF
+                if tree.range[node][1] <= rules.max_leaf and not is_leaf:
+                    is_leaf = cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1)
+                if is_leaf:
+                    wide.pick[index, held] = ~node
+                    counts[1] += (tree.range[node][1] + width - 1) >> rules.cost.width_bits
+                else:
+                    wide.pick[index, held] = node
+                    counts[0] += 1
+                held += 1
+                depth -= 1
+                picking = depth >= 0
+                if picking:
+                    node = waiting[depth][0]
+                    lanes = waiting[depth][1]
+            share = False
+        for lane in range(held, width):
+            wide.pick[index, lane] = NO_NODE
+        wide.first[index] = counts
+
+    return wp.kernel(pick_children, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@wp.kernel
+def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, totals: wp.array(dtype=int)):
+    """One item. totals: (2,) wide nodes and blocks so far."""
+    nodes = totals[0]
+    blocks = totals[1]
+    for index in range(level_first, level_end):
+        counts = wide.first[index]
+        wide.first[index] = wp.vec2i(nodes, blocks)
+        nodes += counts[0]
+        blocks += counts[1]
+    totals[0] = nodes
+    totals[1] = blocks
+
+
+@wp.kernel
+def list_children(first: int, level_first: int, width: int, wide: WideLevels):
+    """Item: a node of the level."""
+    index = level_first + first + wp.tid()
+    to = wide.first[index][0]
+    for lane in range(width):
+        node = wide.pick[index, lane]
+        if node >= 0 and node != NO_NODE:
+            wide.source[to] = node
+            to += 1
+
+
+@wp.kernel
+def write_nodes(
+    first: int,
+    tree: BinaryTree,
+    width_bits: int,
+    wide: WideLevels,
+    bounds: wp.array(dtype=float),
+    child: wp.array(dtype=int),
+    primitive: wp.array(dtype=int),
+):
+    """Item: a wide node."""
+    index = first + wp.tid()
+    width = 1 << width_bits
+    next_child = wide.first[index][0]
+    next_block = wide.first[index][1]
+    for lane in range(width):
+        node = wide.pick[index, lane]
+        word = int(EMPTY_LANE)
+        if node == NO_NODE:
+            for component in range(6):
+                bounds[(index * 6 + component) * width + lane] = wp.where(component < 3, INFINITY, -INFINITY)
+        else:
+            leaf = node < 0
+            node = wp.where(leaf, ~node, node)
+            for axis in range(3):
+                bounds[(index * 6 + axis) * width + lane] = tree.box[node * 8 + axis]
+                bounds[(index * 6 + 3 + axis) * width + lane] = -tree.box[node * 8 + 4 + axis]
+            if leaf:
+                order = tree.range[node]
+                word = leaf_child(next_block, order[1])
+                blocks = (order[1] + width - 1) >> width_bits
+                for i in range(blocks << width_bits):
+                    triangle = int(-1)
+                    if i < order[1]:
+                        triangle = tree.order[order[0] + i]
+                    primitive[(next_block << width_bits) + i] = triangle
+                next_block += blocks
+            else:
+                word = next_child
+                next_child += 1
+        child[index * width + lane] = word
+
+
+@dataclass
+class BinaryBuild:
+    """What a builder hands over.
+
+    Attributes:
+        tree: the binary tree.
+        subtrees: (subtrees,) vec2i ranges of pairs, parents before children.
+        top: pairs above the subtrees, parents before children; may be empty.
+        space: (16 * triangles,) float32, to be overwritten.
+        heuristic: how its boxes are weighed.
+        rays: what the heuristic knows of the rays.
+    """
+
+    tree: BinaryTree
+    subtrees: wp.array
+    top: wp.array | None
+    space: wp.array
+    heuristic: Heuristic = SURFACE
+    rays: Any = field(default_factory=AllDirections)
+
+    def arrays(self) -> list[wp.array]:
+        """The memory that is held until the collapse is done."""
+        return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order, self.space]
+
+
+def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
+    """The kernels of a collapse, to be loaded ahead: one of each module."""
+    return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
+
+
+def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
+    """F of all inner nodes, to `binary.space`."""
+    solve, device, tree, rays = make_solve(binary.heuristic), binary.space.device, binary.tree, binary.rays
+    in_order = wp.empty(0, dtype=int, device=device)
+    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], device=device, chunk=1)
+    if binary.top is not None:
+        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
+        launch(solve, 1, [rules, rays, tree, whole, binary.top, binary.space], device=device)
+
+
+def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
+    """The wide tree.
+
+    Raises:
+        ValueError: it would need more than MAX_BLOCKS blocks.
+    """
+    tree, costs, rays = binary.tree, binary.space, binary.rays
+    pick_children = make_pick_children(binary.heuristic)
+    device, width, rules = costs.device, config.cost.width, config.struct()
+    solve_costs(binary, rules)
+    pairs = binary.subtrees.numpy()
+    most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
+    wide = WideLevels()
+    wide.source = wp.zeros(most, dtype=int, device=device)
+    wide.pick = wp.empty((most, width), dtype=int, device=device)
+    wide.first = wp.empty(most, dtype=wp.vec2i, device=device)
+    totals = wp.array([1, 0], dtype=int, device=device)
+    level_first = [0]
+    nodes, blocks = 1, 0
+    while level_first[-1] < nodes:
+        first, count = level_first[-1], nodes - level_first[-1]
+        launch(pick_children, count, [first, rules, rays, tree, costs, wide], device=device, chunk=16)
+        launch(scan_level, 1, [first, nodes, wide, totals], device=device)
+        launch(list_children, count, [first, width, wide], device=device, chunk=128)
+        level_first.append(nodes)
+        nodes, blocks = totals.numpy().tolist()  # the one round trip of a level
+    if blocks > MAX_BLOCKS:
+        raise ValueError(f"the tree has {blocks} blocks of {width} triangles; there is room for {MAX_BLOCKS}")
+    bounds = wp.empty(nodes * 6 * width, dtype=float, device=device)
+    child = wp.empty(nodes * width, dtype=int, device=device)
+    primitive = wp.empty(blocks * width, dtype=int, device=device)
+    inputs = [tree, rules.cost.width_bits, wide, bounds, child, primitive]
+    launch(write_nodes, nodes, inputs, device=device, chunk=16)
+    work = [*binary.arrays(), wide.source, wide.pick, wide.first]
+    stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, bounds, child, primitive)
+    low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
+    return Bvh(bounds, child, primitive, low, high, width, tuple(level_first), stats)

@@ -1,0 +1,1 @@
+"""BVHs whose triangles have moved: refit, measurement, and partial rebuilds."""

@@ -1,0 +1,157 @@
+"""Trees put together: subtrees of a wide BVH in place of old ones, and several trees below an upper one, or side by side.
+
+Nodes are in breadth-first order (`wrt.kernels.layout.bvh_nodes`), level by level: the nodes of all trees go into one pool, the
+lanes that led to the old subtrees lead to the new ones, and what can be reached from the root is numbered again.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.leaf_blocks import gather_blocks
+from wrt.builders.rebuild_heuristic import Part
+from wrt.builders.tree import BuildStats, Bvh
+from wrt.builders.triangle_boxes import TriangleBoxes, boxes_of
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
+
+Build = Callable[[TriangleBoxes], Bvh]
+
+
+def subtree_triangles(tree: Bvh, node: int) -> np.ndarray:
+    """Ids of the triangles below a node, in order."""
+    child, primitive, found = tree.child.numpy().reshape(-1, tree.width), tree.primitive.numpy(), []
+    level = np.array([node])
+    while len(level):
+        words = child[level].ravel()
+        leaves = words[(words < 0) & (words != EMPTY_LANE)]
+        blocks = -(-(~leaves & 63) // tree.width)
+        found.append(gather_blocks(primitive, tree.width, ~leaves >> 6, blocks)[0])
+        level = words[words >= 0]
+    ids = np.concatenate(found)
+    return np.sort(ids[ids >= 0])
+
+
+def build_subtree(ids: np.ndarray, low: np.ndarray, high: np.ndarray, build: Build) -> Bvh:
+    """A tree of its own for the triangles `ids`; low, high: (T, 3) float32 boxes of all triangles."""
+    return renamed(build(boxes_of(low[ids], high[ids])), ids)
+
+
+def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
+    """The tree with others in place of some of its nodes, or of some children of one, none of them the root or below another.
+
+    Returns:
+        The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
+    """
+    sizes, child, bounds, lists = pool([tree, *subtrees.values()])
+    for part in subtrees:
+        if len(part) > 1:
+            unite_lanes(child[: sizes[0]], bounds, part)
+    leads_to = np.arange(len(child))
+    leads_to[[part[0] for part in subtrees]] = np.cumsum(sizes)[:-1]
+    child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
+    grafted, order = assembled(child, bounds, lists, tree)
+    return grafted, np.where(order < sizes[0], order, -1)
+
+
+def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
+    """Makes one lane, which leads to the first of some siblings, of those of all; unused lanes come last. Changes both arrays.
+
+    Args:
+        child, bounds: (nodes, W) and (nodes, 6 W), as `pool` gives them.
+        siblings: children of one node.
+    """
+    rows, lanes = np.nonzero(np.isin(child, siblings))
+    words, corners = child[rows[0]], bounds[rows[0]].reshape(2, 3, -1)
+    corners[0, :, lanes[0]] = corners[0][:, lanes].min(axis=1)
+    corners[1, :, lanes[0]] = corners[1][:, lanes].max(axis=1)
+    words[lanes[0]] = siblings[0]
+    kept = np.delete(np.arange(len(words)), lanes[1:])
+    words[: len(kept)], words[len(kept) :] = words[kept], EMPTY_LANE
+    corners[..., : len(kept)] = corners[..., kept]
+    corners[0, :, len(kept) :], corners[1, :, len(kept) :] = np.inf, -np.inf
+
+
+def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
+    """One tree of several: each stands in the place of a leaf of the upper one.
+
+    Args:
+        top: over the boxes of the trees, one a leaf.
+        trees: in the order in which `top` numbers them.
+        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+    """
+    named = [renamed(tree, own) for tree, own in zip(trees, members, strict=True)]
+    sizes, child, bounds, lists = pool([top, *named])
+    roots = np.cumsum(sizes)[:-1]
+    upper = child[: sizes[0]]
+    leaf = (upper < 0) & (upper != EMPTY_LANE)
+    upper[leaf] = roots[top.primitive.numpy()[(~upper[leaf] >> 6) * top.width]]
+    return assembled(child, bounds, lists, top)[0]
+
+
+def renamed(tree: Bvh, ids: np.ndarray) -> Bvh:
+    """The same tree with ids[i] for its triangle i."""
+    lists = tree.primitive.numpy()
+    numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
+    return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
+
+
+def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bvh) -> tuple[Bvh, np.ndarray]:
+    """A tree of what can be reached in a pool from node 0, and for each of its nodes which one it was; arguments as of `pool`.
+
+    Args:
+        child, bounds, lists: as `pool` gives them.
+        like: a tree with the same root's box, width, device and times.
+    """
+    width, device = like.width, like.bounds.device
+    order, level_first = breadth_first(child)
+    number = np.empty(len(child), dtype=np.int64)
+    number[order] = np.arange(len(order))
+    words = child[order]
+    words = np.where(words >= 0, number[np.maximum(words, 0)], words)
+    leaf = (words < 0) & (words != EMPTY_LANE)
+    packed = ~words[leaf]
+    primitive, first = gather_blocks(lists, width, packed >> 6, -(-(packed & 63) // width))
+    words[leaf] = ~(first << 6 | packed & 63)
+    arrays = bounds[order].ravel(), words.ravel().astype(np.int32), primitive
+    made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]
+    stats = BuildStats(dict(like.stats.seconds))
+    stats.reserve(*made)
+    return Bvh(*made, like.low, like.high, width, level_first, stats), order
+
+
+def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes of each tree; and of all: (nodes, W) child words that lead to the same in the pool, boxes, and leaf lists."""
+    sizes, children, node_base, block_base = [tree.level_first[-1] for tree in trees], [], 0, 0
+    for tree, size in zip(trees, sizes, strict=True):
+        words = tree.child.numpy().reshape(-1, tree.width)[:size]
+        leaf = (words < 0) & (words != EMPTY_LANE)
+        children.append(np.where(words >= 0, words + node_base, np.where(leaf, words - (block_base << 6), words)))
+        node_base, block_base = node_base + size, block_base + len(tree.primitive) // tree.width
+    bounds = [tree.bounds.numpy().reshape(-1, 6 * tree.width)[:size] for tree, size in zip(trees, sizes, strict=True)]
+    lists = [tree.primitive.numpy() for tree in trees]
+    return sizes, np.concatenate(children), np.concatenate(bounds), np.concatenate(lists)
+
+
+def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray]:
+    """Trees side by side in the same arrays, and the root of each; the whole has no root, no box and no levels.
+
+    Args:
+        trees: on one device.
+        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+    """
+    sizes, child, bounds, lists = pool([renamed(tree, own) for tree, own in zip(trees, members, strict=True)])
+    device, stats = trees[0].bounds.device, BuildStats()
+    arrays = bounds.ravel(), child.ravel().astype(np.int32), lists
+    made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]
+    return Bvh(*made, wp.vec3(), wp.vec3(), trees[0].width, (0,), stats), np.cumsum(sizes) - sizes
+
+
+def breadth_first(child: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
+    """The nodes that can be reached from node 0, level by level, and the first of each level; child: (nodes, W) words."""
+    levels, first = [np.zeros(1, dtype=np.int64)], [0, 1]
+    while len(below := child[levels[-1]][child[levels[-1]] >= 0]):
+        levels.append(below)
+        first.append(first[-1] + len(below))
+    return np.concatenate(levels), tuple(first)

@@ -1,0 +1,69 @@
+"""What a ray that meets a node of a wide BVH is expected to cost in all below it, by the surface area heuristic.
+
+The deepest level first, in parallel over the nodes of a level, as in `wrt.builders.bvh.update.refit`. The root's is the tree's
+cost (`wrt.builders.bvh.bvh_statistics`), to rounding.
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.cost import SplitCost, SurfaceAreaCost, leaf_cost
+from wrt.builders.tree import Bvh
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, leaf_triangles
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.simd.boxes import INFINITY, greatest, least
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def area_of(low: wp.vec3, high: wp.vec3):
+    """Half the surface area of a box."""
+    size = high - low
+    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+
+
+@wp.kernel
+def sum_costs(
+    first: int,
+    level_first: int,
+    width: int,
+    price: SplitCost,
+    bounds: wp.array(dtype=float),
+    child: wp.array(dtype=int),
+    costs: wp.array(dtype=float),
+):
+    """Item: a node of the level, whose inner children are done. Where the node has no area, every ray meets all children."""
+    node = level_first + first + wp.tid()
+    low = wp.vec3(INFINITY, INFINITY, INFINITY)
+    high = -low
+    weighted = float(0.0)
+    plain = float(0.0)
+    for lane in range(width):
+        word = child[node * width + lane]
+        if word != EMPTY_LANE:
+            at = node * 6 * width + lane
+            own_low = wp.vec3(bounds[at], bounds[at + width], bounds[at + 2 * width])
+            own_high = wp.vec3(bounds[at + 3 * width], bounds[at + 4 * width], bounds[at + 5 * width])
+            low = least(low, own_low)
+            high = greatest(high, own_high)
+            cost = leaf_cost(price, leaf_triangles(word))
+            if word >= 0:
+                cost = costs[word]
+            weighted += cost * area_of(own_low, own_high)
+            plain += cost
+    area = area_of(low, high)
+    below = plain
+    if area > 0.0:
+        below = weighted / area
+    costs[node] = price.traversal + below
+
+
+def node_costs(tree: Bvh, cost: SurfaceAreaCost) -> np.ndarray:
+    """(nodes,) float32 cost of each subtree."""
+    device = tree.bounds.device
+    costs = wp.empty(tree.level_first[-1], dtype=float, device=device)
+    for first, end in reversed(list(zip(tree.level_first, tree.level_first[1:], strict=False))):
+        inputs = [first, tree.width, cost.struct(), tree.bounds, tree.child, costs]
+        launch(sum_costs, end - first, inputs, device=device, chunk=64)
+    return costs.numpy()

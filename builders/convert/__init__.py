@@ -1,0 +1,1 @@
+"""Finished trees in other layouts."""

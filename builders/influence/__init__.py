@@ -1,0 +1,1 @@
+"""Influence areas: parts of a scene where ray directions are known, and the costs that follow."""

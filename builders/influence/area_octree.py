@@ -1,0 +1,170 @@
+"""The octree over the regions of influence areas, built level by level from pairs of a cell and an area.
+
+A cell is a leaf if every region that touches it encloses it, or at the greatest depth; the others are cut into eight. A child
+is tested against the regions that touch its parent alone, all pairs of a slice of cells in one launch: a level costs as many
+tests as it has such pairs, not cells times areas. A leaf's word tells the list of areas that touch it; each different list is
+held once. Where many regions overlap nearly every leaf has a long list of its own, so an octree that outgrows MOST_BYTES is
+refused instead of filling the memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.influence.region_tests import APART, TOUCHING, Region, classify_pairs
+from wrt.kernels.runtime.launch import launch
+
+MOST_BYTES = 1 << 30
+"""Memory of an octree while it is built, but for a slice: what a full one of eight levels takes whose lists are short."""
+
+CELL_BYTES = 56
+"""Of a cell: its word, and while its level is built its corners and where its pairs begin."""
+
+SLICE_PAIRS = 1 << 21
+"""Pairs that are tested at a time, but for those of a single cell: some 50 MB."""
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cells of a level, and their pairs.
+
+    Attributes:
+        low, high: (N, 3) corners.
+        begin: (N + 1,) each cell's first pair, and their number.
+        area: (pairs,) int32, ascending for each cell: those whose regions touch it.
+        is_mixed: (N,) bool, whether the region of some area touches the cell without enclosing it.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    begin: np.ndarray
+    area: np.ndarray
+    is_mixed: np.ndarray
+
+    def __len__(self) -> int:
+        """Number of cells."""
+        return len(self.low)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the pairs."""
+        return self.area.nbytes
+
+    def children(self, parents: np.ndarray, regions: wp.array) -> Cells:
+        """The eight children of some cells, one cell's after the other's."""
+        low, high = cut_cells(self.low[parents], self.high[parents])
+        sizes = np.repeat(np.diff(self.begin)[parents], 8)
+        ends = np.cumsum(sizes)
+        cell = np.repeat(np.arange(len(low), dtype=np.int32), sizes)
+        starts = np.repeat(self.begin[:-1][parents], 8) - (ends - sizes)
+        area = self.area[np.arange(len(cell)) + starts[cell]]
+        state = classify(regions, low, high, cell, area)
+        touching = state != APART
+        counts = np.bincount(cell[touching], minlength=len(low))
+        mixed = np.bincount(cell[state == TOUCHING], minlength=len(low)) > 0
+        return Cells(low, high, np.append(0, np.cumsum(counts)), area[touching], mixed)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Cells]) -> Cells:
+        """The cells of all parts."""
+        if len(parts) == 1:
+            return parts[0]
+        counts = np.concatenate([np.diff(part.begin) for part in parts])
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("low", "high", "area", "is_mixed")}
+        return cls(begin=np.append(0, np.cumsum(counts)), **arrays)
+
+
+class AreaLists:
+    """The different lists of areas, in the order in which they are found.
+
+    Attributes:
+        lists: of ascending areas, int32.
+        bytes: what they take.
+    """
+
+    def __init__(self) -> None:
+        self.bytes = 0
+        self._numbers: dict[bytes, int] = {}
+
+    @property
+    def lists(self) -> list[np.ndarray]:
+        return [np.frombuffer(key, dtype=np.int32) for key in self._numbers]
+
+    def number(self, areas: np.ndarray) -> int:
+        """The number of a list."""
+        key = areas.tobytes()
+        if key not in self._numbers:
+            self._numbers[key] = len(self._numbers)
+            self.bytes += len(key)
+        return self._numbers[key]
+
+
+def build_octree(
+    structs: Sequence[Region], low: np.ndarray, high: np.ndarray, depth: int
+) -> tuple[np.ndarray, list[np.ndarray]]:
+    """(child words, lists of areas) of an octree in the layout of `wrt.kernels.influence.area_assignment.AreaTree`.
+
+    The look-up may find a point on the border of two cells in either but for rounding, which a region that touches both is not
+    apart from (`wrt.kernels.influence.region_tests.is_apart`).
+
+    Args:
+        structs: the regions.
+        low, high: (3,) corners of the root, which all regions touch.
+        depth: levels below the root at most.
+
+    Raises:
+        ValueError: it would take more than MOST_BYTES.
+    """
+    count = len(structs)
+    regions = wp.array(list(structs), dtype=Region, device="cpu")
+    cells = Cells(low[None], high[None], np.array([0, count]), np.arange(count, dtype=np.int32), np.ones(1, dtype=bool))
+    lists, levels, total = AreaLists(), [], 1
+    for level in range(depth + 1):
+        divided = cells.is_mixed & (level < depth)
+        words = np.empty(len(cells), dtype=np.int32)
+        words[divided] = total + 8 * np.arange(divided.sum())
+        for cell in np.flatnonzero(~divided):
+            words[cell] = ~lists.number(cells.area[cells.begin[cell] : cells.begin[cell + 1]])
+        levels.append(words)
+        total += 8 * int(divided.sum())
+        if not divided.any():
+            break
+        parts, held = [], total * CELL_BYTES + cells.bytes + lists.bytes
+        for parents in slices(np.flatnonzero(divided), 8 * np.diff(cells.begin)):
+            parts.append(cells.children(parents, regions))
+            held += parts[-1].bytes
+            if held > MOST_BYTES:
+                raise ValueError(
+                    f"the octree over {count} influence areas takes more than {MOST_BYTES >> 20} MB at level {level + 1} of "
+                    f"{depth}; pass depth={level} to wrt.RayAwareBvh, or top_level='array'"
+                )
+        cells = Cells.joined(parts)
+    return np.concatenate(levels), lists.lists
+
+
+def slices(chosen: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
+    """Runs of the chosen cells with up to SLICE_PAIRS pairs each, or of a single cell; pairs: of each cell."""
+    place = np.cumsum(pairs[chosen]) // SLICE_PAIRS
+    return np.split(chosen, np.flatnonzero(np.diff(place)) + 1)
+
+
+def classify(regions: wp.array, low: np.ndarray, high: np.ndarray, cell: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """(pairs,) uint8 for pairs of a cell, whose corners are (N, 3), and an area: APART, TOUCHING or ENCLOSED."""
+    corners = [wp.array(np.ascontiguousarray(a), dtype=wp.vec3d, device="cpu", copy=False) for a in (low, high)]
+    pairs = [wp.array(a, dtype=int, device="cpu", copy=False) for a in (cell, area)]
+    state = wp.empty(len(cell), dtype=wp.uint8, device="cpu")
+    launch(classify_pairs, len(cell), [regions, *corners, *pairs, state], device=state.device, chunk=4096)
+    return state.numpy()
+
+
+def cut_cells(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners (8 N, 3) of the eight children of N cells, one cell's after the other's."""
+    upper = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)], dtype=bool)
+    middle = (0.5 * (low + high))[:, None]
+    lows = np.where(upper, middle, low[:, None])
+    highs = np.where(upper, high[:, None], middle)
+    return lows.reshape(-1, 3), highs.reshape(-1, 3)

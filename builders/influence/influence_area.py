@@ -1,0 +1,223 @@
+"""Influence areas: parts of a scene where the directions of rays are known, as descriptions.
+
+A plane influence area holds parallel rays, as those of a directional light or of an orthographic camera: a cuboid whose rays
+leave one face, the window, at right angles. A point influence area holds radial rays, as those of a point light or of a
+pinhole camera: a frustum whose rays leave its near plane on lines through its apex. Trees are built for areas
+(`wrt.builders.cost`), and rays are told by area (`affine`; batches that are traced, by the loops of
+`wrt.kernels.influence.area_lanes`).
+
+References:
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024: chapter 3, section 5.4.
+"""
+
+from dataclasses import dataclass
+from math import isfinite, radians, sin, tan
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.influence.view import AreaView, tell_affine
+from wrt.kernels.runtime.launch import launch
+
+Point = tuple[float, float, float]
+
+SINE_OF_PARALLEL = 1e-6
+"""`up` has to be farther than that from the direction."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlaneInfluenceArea:
+    """A cuboid of parallel rays.
+
+    Rays leave a rectangle and run along `direction`. Ray x, y of it leaves position + x right + y up, for |x| <= width / 2
+    and |y| <= height / 2 (`frame`); the area is what lies at most `depth` in front of the rectangle, borders included.
+
+    Attributes:
+        position: middle of the rectangle.
+        direction: of the rays, of any length.
+        width, height: sides of the rectangle, in the scene's units.
+        depth: how far the area reaches along the rays; may be inf.
+        up: what is up in the rectangle, of any length; None for the axis that is most across the rays.
+
+    Raises:
+        ValueError: a value is not finite or not above 0, the direction is 0, or `up` is parallel to it.
+    """
+
+    position: Point
+    direction: Point
+    width: float
+    height: float
+    depth: float
+    up: Point | None = None
+
+    def __post_init__(self) -> None:
+        _settle(self)
+        for name in ("width", "height"):
+            check_positive(name, getattr(self, name))
+        check_positive("depth", self.depth, endless=True)
+
+    @property
+    def frame(self) -> np.ndarray:
+        """(3, 3) float64: the orthogonal unit vectors right, up, forward."""
+        return frame_of(self.direction, self.up)
+
+    def view(self, center: np.ndarray) -> AreaView:
+        """The area for kernels, relative to a scene's center, (3,) float64."""
+        view = _view(self, center)
+        view.near, view.far = 0.0, self.depth
+        view.half = wp.vec2(self.width / 2, self.height / 2)
+        view.radial = False
+        return view
+
+    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
+        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+
+        Args:
+            origins, directions: (N, 3).
+            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+        """
+        return affine_rays(self, origins, directions, tolerance)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointInfluenceArea:
+    """A frustum of rays on lines through one point.
+
+    The area is what is seen from `position` at a depth from `near` to `far` along `direction`, at most half the field of view
+    from it to each side, borders included. Rays leave the near plane.
+
+    Attributes:
+        position: the point that all lines go through.
+        direction: middle of the field of view, of any length.
+        fov: horizontal and vertical field of view, in degrees, each above 0 and below 180.
+        near, far: depths, 0 < near < far; far may be inf.
+        up: what is up in the picture, of any length; None for the axis that is most across the direction.
+
+    Raises:
+        ValueError: a value is out of its range or not finite, the direction is 0, or `up` is parallel to it.
+    """
+
+    position: Point
+    direction: Point
+    fov: tuple[float, float]
+    near: float
+    far: float
+    up: Point | None = None
+
+    def __post_init__(self) -> None:
+        _settle(self)
+        object.__setattr__(self, "fov", check_numbers("fov", self.fov, 2))
+        if not all(0.0 < angle < 180.0 for angle in self.fov):
+            raise ValueError(f"fov is {self.fov}; both angles must be above 0 and below 180 degrees")
+        check_positive("near", self.near)
+        check_positive("far", self.far, endless=True)
+        if self.far <= self.near:
+            raise ValueError(f"far is {self.far}; it must be above near, which is {self.near}")
+
+    @property
+    def frame(self) -> np.ndarray:
+        """(3, 3) float64: the orthogonal unit vectors right, up, forward."""
+        return frame_of(self.direction, self.up)
+
+    @property
+    def tangents(self) -> tuple[float, float]:
+        """Half the window's width and height at depth 1."""
+        return tan(radians(self.fov[0]) / 2), tan(radians(self.fov[1]) / 2)
+
+    def view(self, center: np.ndarray) -> AreaView:
+        """The area for kernels, relative to a scene's center, (3,) float64."""
+        view = _view(self, center)
+        view.near, view.far = self.near, self.far
+        view.half = wp.vec2(*self.tangents)
+        view.radial = True
+        return view
+
+    def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
+        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+
+        Args:
+            origins, directions: (N, 3).
+            tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+        """
+        return affine_rays(self, origins, directions, tolerance)
+
+
+InfluenceArea = PlaneInfluenceArea | PointInfluenceArea
+
+
+def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray, tolerance: float) -> np.ndarray:
+    """Which rays start in an area and run along its ray through their origin, or straight against it.
+
+    Raises:
+        ValueError: origins and directions are not (N, 3), or the tolerance is out of its range.
+    """
+    if not 0.0 <= tolerance < 90.0:
+        raise ValueError(f"tolerance is {tolerance}; it must be from 0 up to, not including, 90 degrees")
+    origins, directions = np.asarray(origins, dtype=np.float64), np.asarray(directions, dtype=np.float32)
+    if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
+        raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (N, 3)")
+    center, device = np.array(area.position), wp.get_device("cpu")
+    with np.errstate(over="ignore"):
+        near = np.ascontiguousarray((origins - center).astype(np.float32))
+    rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
+    affine = wp.empty(len(near), dtype=wp.bool, device=device)
+    launch(tell_affine, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
+    return affine.numpy()
+
+
+def frame_of(direction: Point, up: Point | None) -> np.ndarray:
+    """(3, 3) float64: orthogonal unit vectors right, up, forward = direction.
+
+    Raises:
+        ValueError: `direction` or `up` is 0, or they are parallel.
+    """
+    forward = np.array(direction)
+    scale = np.abs(forward).max()
+    if scale == 0.0:
+        raise ValueError("direction is zero; give one of any other length")
+    forward = forward / scale
+    forward /= np.linalg.norm(forward)
+    upward = np.eye(3)[np.abs(forward).argmin()] if up is None else np.array(up)
+    right = np.cross(forward, upward)
+    sine, length = np.linalg.norm(right), np.linalg.norm(upward)
+    if not sine > SINE_OF_PARALLEL * length:
+        raise ValueError(f"up is {up}, which is zero or parallel to the direction; leave it out, or give another one")
+    right /= sine
+    return np.array([right, np.cross(right, forward), forward])
+
+
+def check_numbers(name: str, value: object, count: int) -> tuple[float, ...]:
+    """Returns so many finite numbers; raises a ValueError that names the argument otherwise."""
+    try:
+        numbers = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.shape != (count,) or not np.isfinite(numbers).all():
+        raise ValueError(f"{name} must be {count} finite numbers, not {value!r}")
+    return tuple(numbers.tolist())
+
+
+def check_positive(name: str, value: float, endless: bool = False) -> None:
+    """Raises an error if a value is not above 0, or infinite where that is not allowed."""
+    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    if not (value > 0.0 and (endless or isfinite(value))):
+        raise ValueError(f"{name} is {value}; it must be above 0{'' if endless else ' and finite'}")
+
+
+def _settle(area: InfluenceArea) -> None:
+    """Makes tuples of what was given as arrays, and checks that there is a frame."""
+    object.__setattr__(area, "position", check_numbers("position", area.position, 3))
+    object.__setattr__(area, "direction", check_numbers("direction", area.direction, 3))
+    if area.up is not None:
+        object.__setattr__(area, "up", check_numbers("up", area.up, 3))
+    frame_of(area.direction, area.up)
+
+
+def _view(area: InfluenceArea, center: np.ndarray) -> AreaView:
+    """A view with the place and the axes of an area."""
+    view = AreaView()
+    view.eye = wp.vec3(*(np.array(area.position) - center))
+    view.right, view.up, view.forward = (wp.vec3(*axis) for axis in area.frame)
+    return view

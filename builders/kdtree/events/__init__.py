@@ -1,0 +1,1 @@
+"""Sorted events of boxes, and the planes swept from them."""

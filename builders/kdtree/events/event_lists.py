@@ -1,0 +1,163 @@
+"""Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006, O(N log N); survey, Algorithms
+4.1.4 and 4.1.5).
+
+A node has a list an axis. Search sweeps the three of them, 16 events at a time where it can (`least_plane`); classify marks
+every triangle from the list of the split axis; partition splits each list between the children in one pass. A part of a sorted
+list is sorted, so nothing has to be merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
+
+References:
+    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
+        IEEE Symposium on Interactive Ray Tracing 2006.
+"""
+
+import warp as wp
+
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
+from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
+from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
+from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Parts, Task
+from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
+from wrt.kernels.simd.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class EventLists:
+    """Lists of all tasks, each in its own share."""
+
+    event: wp.array(dtype=wp.vec2i)
+    """Events: bits of the position, and index of the triangle within the task << 2 | type."""
+    triangle: wp.array(dtype=int)
+    """Ids of a task's triangles, ascending."""
+    side: wp.array(dtype=wp.uint8)
+    """Scratch of the classify phase, one per triangle of a task: 1 left, 2 right, 3 both."""
+    vertices: wp.array(dtype=wp.vec3)
+    """The mesh, for builds that clip (`clipped_events`), as is what follows."""
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """By how much cells and boxes are enlarged when they are clipped."""
+    number: wp.array(dtype=int)
+    """Scratch, one per triangle of a task: which of the node's straddlers it is."""
+    straddler: wp.array(dtype=float)
+    """Scratch, 16 per triangle: a node's straddlers as references (8 each), and behind them what is left of them in a child.
+    Their id is the index of the triangle within the task."""
+    fresh: wp.array(dtype=wp.vec2i)
+    """Scratch, 4 per triangle: new events along one axis, and room to sort them."""
+
+
+@wp.func
+def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int, end: int, least: float, sweep: wp.ref[Sweep]):
+    """Passes the events begin .. end - 1, or fewer: it ends where a plane of the least cost is behind it."""
+    i = int(begin)
+    while i < end:
+        event = load_pair(lists.event, i)
+        position = wp.cast(event[0], wp.float32)
+        if sweep.best.cost <= least and position != sweep.best.position:
+            break
+        sweep_event(cost, along, event[1] & 3, position, sweep)
+        i += 1
+    close_planar(cost, along, sweep)
+
+
+@wp.func
+def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
+    """The best plane of a node: one sweep per axis, from where the least cost is if that is known."""
+    best = no_split()
+    for axis in range(3):
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+        begin = frame.first[axis]
+        end = begin + frame.count[axis]
+        sweep = start_sweep(0, frame.triangles)
+        least = LeastPlane()
+        least.cost = -INFINITY
+        if end - begin == 2 * frame.triangles:  # none is planar
+            find_least_plane(cost, along, lists.event, begin, end - begin, frame.triangles, least)
+            begin = least.event
+            sweep.left = least.left
+            sweep.right = least.right
+        sweep.best = best
+        if least.cost < best.cost:
+            sweep_until(cost, along, lists, begin, end, least.cost, sweep)
+        best = sweep.best
+    return best
+
+
+@wp.func
+def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
+    """Marks the children of every triangle of the node, from its events along the split axis: both where it starts on the left,
+    but the left one only where it ends there."""
+    position = split.position
+    begin = frame.first[split.axis]
+    for i in range(begin, begin + frame.count[split.axis]):
+        event = load_pair(lists.event, i)
+        at = wp.cast(event[0], wp.float32)
+        kind = event[1] & 3
+        place = sides_first + (event[1] >> 2)
+        before = at < position or (at == position and (kind == END or (kind == PLANAR and split.planar_left)))
+        # what is known already is written again: no branch on the kind to mispredict
+        known = load_byte(lists.side, place)
+        on_left = wp.where(kind == START, wp.uint8(3), wp.uint8(1))
+        on_right = wp.where(kind == END, known, wp.uint8(2))
+        store_byte(lists.side, place, wp.where(before, on_left, on_right))
+
+
+@wp.func
+def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
+    """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
+
+    One of `to_left` and `to_right` is `begin`: that child's events are compacted in place."""
+    left = int(to_left)
+    right = int(to_right)
+    for i in range(begin, begin + count):
+        event = load_pair(lists.event, i)
+        side = int(load_byte(lists.side, sides_first + (event[1] >> 2))) & 3
+        # written whether wanted or not, kept by moving the end: no branch to mispredict
+        store_pair(lists.event, left, event)
+        left += side & 1
+        store_pair(lists.event, right, event)
+        right += side >> 1
+    return wp.vec2i(left - to_left, right - to_right)
+
+
+@wp.func
+def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Classify and partition: gives the children their lists."""
+    classify(lists, task.triangles_first, frame, split)
+    append_left = split.left < split.right
+    to = int(frame.top)
+    for axis in range(3):
+        if append_left:
+            left.first[axis] = to
+        else:
+            right.first[axis] = to
+        count = partition(
+            lists, task.triangles_first, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
+        )
+        left.count[axis] = count[0]
+        right.count[axis] = count[1]
+        to += wp.where(append_left, count[0], count[1])
+    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    left.top = to
+    right.top = wp.where(append_left, frame.top, to)
+    left.triangles = split.left
+    right.triangles = split.right
+
+
+@wp.func
+def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
+    """Lists the node's triangles, by the position at which they begin in x."""
+    to = int(begin)
+    end = begin + frame.triangles  # as the search counted them: of NaN it may have another opinion than the lists
+    for i in range(frame.first[0], frame.first[0] + frame.count[0]):
+        value = load_pair(lists.event, i)[1]
+        if (value & 3) != END and to < end:
+            parts.primitive[to] = lists.triangle[task.triangles_first + (value >> 2)]
+            to += 1
+    while to < end:
+        parts.primitive[to] = -1
+        to += 1
+
+
+EVENTS = Method(EventLists, search, divide, emit_leaf)

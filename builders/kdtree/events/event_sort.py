@@ -1,0 +1,112 @@
+"""Events of a sweep: where each triangle's box starts and ends along each axis, sorted once for the whole build.
+
+A box that is flat along an axis gives one planar event there, any other a start and an end: a start is always before its end,
+because what is not longer than 0, NaN too, counts as flat, wherever events are made. Events are sorted by
+position; at equal positions ends come first, then planar ones, then starts, and among these the smaller triangle id
+(Wald and Havran 2006). A part of a sorted list is a sorted list: nodes need no sort, but where they clip (`clipped_events`).
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.radix_sort import sort_rows
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+END = wp.constant(0)
+PLANAR = wp.constant(1)
+START = wp.constant(2)
+
+CHUNK = 4096
+"""Triangles that are counted together before a scan."""
+
+EVENT_CHUNK = 2048
+"""Events that an item of a kernel takes together at least."""
+
+
+@wp.struct
+class Events:
+    """The sorted events of the three axes."""
+
+    position: wp.array2d(dtype=float)
+    """(3, capacity); only the first `count[axis]` of a row are in use."""
+    value: wp.array2d(dtype=int)
+    """(3, capacity): triangle << 2 | type."""
+    count: wp.vec3i
+    chunk: int
+    """Events that an item of a kernel takes together; no result depends on it."""
+
+
+@wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
+def event_position(events: Events, axis: int, i: int) -> float:
+    """events.position[axis, i], without index checks: see `wrt.kernels.layout.unchecked`."""
+    ...
+
+
+@wp.func_native("return events.value.data[(size_t)axis * events.value.shape[1] + i];")
+def event_value(events: Events, axis: int, i: int) -> int:
+    """events.value[axis, i], without index checks."""
+    ...
+
+
+@wp.kernel
+def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dtype=int)):
+    """Item: a chunk of triangles. counts: (3, chunks)."""
+    chunk = first + wp.tid()
+    for axis in range(3):
+        planar = int(0)
+        for i in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+            planar += wp.where(boxes.low[axis, i] < boxes.high[axis, i], 0, 1)
+        counts[axis, chunk] = planar
+
+
+@wp.kernel
+def emit_events(
+    first: int, boxes: Boxes, triangles: int, planar_before: wp.array2d(dtype=int), total: wp.vec3i, events: Events
+):
+    """Item: a chunk of triangles. Writes all ends, then all planar events, then all starts, each by triangle id."""
+    chunk = first + wp.tid()
+    for axis in range(3):
+        begin = chunk * CHUNK
+        planar = planar_before[axis, chunk]
+        spread = begin - planar
+        solid = triangles - total[axis]
+        for i in range(begin, wp.min(triangles, (chunk + 1) * CHUNK)):
+            low = boxes.low[axis, i]
+            high = boxes.high[axis, i]
+            if not (low < high):
+                events.position[axis, solid + planar] = low
+                events.value[axis, solid + planar] = (i << 2) | PLANAR
+                planar += 1
+            else:
+                events.position[axis, spread] = high
+                events.value[axis, spread] = (i << 2) | END
+                events.position[axis, triangles + spread] = low
+                events.value[axis, triangles + spread] = (i << 2) | START
+                spread += 1
+
+
+def sorted_events(triangles: TriangleBoxes) -> Events:
+    """All events, sorted."""
+    boxes, count = triangles.boxes, triangles.count
+    device = boxes.low.device
+    chunks = -(-count // CHUNK)
+    counts = wp.empty((3, chunks), dtype=int, device=device)
+    launch(count_planar, chunks, [boxes, count, counts], device=device, chunk=1)
+    planar = counts.numpy()
+    total = planar.sum(axis=1)
+    before = wp.array(np.cumsum(planar, axis=1) - planar, dtype=int, device=device)
+    events = Events()
+    events.chunk = EVENT_CHUNK
+    events.position = wp.empty((3, 4 * count), dtype=float, device=device)
+    events.value = wp.empty((3, 4 * count), dtype=int, device=device)
+    events.count = wp.vec3i(*(int(2 * count - n) for n in total))
+    launch(emit_events, chunks, [boxes, count, before, wp.vec3i(*map(int, total)), events], device=device, chunk=1)
+    if device.is_cpu:
+        sort_rows(events.position, events.value, events.count)
+    else:
+        for axis in range(3):
+            wp.utils.radix_sort_pairs(events.position[axis], events.value[axis], int(events.count[axis]))
+    return events

@@ -1,0 +1,82 @@
+"""The planes of a sweep, one event at a time: what the judge (`sorting_sweep`) does in groups, without looking ahead.
+
+At a position with e ends, p planar triangles and s starts, the counts that matter are those after all ends and before all
+starts. Events come in the order end, planar, start. A plane evaluated after only some of the ends has more triangles on
+its right than the true one, so it cannot be cheaper, and of equally cheap ones at one position the last end counts; one
+evaluated before a later start has more on its left, and of these the first counts. So every event may evaluate the plane
+at its position with the counts as they stand, without a branch on what follows, and the minimum is that of the groups.
+
+Planar triangles are the exception: a part of them on each side is no split. They are tried all on the right when the
+first of them comes, and all on the left when the last has been seen.
+"""
+
+import warp as wp
+
+from wrt.builders.cost import AxisFrame, Split, SplitCost, no_split, plane_cost
+from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class Sweep:
+    """Where a sweep stands in one node, along one axis."""
+
+    left: int
+    """Triangles that have begun."""
+    right: int
+    """Triangles that have not ended."""
+    planar: int
+    """Triangles in the plane at `position` that have been seen; they still count as to the right of it."""
+    position: float
+    best: Split
+
+
+@wp.func
+def start_sweep(left: int, right: int):
+    """A sweep with so many triangles to the left and to the right, and no plane yet."""
+    sweep = Sweep()
+    sweep.left = left
+    sweep.right = right
+    sweep.best = no_split()
+    return sweep
+
+
+@wp.func
+def try_plane(cost: SplitCost, along: AxisFrame, kind: int, position: float, sweep: wp.ref[Sweep]):
+    """Keeps the plane, with the counts as they stand, if it is cheaper than the best; after another end at the same
+    position, also if it is as cheap."""
+    price = plane_cost(cost, along, position, sweep.left, sweep.right)
+    same_plane = sweep.best.axis == along.axis and sweep.best.position == position
+    better = price < sweep.best.cost or (kind == END and price == sweep.best.cost and same_plane)
+    if better and position > along.low and position < along.high:
+        sweep.best.cost = price
+        sweep.best.axis = along.axis
+        sweep.best.position = position
+        sweep.best.planar_left = kind == START
+        sweep.best.left = sweep.left
+        sweep.best.right = sweep.right
+
+
+@wp.func
+def close_planar(cost: SplitCost, along: AxisFrame, sweep: wp.ref[Sweep]):
+    """Passes the planar triangles seen last, if there are any, and tries them on the left."""
+    if sweep.planar > 0:
+        sweep.left += sweep.planar
+        sweep.right -= sweep.planar
+        sweep.planar = 0
+        try_plane(cost, along, START, sweep.position, sweep)
+
+
+@wp.func
+def sweep_event(cost: SplitCost, along: AxisFrame, kind: int, position: float, sweep: wp.ref[Sweep]):
+    """Tries the plane at an event and passes the event."""
+    if kind != PLANAR or position != sweep.position:
+        close_planar(cost, along, sweep)
+    sweep.right -= wp.where(kind == END, 1, 0)
+    if kind != PLANAR or sweep.planar == 0:
+        try_plane(cost, along, kind, position, sweep)
+    sweep.left += wp.where(kind == START, 1, 0)
+    if kind == PLANAR:
+        sweep.planar += 1
+        sweep.position = position

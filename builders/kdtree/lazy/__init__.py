@@ -1,0 +1,1 @@
+"""Kd-trees that are built while rays are traced."""

@@ -1,0 +1,124 @@
+"""The triangles of the cells that are opened (`lazy`): found among those of the clusters that may meet a cell.
+
+Where every cell's list of clusters is right, so is its list of triangles: a triangle whose box meets the inside of a cell lies
+in a cluster whose box does. One that lies in the plane between two cells belongs to the upper one; clusters reach a little
+beyond their triangles (`clusters`), so that both cells have its cluster.
+
+Count, scan, fill: an item is a pair of a cell and a cluster.
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.reference_lists import HEAD
+from wrt.builders.triangle_boxes import Boxes
+from wrt.builders.triangle_references import ID_OFFSET
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class Pair:
+    """A cell and a cluster whose box meets it."""
+
+    low: wp.vec3
+    """The cell."""
+    high: wp.vec3
+    planar_end: wp.vec3
+    """Planar triangles lie below it: its upper corner, or more where the cell ends with the scene."""
+    begin: int
+    """The cluster's triangles."""
+    end: int
+    to: int
+    """Where the ids of those in the cell are written."""
+
+
+@wp.func_native(
+    """
+    const size_t n = boxes.low.shape[1];
+    int found = 0;
+    for (int i = pair.begin; i < pair.end; ++i) {
+        const size_t triangle = order.data[i];
+        bool inside = true;
+        for (int axis = 0; axis < 3; ++axis) {
+            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
+            inside &= low == high ? (low >= pair.low.c[axis]) & (low < pair.planar_end.c[axis])
+                                  : (low < pair.high.c[axis]) & (high > pair.low.c[axis]);
+        }
+        if (writing && inside) ids.data[pair.to + found] = (int)triangle;
+        found += inside;
+    }
+    return found;
+"""
+)
+def choose_triangles(boxes: Boxes, order: wp.array(dtype=int), pair: Pair, writing: bool, ids: wp.array(dtype=int)) -> int:
+    """Counts the triangles of a cluster that are in a cell, and writes their ids if asked to."""
+    ...
+
+
+@wp.kernel
+def count_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), counts: wp.array(dtype=int)):
+    """Item: a pair."""
+    i = first + wp.tid()
+    counts[i] = choose_triangles(boxes, order, pairs[i], False, counts)
+
+
+@wp.kernel
+def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), ids: wp.array(dtype=int)):
+    """Item: a pair."""
+    choose_triangles(boxes, order, pairs[first + wp.tid()], True, ids)
+
+
+@wp.func_native(
+    HEAD
+    + f"""
+    const size_t n = boxes.low.shape[1];
+    float* __restrict__ to = references.data + (size_t)frame.first.c[0] * 8;
+    float least[W];
+    WRT_FOR_LANES(j) least[j] = INFINITY;
+    for (int i = frame.first.c[0]; i < frame.first.c[0] + frame.triangles; ++i, to += 8) {{
+        const size_t triangle = ids.data[i];
+        const int bits = (int)triangle + {ID_OFFSET};
+        for (size_t axis = 0; axis < 3; ++axis) {{
+            to[axis] = boxes.low.data[axis * n + triangle];
+            to[4 + axis] = -boxes.high.data[axis * n + triangle];
+        }}
+        memcpy(to + 3, &bits, 4);
+        to[7] = 0.0f;
+        WRT_FOR_LANES(j) least[j] = to[j] < least[j] ? to[j] : least[j];
+    }}
+    for (int axis = 0; axis < 3; ++axis) {{
+        const float low = least[axis], high = -least[4 + axis];
+        frame.inner_low.c[axis] = low > frame.low.c[axis] ? low : frame.low.c[axis];
+        frame.inner_high.c[axis] = high < frame.high.c[axis] ? high : frame.high.c[axis];
+    }}
+"""
+)
+def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
+    """Writes the references of a node's ids, and finds their box."""
+    ...
+
+
+@wp.kernel
+def list_references(
+    first: int, boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frames: wp.array(dtype=Frame)
+):
+    """Item: a node that is to be built; its list begins at frame.first[0], in ids as in references."""
+    number = first + wp.tid()
+    frame = frames[number]
+    gather_references(boxes, ids, references, frame)
+    frames[number] = frame
+
+
+def list_triangles(boxes: Boxes, order: wp.array, pairs: np.ndarray) -> tuple[wp.array, np.ndarray]:
+    """The triangles of every pair: (ids, pair after pair; (pairs,) their numbers). `pairs` are `Pair`, their `to` is set."""
+    device, count = order.device, len(pairs)
+    counts = wp.empty(count, dtype=int, device=device)
+    launch(count_pairs, count, [boxes, order, wp.array(pairs, dtype=Pair, device=device), counts], device=device, chunk=16)
+    numbers = counts.numpy()
+    pairs["to"] = np.cumsum(numbers) - numbers
+    ids = wp.empty(int(numbers.sum()), dtype=int, device=device)
+    launch(fill_pairs, count, [boxes, order, wp.array(pairs, dtype=Pair, device=device), ids], device=device, chunk=16)
+    return ids, numbers

@@ -1,0 +1,43 @@
+"""A finished tree grows: leaves are replaced by subtrees, and the whole stays in depth-first order
+(`wrt.kernels.layout.kdtree_nodes`)."""
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), grown: wp.array(dtype=wp.vec2i)):
+    """Item: a node. shift: by how much each node's index grows."""
+    i = first + wp.tid()
+    node = nodes[i]
+    axis = kdtree.split_axis(node)
+    if axis != kdtree.LEAF:
+        right = kdtree.right_child(node)
+        node = kdtree.inner_node(axis, kdtree.split_position(node), right + shift[right])
+    grown[i + shift[i]] = node
+
+
+def make_room(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
+    """Makes room for subtrees in the place of leaves.
+
+    Args:
+        nodes: (nodes,) vec2i, which stay as they are.
+        leaves: indices of the leaves that are replaced.
+        sizes: nodes of each subtree, at least 1.
+
+    Returns:
+        The grown array, in which the subtree of leaf i is still to be written from leaves[i] + shift[leaves[i]] on; and shift:
+        (nodes,) by how much the index of each node has grown.
+    """
+    device, count = nodes.device, len(nodes)
+    growth = np.zeros(count, dtype=np.int32)
+    growth[leaves] = sizes - 1
+    shift = np.cumsum(growth, dtype=np.int32) - growth
+    grown = wp.empty(count + int(growth.sum()), dtype=wp.vec2i, device=device)
+    launch(move_nodes, count, [nodes, wp.array(shift, dtype=int, device=device), grown], device=device, chunk=4096)
+    return grown, shift

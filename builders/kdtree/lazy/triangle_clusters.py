@@ -1,0 +1,264 @@
+"""A coarse presort: triangles fall into the cells of a grid by the middles of their boxes (count, scan, fill).
+
+What is sorted once here is never touched again unless a ray comes near it. A cluster is what fell into one cell of the grid: a
+range of triangle ids and the box of their boxes; clusters have no triangle in common. One pass over the triangles finds cells,
+counts and boxes, each chunk for itself, a second one writes the ids.
+
+References:
+    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
+        scenes. Computer Graphics Forum 26(3), 2007 (initial clustering).
+    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
+        IEEE Symposium on Interactive Ray Tracing 2007.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.triangle_boxes import Boxes
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime.launch import get_num_threads, launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MOST_CELLS = 1 << 15
+"""Cells of the grid at most: their boxes stay in a core's second cache."""
+
+TRIANGLES_PER_CELL = 16
+"""Triangles for each cell of the grid, empty ones included; a surface leaves most of them empty."""
+
+LEAST_CHUNK = 1 << 15
+"""Triangles that are worth a table of boxes."""
+
+
+@wp.struct
+class Grid:
+    """A grid of cells over a box."""
+
+    low: wp.vec3
+    scale: wp.vec3
+    """Cells for a unit of length."""
+    cells: wp.vec3i
+    """Cells along each axis."""
+
+
+@dataclass
+class Clusters:
+    """Triangles, cluster after cluster.
+
+    Attributes:
+        order: (triangles,) ids.
+        first: (clusters + 1,) where each begins in `order`, and where the last ends.
+        low, high: (clusters, 3) float32, a box that strictly contains its triangles' boxes.
+        core_low, core_high: (clusters, 3) float32, what of it lies in the cell of the grid. Cores do not overlap, and where to
+            divide them is decided better by them; what lies where is decided by the whole boxes.
+    """
+
+    order: wp.array
+    first: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    core_low: np.ndarray
+    core_high: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """(clusters,) triangles of each."""
+        return np.diff(self.first)
+
+
+@wp.func_native(
+    """
+    const size_t n = boxes.low.shape[1], row = grid.cells.c[0] * (size_t)grid.cells.c[1] * grid.cells.c[2];
+    float* __restrict__ table = corners.data + (size_t)chunk * row * 8;
+    int* __restrict__ counter = counts.data + (size_t)chunk * row;
+    for (size_t c = 0; c < row; ++c) { counter[c] = 0; for (int j = 0; j < 8; ++j) table[c * 8 + j] = INFINITY; }
+    for (int i = begin; i < end; ++i) {
+        const size_t triangle = ids.data[i];
+        float value[8];
+        int cell = 0;
+        for (int axis = 2; axis >= 0; --axis) {
+            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
+            float place = ((0.5f * low + 0.5f * high) - grid.low.c[axis]) * grid.scale.c[axis];
+            const float last = (float)(grid.cells.c[axis] - 1);
+            place = place > 0.0f ? place : 0.0f;
+            place = place < last ? place : last;
+            cell = cell * grid.cells.c[axis] + (int)place;
+            value[axis] = low;
+            value[4 + axis] = -high;
+        }
+        value[3] = value[7] = 0.0f;
+        cell_of.data[i] = cell;
+        ++counter[cell];
+        float* __restrict__ box = table + (size_t)cell * 8;
+        for (int j = 0; j < 8; ++j) box[j] = value[j] < box[j] ? value[j] : box[j];
+    }
+"""
+)
+def count_range(
+    boxes: Boxes,
+    ids: wp.array(dtype=int),
+    begin: int,
+    end: int,
+    grid: Grid,
+    chunk: int,
+    cell_of: wp.array(dtype=int),
+    counts: wp.array2d(dtype=int),
+    corners: wp.array2d(dtype=float),
+):
+    """Finds the cells of the triangles ids[begin .. end - 1], their number in each cell, and their box there, (low, -high)."""
+    ...
+
+
+@wp.func_native(
+    """
+    int* __restrict__ place = places.data + (size_t)chunk * places.shape[1];
+    for (int i = begin; i < end; ++i) order.data[place[cell_of.data[i]]++] = ids.data[i];
+"""
+)
+def fill_range(
+    ids: wp.array(dtype=int),
+    begin: int,
+    end: int,
+    cell_of: wp.array(dtype=int),
+    chunk: int,
+    places: wp.array2d(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """Writes ids to the next places of their cells."""
+    ...
+
+
+@wp.kernel
+def count_cells(
+    first: int,
+    boxes: Boxes,
+    ids: wp.array(dtype=int),
+    size: int,
+    grid: Grid,
+    cell_of: wp.array(dtype=int),
+    counts: wp.array2d(dtype=int),
+    corners: wp.array2d(dtype=float),
+):
+    """Item: a chunk of `size` triangles."""
+    chunk = first + wp.tid()
+    end = wp.min(ids.shape[0], (chunk + 1) * size)
+    count_range(boxes, ids, chunk * size, end, grid, chunk, cell_of, counts, corners)
+
+
+@wp.kernel
+def fill_cells(
+    first: int,
+    ids: wp.array(dtype=int),
+    size: int,
+    cell_of: wp.array(dtype=int),
+    places: wp.array2d(dtype=int),
+    order: wp.array(dtype=int),
+):
+    """Item: a chunk of `size` triangles."""
+    chunk = first + wp.tid()
+    fill_range(ids, chunk * size, wp.min(ids.shape[0], (chunk + 1) * size), cell_of, chunk, places, order)
+
+
+def make_grid(low: np.ndarray, high: np.ndarray, triangles: int) -> Grid:
+    """A grid of nearly cubic cells over a box; along an axis shorter than a cell there is one."""
+    size = high.astype(np.float64) - low
+    size = np.where(np.isfinite(size), size, 0.0)
+    wanted = min(MOST_CELLS, max(1, triangles // TRIANGLES_PER_CELL))
+    volumes = np.cumprod(np.sort(size)[::-1])
+    edge = max((volumes / wanted) ** (1.0 / np.arange(1, 4)))
+    cells = np.maximum(1, np.floor(size / edge)) if edge > 0.0 else np.ones(3)
+    grid = Grid()
+    grid.low = wp.vec3(*map(float, low))
+    grid.scale = wp.vec3(*(float(c / s) if s > 0.0 else 0.0 for c, s in zip(cells, size, strict=True)))
+    grid.cells = wp.vec3i(*map(int, cells))
+    return grid
+
+
+def sort_into_clusters(boxes: Boxes, ids: wp.array, low: np.ndarray, high: np.ndarray) -> Clusters:
+    """Sorts triangles into clusters.
+
+    Args:
+        boxes: of all triangles of the mesh.
+        ids: (triangles,) int32, those that are sorted.
+        low, high: (3,) the box that the grid divides; triangles may stick out of it.
+    """
+    device, count = ids.device, len(ids)
+    grid = make_grid(low, high, count)
+    size = max(LEAST_CHUNK, -(-count // get_num_threads()))
+    chunks, cells = -(-count // size), int(np.prod(np.array(grid.cells)))
+    cell_of, order = (wp.empty(count, dtype=int, device=device) for _ in range(2))
+    counts = wp.empty((chunks, cells), dtype=int, device=device)
+    corners = wp.empty((chunks, cells * 8), dtype=float, device=device)
+    launch(count_cells, chunks, [boxes, ids, size, grid, cell_of, counts, corners], device=device, chunk=1)
+    number = counts.numpy()
+    total = number.sum(axis=0)
+    first = np.cumsum(total) - total
+    places = wp.array(first + np.cumsum(number, axis=0) - number, dtype=int, device=device)
+    launch(fill_cells, chunks, [ids, size, cell_of, places, order], device=device, chunk=1)
+    used = np.flatnonzero(total)
+    box = corners.numpy().reshape(chunks, cells, 8)[:, used].min(axis=0)
+    low, high = np.nextafter(box[:, :3], -np.float32(np.inf)), np.nextafter(-box[:, 4:7], np.float32(np.inf))
+    core_low, core_high = cores(grid, used, low, high)
+    return Clusters(order, np.append(first[used], count), low, high, core_low, core_high)
+
+
+def cores(grid: Grid, used: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of the boxes of cells lies in the cells themselves; used: their numbers. Outer cells have no outer end."""
+    scale, cells = np.array(grid.scale, dtype=np.float32), np.array(grid.cells)
+    place = np.stack(np.unravel_index(used, cells[::-1])[::-1], axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        begin, end = (np.array(grid.low, dtype=np.float32) + (place + step).astype(np.float32) / scale for step in (0, 1))
+    begin, end = np.where(place > 0, begin, -np.inf), np.where(place < cells - 1, end, np.inf)
+    return np.clip(begin, low, high).astype(np.float32), np.clip(end, low, high).astype(np.float32)
+
+
+@wp.kernel
+def list_leaves(
+    first: int,
+    nodes: wp.array(dtype=wp.vec2i),
+    low: wp.array2d(dtype=float),
+    high: wp.array2d(dtype=float),
+    places: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+    leaves: wp.array(dtype=int),
+):
+    """Item: a cluster. Counts the leaves of a tree that its box, (clusters, 3), meets; where there is room, lists them from
+    its place on."""
+    cluster = first + wp.tid()
+    stack = wp.zeros(shape=(kdtree.MAX_TREE_DEPTH,), dtype=int)
+    size = int(1)
+    count = int(0)
+    while size > 0:
+        size -= 1
+        index = stack[size]
+        node = nodes[index]
+        axis = kdtree.split_axis(node)
+        if axis == kdtree.LEAF:
+            if leaves.shape[0] > 0:
+                leaves[places[cluster] + count] = index
+            count += 1
+        else:
+            if high[cluster, axis] > kdtree.split_position(node):
+                stack[size] = kdtree.right_child(node)
+                size += 1
+            if low[cluster, axis] < kdtree.split_position(node):
+                stack[size] = index + 1
+                size += 1
+    counts[cluster] = count
+
+
+def leaves_of(clusters: Clusters, nodes: wp.array) -> tuple[np.ndarray, np.ndarray]:
+    """Which leaves of a tree the clusters meet: (leaf, cluster) of every pair, leaf after leaf."""
+    device, count = nodes.device, len(clusters.low)
+    low, high = (wp.array(corner, dtype=float, device=device) for corner in (clusters.low, clusters.high))
+    places, counts, leaves = (wp.empty(n, dtype=int, device=device) for n in (count, count, 0))
+    launch(list_leaves, count, [nodes, low, high, places, counts, leaves], device=device)
+    number = counts.numpy().copy()
+    places = wp.array(np.cumsum(number) - number, dtype=int, device=device)
+    leaves = wp.empty(int(number.sum()), dtype=int, device=device)
+    launch(list_leaves, count, [nodes, low, high, places, counts, leaves], device=device)
+    leaf = leaves.numpy()
+    order = np.argsort(leaf, kind="stable")
+    return leaf[order], np.repeat(np.arange(count), number)[order]

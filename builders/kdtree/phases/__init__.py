@@ -1,0 +1,1 @@
+"""Phases of kd-tree builds: top levels, tasks, subtrees, and assembly."""

@@ -1,0 +1,346 @@
+"""The top of the in-place build: all live nodes of a level at once (Choi et al. 2010; survey, Algorithm 4.2.2).
+
+Data does not move: events stay in the order in which they were sorted once, and triangles know the nodes they lie in
+(`Membership`). A level takes four phases, each parallel over chunks of events or triangles from the root on:
+
+    search      FindBestPlane: every chunk counts, per live node, the triangles that begin and end in it; a scan over the
+                chunks gives each chunk the counts to its left; every chunk then evaluates its planes; the best of all
+                chunks is the node's split
+    stop, emit  NewGen: a node with a split gets two children, the others are finished
+    classify    ClassifyTriangles: every triangle exchanges its nodes for their children (count, scan, fill)
+
+Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
+of the axes and positions. So neither threads nor chunks show in the result.
+
+**What we changed.** Most chunks are not searched, and in the others only for nodes that may have their best plane there. The
+counts before and behind a chunk bound the cost of all its planes from below; planes at which chunks begin have their true cost
+already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_win`). On the bunny's first three
+levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+
+References:
+    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import warp as wp
+
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
+from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
+from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
+from wrt.builders.tree import Descent, StopLimits, descend
+from wrt.builders.triangle_boxes import Boxes
+from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.simd.boxes import INFINITY
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+SLACK = 1.0 + 1e-5
+"""By how much the least cost that a chunk can have must exceed a cost that another has: far more than rounding."""
+
+
+@with_known_layout
+@wp.struct
+class LiveNode:
+    """A node of the current level."""
+
+    low: wp.vec3
+    high: wp.vec3
+    triangles: int
+    path: Descent
+    depth: int
+    finished: bool
+    """True once the node is known to be a leaf; it then waits for the end of the levels, and for its task to find the same."""
+    left: int
+    """Live index of its left child on the next level (the right one follows); of itself if it is finished."""
+    split: Split
+
+
+@wp.struct
+class Membership:
+    """Which live nodes each triangle lies in."""
+
+    first: wp.array(dtype=int)
+    """(triangles + 1,) where a triangle's nodes begin in `node`."""
+    node: wp.array(dtype=int)
+    """Live node indices, ascending within a triangle."""
+
+
+@wp.func
+def chunk_begin(events: Events, axis: int, chunk: int):
+    """First event of a chunk: its nominal one, or the next at which the position changes."""
+    begin = wp.min(chunk * events.chunk, events.count[axis])
+    while (
+        begin > 0
+        and begin < events.count[axis]
+        and event_position(events, axis, begin) == event_position(events, axis, begin - 1)
+    ):
+        begin += 1
+    return begin
+
+
+@wp.func_native(
+    f"""
+    const size_t row = (size_t)axis * events.value.shape[1];
+    auto* of_node = counts.data + ((size_t)axis * counts.shape[1] + chunk) * counts.shape[2];
+    for (int node = 0; node < counts.shape[2]; ++node) of_node[node].c[0] = of_node[node].c[1] = 0;
+    for (int i = begin; i < end; ++i) {{
+        const int value = events.value.data[row + i], kind = value & 3, triangle = value >> 2;
+        const int begins = kind != {int(END)}, ends = kind != {int(START)};
+        const int last = membership.first.data[triangle + 1];
+        for (int m = membership.first.data[triangle]; m < last; ++m) {{
+            auto& count = of_node[membership.node.data[m]];
+            count.c[0] += begins;
+            count.c[1] += ends;
+        }}
+    }}
+"""
+)
+def count_range(
+    events: Events,
+    axis: int,
+    chunk: int,
+    begin: int,
+    end: int,
+    membership: Membership,
+    counts: wp.array3d(dtype=wp.vec2i),
+):
+    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk."""
+    ...
+
+
+@wp.kernel
+def count_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=wp.vec2i)):
+    """Item: axis * chunks + chunk. counts: (3, chunks, nodes), (triangles that begin, triangles that end) in the chunk."""
+    item = first + wp.tid()
+    axis = item / counts.shape[1]
+    chunk = item % counts.shape[1]
+    count_range(events, axis, chunk, chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1), membership, counts)
+
+
+@wp.kernel
+def scan_chunks(
+    first: int,
+    cost: SplitCost,
+    events: Events,
+    nodes: wp.array(dtype=LiveNode),
+    counts: wp.array3d(dtype=wp.vec2i),
+    reached: wp.array2d(dtype=float),
+):
+    """Item: axis * nodes + node. Turns the counts of chunks into the counts before them.
+
+    reached: (3, nodes), left with the least cost of the planes at which chunks begin."""
+    item = first + wp.tid()
+    axis = item / counts.shape[2]
+    index = item % counts.shape[2]
+    node = nodes[index]
+    along = axis_frame(cost, axis, node.low, node.high, node.triangles)
+    total = wp.vec2i(0, 0)
+    least = float(INFINITY)
+    for chunk in range(counts.shape[1]):
+        here = counts[axis, chunk, index]
+        counts[axis, chunk, index] = total
+        begin = chunk_begin(events, axis, chunk)
+        if begin < events.count[axis]:
+            position = event_position(events, axis, begin)
+            if position > along.low and position < along.high:
+                # what ends there still counts as on the right: the plane is no dearer than this
+                least = wp.min(least, plane_cost(cost, along, position, total[0], node.triangles - total[1]))
+        total += here
+    reached[axis, index] = least
+
+
+@wp.func
+def may_win(
+    cost: SplitCost,
+    along: AxisFrame,
+    begin: float,
+    end: float,
+    left: int,
+    right: int,
+    index: int,
+    reached: wp.array2d(dtype=float),
+):
+    """Whether a plane of a chunk may be a node's best: so many triangles begin before the chunk and end behind it, and its
+    positions are begin .. end. If the node had not the slab between them, its cheapest plane would cost no more than any."""
+    low = wp.max(begin, along.low)
+    high = wp.min(end, along.high)
+    known = wp.min(reached[0, index], wp.min(reached[1, index], reached[2, index]))
+    thin = along
+    thin.high = along.high - (high - low)
+    return low <= high and not (plane_cost(cost, thin, low, left, right) > known * SLACK)
+
+
+@wp.func
+def sweep_chunk(
+    cost: SplitCost,
+    events: Events,
+    axis: int,
+    begin: int,
+    end: int,
+    membership: Membership,
+    along: wp.array(dtype=AxisFrame),
+    sweeps: wp.array(dtype=Sweep),
+):
+    """Evaluates the planes of the events begin .. end - 1 for each node that their triangles lie in, but for those nodes whose
+    frame is empty."""
+    for i in range(begin, end):
+        position = event_position(events, axis, i)
+        value = event_value(events, axis, i)
+        triangle = value >> 2
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            node = load_int(membership.node, m)
+            if along[node].low <= along[node].high:
+                sweep_event(cost, along[node], value & 3, position, sweeps[node])
+    for node in range(sweeps.shape[0]):
+        if along[node].low <= along[node].high:
+            close_planar(cost, along[node], sweeps[node])
+
+
+@wp.kernel
+def search_planes(
+    first: int,
+    cost: SplitCost,
+    events: Events,
+    membership: Membership,
+    nodes: wp.array(dtype=LiveNode),
+    before: wp.array3d(dtype=wp.vec2i),
+    reached: wp.array2d(dtype=float),
+    frames: wp.array3d(dtype=AxisFrame),
+    sweeps: wp.array3d(dtype=Sweep),
+):
+    """Item: axis * chunks + chunk.
+
+    sweeps: (3, chunks, nodes), left with each node's best plane in the chunk, or with none where none can be its best at all;
+    frames: scratch of the same shape."""
+    item = first + wp.tid()
+    axis = item / before.shape[1]
+    chunk = item % before.shape[1]
+    row = sweeps[axis, chunk]
+    along = frames[axis, chunk]
+    begin = chunk_begin(events, axis, chunk)
+    end = chunk_begin(events, axis, chunk + 1)
+    hopeful = bool(False)
+    for index in range(before.shape[2]):
+        node = nodes[index]
+        counts = before[axis, chunk, index]
+        behind = wp.vec2i(node.triangles, node.triangles)
+        if chunk + 1 < before.shape[1]:
+            behind = before[axis, chunk + 1, index]
+        row[index] = start_sweep(counts[0], node.triangles - counts[1])
+        along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
+        promising = bool(False)
+        if not node.finished and begin < end:
+            at = event_position(events, axis, begin)
+            to = event_position(events, axis, end - 1)
+            promising = may_win(cost, along[index], at, to, counts[0], node.triangles - behind[1], index, reached)
+        if promising:
+            hopeful = True
+        else:
+            along[index].low = INFINITY
+            along[index].high = -INFINITY
+    if hopeful:
+        sweep_chunk(cost, events, axis, begin, end, membership, along, row)
+
+
+@wp.kernel
+def decide(
+    first: int,
+    cost: SplitCost,
+    limits: StopLimits,
+    sweeps: wp.array3d(dtype=Sweep),
+    nodes: wp.array(dtype=LiveNode),
+):
+    """Item: a live node. Takes the best plane of all axes and chunks, in this order, and stops or splits."""
+    index = first + wp.tid()
+    node = nodes[index]
+    if not node.finished:
+        best = no_split()
+        for axis in range(3):
+            for chunk in range(sweeps.shape[1]):
+                candidate = sweeps[axis, chunk, index].best
+                if candidate.cost < best.cost:
+                    best = candidate
+        below = descend(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
+        node.split = best
+        node.finished = below.bad_splits < 0
+        if below.bad_splits >= 0:
+            node.path = below
+        nodes[index] = node
+
+
+@wp.kernel
+def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
+    """One item. Lists the next level's nodes in order; count: (2,), its nodes and those of them that are not finished."""
+    total = int(0)
+    open_nodes = int(0)
+    for index in range(nodes.shape[0]):
+        node = nodes[index]
+        node.left = total
+        nodes[index] = node
+        if node.finished:
+            children[total] = node
+            total += 1
+        else:
+            left = node
+            right = node
+            left.depth += 1
+            right.depth += 1
+            left.high[node.split.axis] = node.split.position
+            right.low[node.split.axis] = node.split.position
+            left.triangles = node.split.left
+            right.triangles = node.split.right
+            children[total] = left
+            children[total + 1] = right
+            total += 2
+            open_nodes += 2
+    count[0] = total
+    count[1] = open_nodes
+
+
+@wp.func
+def sides(node: LiveNode, low: float, high: float):
+    """Children that a box belongs to, by its interval on the split axis: 1 left, 2 right, 3 both."""
+    if not (low < high) and low == node.split.position:
+        return wp.where(node.split.planar_left, 1, 2)
+    if high <= node.split.position:
+        return 1
+    if low >= node.split.position:
+        return 2
+    return 3
+
+
+@wp.kernel
+def count_members(
+    first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, counts: wp.array(dtype=int)
+):
+    """Item: a triangle. Number of nodes that it lies in on the next level."""
+    triangle = first + wp.tid()
+    count = int(0)
+    for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+        node = nodes[load_int(membership.node, m)]
+        count += 1
+        if not node.finished:
+            axis = node.split.axis
+            if sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle]) == 3:
+                count += 1
+    counts[triangle] = count
+
+
+@wp.kernel
+def fill_members(first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, refined: Membership):
+    """Item: a triangle. Writes its nodes on the next level."""
+    triangle = first + wp.tid()
+    to = refined.first[triangle]
+    for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+        node = nodes[load_int(membership.node, m)]
+        side = int(1)
+        if not node.finished:
+            axis = node.split.axis
+            side = sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle])
+        if (side & 1) != 0:
+            refined.node[to] = node.left
+            to += 1
+        if (side & 2) != 0:
+            refined.node[to] = node.left + 1
+            to += 1

@@ -1,0 +1,135 @@
+"""From the in-place levels to tasks: each live node's triangles and events are copied to its task (count, scan, fill), so that
+they stay in sorted order (the fill phase of Choi et al. 2010).
+
+References:
+    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
+"""
+
+import warp as wp
+
+from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
+from wrt.builders.kdtree.phases.in_place_levels import LiveNode, Membership
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
+from wrt.kernels.layout.unchecked import load_int, store_pair
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.kernel
+def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
+    """Item: a chunk of triangles. counts: (chunks, tasks)."""
+    chunk = first + wp.tid()
+    row = counts[chunk]
+    for task in range(counts.shape[1]):
+        row[task] = 0
+    begin = chunk * CHUNK
+    end = wp.min(triangles, begin + CHUNK)
+    for m in range(membership.first[begin], membership.first[end]):
+        row[load_int(membership.node, m)] += 1
+
+
+@wp.kernel
+def scan_task_triangles(first: int, tasks: wp.array(dtype=Task), counts: wp.array2d(dtype=int)):
+    """Item: a task. Turns counts of chunks into places in `EventLists.triangle`."""
+    task = first + wp.tid()
+    place = tasks[task].triangles_first
+    for chunk in range(counts.shape[0]):
+        count = counts[chunk, task]
+        counts[chunk, task] = place
+        place += count
+
+
+@wp.kernel
+def fill_task_triangles(
+    first: int,
+    triangles: int,
+    membership: Membership,
+    tasks: wp.array(dtype=Task),
+    places: wp.array2d(dtype=int),
+    local: wp.array(dtype=int),
+    lists: EventLists,
+):
+    """Item: a chunk of triangles. local: per membership, the triangle's index within the task."""
+    chunk = first + wp.tid()
+    row = places[chunk]
+    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            task = load_int(membership.node, m)
+            place = row[task]
+            row[task] = place + 1
+            lists.triangle[place] = triangle
+            local[m] = place - tasks[task].triangles_first
+
+
+@wp.kernel
+def count_task_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=int)):
+    """Item: axis * chunks + chunk. counts: (3, chunks, tasks)."""
+    item = first + wp.tid()
+    axis = item / counts.shape[1]
+    chunk = item % counts.shape[1]
+    row = counts[axis, chunk]
+    for task in range(counts.shape[2]):
+        row[task] = 0
+    for i in range(chunk * events.chunk, wp.min(events.count[axis], (chunk + 1) * events.chunk)):
+        triangle = event_value(events, axis, i) >> 2
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            row[load_int(membership.node, m)] += 1
+
+
+@wp.kernel
+def scan_task_events(first: int, tasks: wp.array(dtype=Task), counts: wp.array3d(dtype=int), frames: wp.array(dtype=Frame)):
+    """Item: a task. Turns counts of chunks into places in the task's lists, which follow one another, and notes them."""
+    task = first + wp.tid()
+    frame = frames[task]
+    place = tasks[task].lists_first
+    for axis in range(3):
+        begin = place
+        for chunk in range(counts.shape[1]):
+            count = counts[axis, chunk, task]
+            counts[axis, chunk, task] = place
+            place += count
+        frame.first[axis] = begin
+        frame.count[axis] = place - begin
+    frame.top = place
+    frames[task] = frame
+
+
+@wp.kernel
+def fill_task_events(
+    first: int,
+    events: Events,
+    membership: Membership,
+    local: wp.array(dtype=int),
+    places: wp.array3d(dtype=int),
+    lists: EventLists,
+):
+    """Item: axis * chunks + chunk. Copies events to the tasks of their triangles."""
+    item = first + wp.tid()
+    axis = item / places.shape[1]
+    chunk = item % places.shape[1]
+    row = places[axis, chunk]
+    for i in range(chunk * events.chunk, wp.min(events.count[axis], (chunk + 1) * events.chunk)):
+        position = event_position(events, axis, i)
+        value = event_value(events, axis, i)
+        triangle = value >> 2
+        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
+            task = load_int(membership.node, m)
+            place = row[task]
+            row[task] = place + 1
+            store_pair(lists.event, place, wp.vec2i(wp.cast(position, wp.int32), (load_int(local, m) << 2) | (value & 3)))
+
+
+@wp.kernel
+def make_roots(first: int, live: wp.array(dtype=LiveNode), frames: wp.array(dtype=Frame)):
+    """Item: a live node. Makes it the root of its task, as yet without lists."""
+    number = first + wp.tid()
+    node = live[number]
+    frame = Frame()
+    frame.low = node.low
+    frame.high = node.high
+    frame.triangles = node.triangles
+    frame.path = node.path
+    frame.depth = node.depth
+    frame.parent = -1
+    frames[number] = frame

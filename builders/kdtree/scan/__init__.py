@@ -1,0 +1,1 @@
+"""Builds that scan a node's triangles in place of sorting them."""

@@ -1,0 +1,93 @@
+"""The best plane of a node by trying each against every triangle: O(N^2), and no list to keep (survey, Algorithm 4.1.2).
+
+For few triangles this beats every sort: 16 boxes are compared with a plane at a time. The planes are those of a sweep, and of
+equally cheap ones the same one wins: smaller axis, smaller position, planar triangles on the right.
+
+References:
+    I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
+        IEEE Symposium on Interactive Ray Tracing 2006.
+"""
+
+import warp as wp
+
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.kernels.simd.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+LANES = 16
+"""Boxes compared at a time; rows of `ReferenceLists.value` are padded to a multiple of it with NaN, which compares false."""
+
+
+def values_for(triangles: int) -> int:
+    """Values that a search among so many triangles writes down."""
+    return 2 * (triangles + LANES)
+
+
+@wp.func_native(
+    """
+    const float* __restrict__ from = lists.reference.data + (size_t)first * 8;
+    float* __restrict__ low = lists.value.data + (size_t)number * lists.value.shape[1];
+    float* __restrict__ high = low + padded;
+    for (int i = 0; i < count; ++i, from += 8) { low[i] = from[axis]; high[i] = -from[4 + axis]; }
+    for (int i = count; i < padded; ++i) { low[i] = NAN; high[i] = NAN; }
+"""
+)
+def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis: int, padded: int):
+    """Writes down the intervals of a range along one axis: a row of lower ends, a row of upper ends."""
+    ...
+
+
+@wp.func_native(
+    f"""{FOR_LANES}
+    constexpr int W = {LANES};
+    const float* __restrict__ low = lists.value.data + (size_t)number * lists.value.shape[1];
+    const float* __restrict__ high = low + padded;
+    int left[W], planar[W], right[W];
+    WRT_FOR_LANES(j) {{ left[j] = 0; planar[j] = 0; right[j] = 0; }}
+    for (int i = 0; i < padded; i += W) {{
+        WRT_FOR_LANES(j) {{
+            left[j] += low[i + j] < position;
+            right[j] += high[i + j] > position;
+            planar[j] += (low[i + j] == position) & (high[i + j] == position);
+        }}
+    }}
+    wp::vec_t<3, wp::int32> sum;
+    for (int j = 0; j < W; ++j) {{ sum[0] += left[j]; sum[1] += planar[j]; sum[2] += right[j]; }}
+    return sum;
+"""
+)
+def count_sides(lists: ReferenceLists, number: int, padded: int, position: float) -> wp.vec3i:
+    """Triangles to the left of a plane, in it, and to the right; those that straddle it count on both sides."""
+    ...
+
+
+@wp.func
+def try_position(
+    cost: SplitCost, along: AxisFrame, lists: ReferenceLists, number: int, padded: int, position: float, best: Split
+):
+    """The better of `best` and the plane at a position, in whatever order planes come."""
+    if position > along.low and position < along.high and not (best.axis == along.axis and best.position == position):
+        counts = count_sides(lists, number, padded, position)
+        found = better_split(cost, along, position, counts[0], counts[1], counts[2], no_split())
+        first_of_equals = found.cost == best.cost and best.axis == along.axis and position < best.position
+        if found.cost < best.cost or first_of_equals:
+            best = found
+    return best
+
+
+@wp.func
+def search_exactly(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+    """The best plane of a node."""
+    best = no_split()
+    best.axis = 3
+    padded = (frame.triangles + LANES - 1) / LANES * LANES
+    for axis in range(3):
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+        gather_axis(lists, number, frame.first[0], frame.triangles, axis, padded)
+        for i in range(frame.triangles):
+            best = try_position(cost, along, lists, number, padded, lists.value[number, i], best)
+            best = try_position(cost, along, lists, number, padded, lists.value[number, padded + i], best)
+    return best

@@ -1,0 +1,142 @@
+"""Min-max binning: counts of where boxes begin and end, bin by bin, and the best plane between bins (Shevtsov et al. 2007).
+
+The box of a node's triangles, cut off at its own, is divided into bins of equal width along each axis. A box counts in the bin
+in which it begins and in the one in which it ends; the first counts summed from the left are the triangles to the left of a
+plane, the second summed from the right those to its right, straddlers in both. The planes tried are those between bins, and
+the two faces of the box, which cut off empty space.
+
+A reference has lanes for the lower ends and for the negated upper ones: both are binned by the same expression, the upper ends
+from the other face on, so that an interval that ends at a plane counts on its left only. Counts are what the plane gives but
+for the rounding of its position, and estimates where only every `step`-th triangle is counted; partition counts again.
+
+References:
+    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
+        scenes. Computer Graphics Forum 26(3), 2007.
+"""
+
+import warp as wp
+
+from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.reference_lists import HEAD
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+def counters_for(bins: int) -> int:
+    """Counters of a node: 6 rows, where boxes begin along x, y, z, and where they end, counted from the upper face."""
+    return 6 * bins
+
+
+@wp.struct
+class Placement:
+    """The bins of a node: a lane falls into bin (lane - origin) * scale, cut off at 0 and at the last."""
+
+    low: wp.vec3
+    """Origin of the lower ends."""
+    high: wp.vec3
+    """Minus the origin of the negated upper ends."""
+    scale: wp.vec3
+    bins: int
+
+
+@wp.func
+def place(frame: Frame, bins: int):
+    """The bins of a node; along an axis without extent everything falls into the first."""
+    placement = Placement()
+    placement.low = frame.inner_low
+    placement.high = frame.inner_high
+    placement.bins = bins
+    for axis in range(3):
+        extent = frame.inner_high[axis] - frame.inner_low[axis]
+        placement.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
+    return placement
+
+
+@wp.func_native(
+    HEAD
+    + """
+    const int bins = placement.bins;
+    int* __restrict__ to = counter.data + (size_t)slot * counter.shape[1];
+    for (int i = 0; i < 6 * bins; ++i) to[i] = 0;
+    float origin[W], scale[W];
+    for (int j = 0; j < 3; ++j) {
+        origin[j] = placement.low.c[j];
+        origin[4 + j] = -placement.high.c[j];
+        scale[j] = scale[4 + j] = placement.scale.c[j];
+    }
+    origin[3] = origin[7] = scale[3] = scale[7] = 0.0f;
+    const float last = (float)(bins - 1);
+    const float* __restrict__ from = references.data + (size_t)begin * 8;
+    for (int i = 0; i < count; i += step, from += 8 * (size_t)step) {
+        int bin[W];
+        WRT_FOR_LANES(j) {
+            float t = (from[j] - origin[j]) * scale[j];
+            t = t > 0.0f ? t : 0.0f;
+            t = t < last ? t : last;
+            bin[j] = (int)t;
+        }
+        for (int j = 0; j < 3; ++j) {
+            ++to[j * bins + bin[j]];
+            ++to[(3 + j) * bins + bin[4 + j]];
+        }
+    }
+"""
+)
+def bin_range(
+    references: wp.array(dtype=float),
+    begin: int,
+    count: int,
+    step: int,
+    placement: Placement,
+    counter: wp.array2d(dtype=int),
+    slot: int,
+):
+    """Counts every `step`-th reference of a range in the bins of a slot."""
+    ...
+
+
+@wp.func_native(
+    """
+    int* to = counter.data + (size_t)slot * counter.shape[1];
+    for (int i = 0; i < 6 * bins; ++i) to[i] = 0;
+    for (int other = first; other < end; ++other) {
+        const int* from = counter.data + (size_t)other * counter.shape[1];
+        for (int i = 0; i < 6 * bins; ++i) to[i] += from[i];
+    }
+"""
+)
+def merge_bins(counter: wp.array2d(dtype=int), slot: int, first: int, end: int, bins: int):
+    """Makes the bins of a slot those of the slots first .. end - 1 together."""
+    ...
+
+
+@wp.func_native("return counter.data[(size_t)slot * counter.shape[1] + i];")
+def bin_count(counter: wp.array2d(dtype=int), slot: int, i: int) -> int:
+    """counter[slot, i], without index checks: see `wrt.kernels.layout.unchecked`."""
+    ...
+
+
+@wp.func
+def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
+    """The best plane between bins, and of the faces of the triangles' box. step: each counted triangle stands for so many."""
+    best = no_split()
+    triangles = frame.triangles
+    for axis in range(3):
+        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+        low = frame.inner_low[axis]
+        high = frame.inner_high[axis]
+        best = cheaper_split(cost, along, low, 0, triangles, False, best)
+        if low < high:
+            left = int(0)
+            right = (triangles + step - 1) / step
+            for b in range(1, bins):
+                left += bin_count(counter, slot, axis * bins + b - 1)
+                right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
+                position = low + (high - low) * (float(b) / float(bins))
+                on_left = wp.min(left * step, triangles)
+                # a triangle in the plane counts on neither side: planar ones go to the right
+                on_right = wp.max(wp.min(right * step, triangles), triangles - on_left)
+                best = cheaper_split(cost, along, position, on_left, on_right, False, best)
+        best = cheaper_split(cost, along, high, triangles, 0, True, best)
+    return best

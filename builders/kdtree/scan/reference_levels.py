@@ -1,0 +1,322 @@
+"""The top of a build that scans references: all large nodes of a level at once, parallel over chunks of their references.
+
+    search      every chunk bins its references (`bins`); every node merges the bins of its chunks, and stops or splits
+    classify    every chunk counts its references on both sides of its node's plane, and finds their boxes
+    emit        the host lists the children, and says where each chunk has to write; this is the one round trip of a level
+    partition   every chunk moves its references to the next level's buffer, in order
+
+A node that is small enough, or that stays a leaf, waits for the end of the levels; its references move along unchanged. Counts
+and minima are the same in any grouping, so neither chunks nor threads show in the result, and a node gets the split that a
+task would give it.
+
+References:
+    M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
+        scenes. Computer Graphics Forum 26(3), 2007.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.cost import Split, SplitCost
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, merge_bins, place
+from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, partition
+from wrt.builders.tree import StopLimits, descend
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.builders.triangle_references import copy_references, write_references
+from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+CHUNK = 8192
+"""References that are worth a launch of their own."""
+
+PLANES = 2048
+"""Planes an axis whose evaluation is worth one."""
+
+EVEN = 4
+"""Chunks per thread of kernels whose items all cost the same."""
+
+
+@dataclass(frozen=True)
+class LevelRules:
+    """How the top levels are split.
+
+    Attributes:
+        large: a node of more triangles is split here, the others become tasks.
+        bins: bins an axis.
+        sampled: a node of at least so many triangles is judged by every l-th of them, l = log10(triangles); 0: none is.
+    """
+
+    large: int
+    bins: int
+    sampled: int
+
+
+@with_known_layout
+@wp.struct
+class LiveRange:
+    """A node of the current level; its list is frame.count[0] references from frame.first[0] on."""
+
+    frame: Frame
+    split: Split
+    finished: bool
+    """Whether it waits for the end of the levels."""
+    left: int
+    """Index of its left child on the next level (the right one follows); of itself if it is finished."""
+    chunk_first: int
+    """Its chunks follow one another."""
+    chunk_count: int
+
+
+@with_known_layout
+@wp.struct
+class Chunk:
+    """A part of a node's references."""
+
+    node: int
+    begin: int
+    count: int
+    to_left: int
+    """Where its references on the left of the plane are written to; all of them if the node is finished."""
+    to_right: int
+
+
+@wp.func
+def sample_step(triangles: int, sampled: int):
+    """Every how many-th triangle of a node counts."""
+    step = int(1)
+    if sampled > 0 and triangles >= sampled:
+        rest = triangles / 100
+        while rest > 0:
+            rest /= 10
+            step += 1
+    return step
+
+
+@wp.kernel
+def make_references(first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float)):
+    """Item: a chunk of `size` triangles."""
+    begin = (first + wp.tid()) * size
+    write_references(boxes, begin, wp.min(triangles, begin + size), references)
+
+
+@wp.kernel
+def bin_chunks(
+    first: int,
+    bins: int,
+    sampled: int,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveRange),
+    chunks: wp.array(dtype=Chunk),
+    counter: wp.array2d(dtype=int),
+):
+    """Item: a chunk, which has a slot of counters."""
+    slot = first + wp.tid()
+    chunk = chunks[slot]
+    node = nodes[chunk.node]
+    if not node.finished:
+        step = sample_step(node.frame.triangles, sampled)
+        behind = (chunk.begin - node.frame.first[0]) % step
+        skip = (step - behind) % step
+        placement = place(node.frame, bins)
+        bin_range(references, chunk.begin + skip, chunk.count - skip, step, placement, counter, slot)
+
+
+@wp.kernel
+def decide(
+    first: int,
+    cost: SplitCost,
+    limits: StopLimits,
+    bins: int,
+    sampled: int,
+    nodes: wp.array(dtype=LiveRange),
+    counter: wp.array2d(dtype=int),
+    merged: int,
+):
+    """Item: a live node; merged: slots from here on are for the bins of nodes."""
+    index = first + wp.tid()
+    node = nodes[index]
+    if not node.finished:
+        slot = merged + index
+        merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
+        step = sample_step(node.frame.triangles, sampled)
+        node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
+        frame = node.frame
+        below = descend(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+        node.finished = below.bad_splits < 0
+        if below.bad_splits >= 0:
+            node.frame.path = below
+        nodes[index] = node
+
+
+@wp.kernel
+def measure_chunks(
+    first: int,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveRange),
+    chunks: wp.array(dtype=Chunk),
+    measured: wp.array(dtype=Sides),
+):
+    """Item: a chunk. Everything in a finished node is on its left."""
+    slot = first + wp.tid()
+    chunk = chunks[slot]
+    node = nodes[chunk.node]
+    sides = Sides()
+    if node.finished:
+        sides.left = chunk.count
+    else:
+        split = node.split
+        measure_sides(references, chunk.begin, chunk.count, split.axis, split.position, split.planar_left, sides)
+    measured[slot] = sides
+
+
+@wp.kernel
+def move_chunks(
+    first: int,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveRange),
+    chunks: wp.array(dtype=Chunk),
+    target: wp.array(dtype=float),
+):
+    """Item: a chunk."""
+    chunk = chunks[first + wp.tid()]
+    node = nodes[chunk.node]
+    split = node.split
+    sides = Sides()
+    if node.finished:
+        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
+    else:
+        partition(
+            references,
+            chunk.begin,
+            chunk.count,
+            split.axis,
+            split.position,
+            split.planar_left,
+            target,
+            chunk.to_left,
+            chunk.to_right,
+            sides,
+        )
+
+
+@dataclass
+class TopLevels:
+    """What the top levels leave.
+
+    Attributes:
+        levels: live nodes of each level, structured arrays of `LiveRange`; the last level's become tasks.
+        references: the lists of the last level's nodes, one after the other.
+    """
+
+    levels: list[np.ndarray]
+    references: wp.array
+
+
+def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> TopLevels:
+    """Makes the references and splits large nodes until there are none."""
+    count, device = triangles.count, triangles.boxes.low.device
+    references = wp.empty(8 * count, dtype=float, device=device)
+    inputs = [triangles.boxes, count, CHUNK, references]
+    launch(make_references, -(-count // CHUNK), inputs, device=device, chunk=1, chunks_per_thread=EVEN)
+    nodes = root_level(triangles, rules)
+    levels = []
+    while not nodes["finished"].all():
+        nodes, children, references = split_level(nodes, references, config, triangles, rules)
+        levels.append(nodes)
+        nodes = children
+    return TopLevels([*levels, nodes], references)
+
+
+def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
+    """The first level: the root, which is finished if it is not large."""
+    nodes = np.zeros(1, dtype=LiveRange.numpy_dtype())
+    frame = nodes["frame"]
+    for name, corner in (("low", triangles.low), ("high", triangles.high)):
+        frame[name] = frame[f"inner_{name}"] = corner
+    frame["triangles"] = triangles.count
+    frame["count"][:, 0] = triangles.count
+    frame["parent"] = -1
+    nodes["finished"] = triangles.count <= rules.large
+    return nodes
+
+
+def split_level(
+    nodes: np.ndarray, references: wp.array, config: KdTreeConfig, triangles: TriangleBoxes, rules: LevelRules
+) -> tuple[np.ndarray, np.ndarray, wp.array]:
+    """Splits one level; returns its nodes with their splits, the next level's nodes, and their references."""
+    device = references.device
+    chunks = cut_chunks(nodes)
+    slots = len(chunks)
+    live = wp.array(nodes, dtype=LiveRange, device=device)
+    parts = wp.array(chunks, dtype=Chunk, device=device)
+    counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
+    measured = wp.empty(slots, dtype=Sides, device=device)
+    sampling = [rules.bins, rules.sampled]
+    even = {"device": device, "chunk": 1, "chunks_per_thread": EVEN}
+    launch(bin_chunks, slots, [*sampling, references, live, parts, counter], **even)
+    rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
+    launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, PLANES // rules.bins))
+    launch(measure_chunks, slots, [references, live, parts, measured], **even)
+    nodes, sides = live.numpy(), measured.numpy()
+    children = next_level(nodes, sides, rules.large)
+    place_chunks(chunks, nodes, children, sides)
+    target = wp.empty(8 * int(children["frame"]["count"][:, 0].sum()), dtype=float, device=device)
+    parts = wp.array(chunks, dtype=Chunk, device=device)
+    launch(move_chunks, slots, [references, live, parts, target], **even)
+    return nodes, children, target
+
+
+def cut_chunks(nodes: np.ndarray) -> np.ndarray:
+    """Cuts the nodes' lists into chunks, one at least for each, and tells the nodes theirs."""
+    first, count = nodes["frame"]["first"][:, 0], nodes["frame"]["count"][:, 0]
+    pieces = np.maximum(1, -(-count // CHUNK))
+    nodes["chunk_count"] = pieces
+    nodes["chunk_first"] = np.cumsum(pieces) - pieces
+    chunks = np.zeros(pieces.sum(), dtype=Chunk.numpy_dtype())
+    node = np.repeat(np.arange(len(nodes)), pieces)
+    behind = (np.arange(len(chunks)) - nodes["chunk_first"][node]) * CHUNK
+    chunks["node"] = node
+    chunks["begin"] = first[node] + behind
+    chunks["count"] = np.minimum(CHUNK, count[node] - behind)
+    return chunks
+
+
+def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
+    """Lists the children in order, a finished node as its own; tells the nodes theirs. sides: of the nodes' chunks."""
+    born = np.where(nodes["finished"], 1, 2)
+    nodes["left"] = np.cumsum(born) - born
+    owner = np.repeat(np.arange(len(nodes)), born)
+    children = nodes[owner]
+    frame, split = children["frame"], children["split"]
+    divided = ~children["finished"]
+    frame["depth"] += divided
+    chunk_first = nodes["chunk_first"]
+    for side, moved, here in (("left", "high", 0), ("right", "low", 1)):
+        of_side = np.flatnonzero(divided & (np.arange(len(children)) - nodes["left"][owner] == here))
+        parent = owner[of_side]
+        frame[moved][of_side, split["axis"][of_side]] = split["position"][of_side]
+        frame["triangles"][of_side] = np.add.reduceat(sides[side], chunk_first)[parent]
+        low = np.minimum.reduceat(sides[f"{side}_low"], chunk_first)[parent]
+        high = np.maximum.reduceat(sides[f"{side}_high"], chunk_first)[parent]
+        frame["inner_low"][of_side] = np.maximum(frame["low"][of_side], low)
+        frame["inner_high"][of_side] = np.minimum(frame["high"][of_side], high)
+    frame["count"][:, 0] = frame["triangles"]
+    frame["first"][:, 0] = np.cumsum(frame["triangles"]) - frame["triangles"]
+    children["finished"] |= frame["triangles"] <= large
+    return children
+
+
+def place_chunks(chunks: np.ndarray, nodes: np.ndarray, children: np.ndarray, sides: np.ndarray) -> None:
+    """Says where each chunk has to write its references."""
+    first = children["frame"]["first"][:, 0]
+    left = nodes["left"][chunks["node"]]
+    right = np.where(nodes["finished"][chunks["node"]], left, left + 1)
+    for side, child in (("left", left), ("right", right)):
+        before = np.cumsum(sides[side]) - sides[side]
+        chunks[f"to_{side}"] = first[child] + before - before[nodes["chunk_first"][chunks["node"]]]

@@ -1,0 +1,222 @@
+"""References as a node's list: what builders share that scan a node's triangles instead of sorting them.
+
+A node has one list, of the references (`wrt.builders.triangle_references`) of its triangles, in order of their ids. Partition
+moves every reference to the side or sides of the plane on which its box lies, and grows the boxes of both sides while it does.
+The counts of a split may be estimates (bins, samples): those of the children are counted here, by the plane itself.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.builders.cost import Split
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Parts, Task
+from wrt.builders.triangle_references import write_order
+from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.simd.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+HEAD = f"""{FOR_LANES}
+    constexpr int W = 8;
+    (void)W;
+"""
+"""Head of native loops over the 8 lanes of a reference."""
+
+
+@wp.struct
+class SearchRules:
+    """Options of searches; each uses what concerns it."""
+
+    bins: int
+    """Bins of an axis."""
+    sampled: int
+    """Triangles of a node from which on only some of them are counted; 0: all are."""
+    round_robin: bool
+    """Whether levels take turns in the axes; else the longest one is split."""
+
+
+@wp.struct
+class ReferenceLists:
+    """Lists of all tasks, each in its own share, and room for the search."""
+
+    reference: wp.array(dtype=float)
+    """8 floats an entry."""
+    counter: wp.array2d(dtype=int)
+    """(tasks, counters): a task's bins."""
+    value: wp.array2d(dtype=float)
+    """(tasks, values): what a task's search writes down."""
+    rules: SearchRules
+    vertices: wp.array(dtype=wp.vec3)
+    """The mesh, for builds that clip."""
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """By how much cells and boxes are enlarged when they are clipped."""
+
+
+@with_known_layout
+@wp.struct
+class Sides:
+    """What a partition made of a range: counts and boxes on both sides of the plane."""
+
+    left: int
+    right: int
+    left_low: wp.vec3
+    left_high: wp.vec3
+    right_low: wp.vec3
+    right_high: wp.vec3
+
+
+_SIDE = """
+        const float low = from[axis], high = -from[4 + axis];
+        const bool planar = low == position && high == position;
+        const int left = planar ? planar_left : low < position;
+        const int right = planar ? !planar_left : high > position;
+"""
+"""The sides of the reference at `from`: 1 or 0 each."""
+
+_GROW = """
+        const float a = left ? -INFINITY : INFINITY, b = right ? -INFINITY : INFINITY;  // lifts the others out of the minimum
+        WRT_FOR_LANES(j) {
+            const float x = reference[j] > a ? reference[j] : a, y = reference[j] > b ? reference[j] : b;
+            low_side[j] = x < low_side[j] ? x : low_side[j];
+            high_side[j] = y < high_side[j] ? y : high_side[j];
+        }
+"""
+
+_START = """
+    const float* from = references.data + (size_t)begin * 8;
+    float low_side[W], high_side[W];
+    WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
+"""
+
+_FINISH = """
+    for (int j = 0; j < 3; ++j) {
+        sides.left_low[j] = low_side[j];
+        sides.left_high[j] = -low_side[4 + j];
+        sides.right_low[j] = high_side[j];
+        sides.right_high[j] = -high_side[4 + j];
+    }
+"""
+
+
+@wp.func_native(
+    HEAD
+    + _START
+    + """
+    sides.left = 0;
+    sides.right = 0;
+    for (int i = 0; i < count; ++i, from += 8) {
+"""
+    + _SIDE
+    + """
+        float reference[W];
+        memcpy(reference, from, sizeof(reference));
+"""
+    + _GROW
+    + """
+        sides.left += left;
+        sides.right += right;
+    }
+"""
+    + _FINISH
+)
+def measure_sides(
+    references: wp.array(dtype=float),
+    begin: int,
+    count: int,
+    axis: int,
+    position: float,
+    planar_left: bool,
+    sides: wp.ref[Sides],
+):
+    """Counts the references of a range on both sides of a plane, and finds their boxes."""
+    ...
+
+
+@wp.func_native(
+    HEAD
+    + _START
+    + """
+    float unwanted[W];
+    float* low_end = target.data + (size_t)to_left * 8;
+    float* high_end = target.data + (size_t)to_right * 8;
+    for (int i = 0; i < count; ++i, from += 8) {
+"""
+    + _SIDE
+    + """
+        float reference[W];
+        memcpy(reference, from, sizeof(reference));
+        memcpy(left ? low_end : unwanted, reference, sizeof(reference));  // no branch to mispredict
+        low_end += left ? 8 : 0;
+        memcpy(right ? high_end : unwanted, reference, sizeof(reference));
+        high_end += right ? 8 : 0;
+"""
+    + _GROW
+    + """
+    }
+    sides.left = (int)((low_end - target.data) / 8 - to_left);
+    sides.right = (int)((high_end - target.data) / 8 - to_right);
+"""
+    + _FINISH
+)
+def partition(
+    references: wp.array(dtype=float),
+    begin: int,
+    count: int,
+    axis: int,
+    position: float,
+    planar_left: bool,
+    target: wp.array(dtype=float),
+    to_left: int,
+    to_right: int,
+    sides: wp.ref[Sides],
+):
+    """Moves a range to the two sides of a plane, in order. Where the target is the source, one side may begin where the range
+    does: it is compacted in place."""
+    ...
+
+
+@wp.func
+def divide(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Classify and partition: gives the children their lists."""
+    append_left = split.left < split.right
+    begin = frame.first[0]
+    to_left = wp.where(append_left, frame.top, begin)
+    to_right = wp.where(append_left, begin, frame.top)
+    sides = Sides()
+    source = lists.reference
+    count = frame.count[0]
+    partition(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
+    top = frame.top + wp.where(append_left, sides.left, sides.right)
+    set_list(left, to_left, sides.left, wp.max(left.low, sides.left_low), wp.min(left.high, sides.left_high))
+    set_list(right, to_right, sides.right, wp.max(right.low, sides.right_low), wp.min(right.high, sides.right_high))
+    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    left.top = top
+    right.top = wp.where(append_left, frame.top, top)
+
+
+@wp.func
+def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, inner_high: wp.vec3):
+    """Gives a node its list."""
+    frame.first[0] = first
+    frame.count[0] = count
+    frame.triangles = count
+    frame.inner_low = inner_low
+    frame.inner_high = inner_high
+
+
+@wp.func
+def emit_leaf(lists: ReferenceLists, task: Task, frame: Frame, parts: Parts, begin: int):
+    """Lists the node's triangles, by id."""
+    write_order(lists.reference, frame.first[0], frame.count[0], parts.primitive, begin)
+
+
+@cache
+def scanning(search: wp.Function, clipping: bool = False) -> Method:
+    """The method of a builder that searches by scanning references; clipping: whether straddlers are clipped."""
+    if not clipping:
+        return Method(ReferenceLists, search, divide, emit_leaf)
+    from wrt.builders.kdtree.phases.split_clipping import divide_clipping
+
+    return Method(ReferenceLists, search, divide_clipping, emit_leaf)

@@ -1,0 +1,1 @@
+"""Kd-trees whose triangles have moved: refilled leaves, and subtrees built again."""

@@ -1,0 +1,137 @@
+"""Refill: the planes of a kd-tree kept, the lists of its leaves made anew for triangles that have moved.
+
+A kd-tree cannot be refitted: planes divide space, and what moves across one has to change sides. But the planes may stay as
+they are, good or bad: every triangle is taken down the tree again, with its box, and listed in each leaf that it comes to. That
+is one walk a triangle and no search for planes. The tree is correct for any motion. Boxes that straddle many planes make long
+lists, which is why the caller says how long they may become.
+
+A triangle in a plane goes to the right of it; a plane may come to lie outside the box of all triangles, or two may fall
+together: rays meet cells that are widened (`wrt.kernels.simd.boxes`), so cells without inside lose nothing.
+
+References:
+    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
+        Conference on Computer Science and Software Engineering 2008 (trees deformed until a heuristic asks for a rebuild).
+"""
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.cost import SurfaceAreaCost
+from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, half_area
+from wrt.builders.tree import BuildStats, KdTree
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+STACK = kdtree.MAX_TREE_DEPTH + 1
+
+
+@wp.kernel
+def find_leaves(
+    first: int,
+    nodes: wp.array(dtype=wp.vec2i),
+    boxes: Boxes,
+    begins: wp.array(dtype=int),
+    counts: wp.array(dtype=int),
+    leaves: wp.array(dtype=int),
+):
+    """Item: a triangle. Counts the leaves that its box comes to; if there are `begins`, names them too."""
+    i = first + wp.tid()
+    stack = wp.zeros(shape=(STACK,), dtype=int)
+    waiting = int(1)
+    count = int(0)
+    while waiting > 0:
+        waiting -= 1
+        index = stack[waiting]
+        node = nodes[index]
+        axis = kdtree.split_axis(node)
+        if axis == kdtree.LEAF:
+            if begins.shape[0] > 0:
+                leaves[begins[i] + count] = index
+            count += 1
+        else:
+            position = kdtree.split_position(node)
+            if boxes.high[axis, i] > position or boxes.low[axis, i] >= position:
+                stack[waiting] = kdtree.right_child(node)
+                waiting += 1
+            if boxes.low[axis, i] < position:
+                stack[waiting] = index + 1
+                waiting += 1
+    if begins.shape[0] == 0:
+        counts[i] = count
+
+
+def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, most_references: int) -> KdTree | None:
+    """The same planes with moved triangles in the leaves; None if that takes more references than allowed.
+
+    Args:
+        tree: over as many triangles, on the CPU; it stays as it is.
+        triangles: boxes of the triangles where they are now.
+        shift: (3,) float64, added to the positions of the planes.
+        most_references: entries of all leaf lists together.
+    """
+    start, device, none = perf_counter(), tree.nodes.device, wp.empty(0, dtype=int, device=tree.nodes.device)
+    words = tree.nodes.numpy().copy()
+    axis = words[:, 1] & 3
+    inner, leaf = np.flatnonzero(axis != kdtree.LEAF), np.flatnonzero(axis == kdtree.LEAF)
+    positions = words[inner, 0].view(np.float32) + shift[axis[inner]]
+    words[inner, 0] = positions.astype(np.float32).view(np.int32)
+    nodes = wp.array(words, dtype=wp.vec2i, device=device)
+    counts = wp.empty(triangles.count, dtype=int, device=device)
+    launch(find_leaves, triangles.count, [nodes, triangles.boxes, none, counts, none], device=device, chunk=1024)
+    begins = np.cumsum(counts.numpy(), dtype=np.int64)
+    if begins[-1] > most_references:
+        return None
+    found = wp.empty(int(begins[-1]), dtype=int, device=device)
+    begins = wp.array((begins - counts.numpy()).astype(np.int32), dtype=int, device=device)
+    launch(find_leaves, triangles.count, [nodes, triangles.boxes, begins, counts, found], device=device, chunk=1024)
+    sizes, primitive = fill_leaves(found.numpy(), counts.numpy(), len(words), tree.width)
+    blocks = -(-sizes // tree.width)
+    words[leaf, 0], words[leaf, 1] = (np.cumsum(blocks) - blocks)[leaf], sizes[leaf] << 2 | kdtree.LEAF
+    stats = BuildStats({"refill": perf_counter() - start})
+    moved = wp.array(words, dtype=wp.vec2i, device=device), wp.array(primitive, dtype=int, device=device)
+    stats.reserve(*moved, found, counts, begins)
+    low, high = (wp.vec3(*map(float, corner)) for corner in (triangles.low, triangles.high))
+    return replace(tree, nodes=moved[0], primitive=moved[1], low=low, high=high, stats=stats)
+
+
+def fill_leaves(leaves: np.ndarray, counts: np.ndarray, nodes: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of each node, 0 for inner ones, and all lists, padded to whole blocks.
+
+    Args:
+        leaves: those of triangle 0, then those of triangle 1 and so on.
+        counts: (triangles,) how many of each.
+        nodes: of the tree.
+        width: triangles a block.
+    """
+    order = np.argsort(leaves, kind="stable")
+    sizes = np.bincount(leaves, minlength=nodes)
+    room = -(-sizes // width) * width
+    slots = np.repeat(np.cumsum(room) - room - (np.cumsum(sizes) - sizes), sizes) + np.arange(len(leaves))
+    primitive = np.full(int(room.sum()), -1, dtype=np.int32)
+    primitive[slots] = np.repeat(np.arange(len(counts), dtype=np.int32), counts)[order]
+    return sizes, primitive
+
+
+def node_costs(flat: UnpackedKdTree, cost: SurfaceAreaCost) -> np.ndarray:
+    """(nodes,) expected cost of a ray that meets a node's cell, in all below it: that of the root is the tree's SAH cost."""
+    costs = np.where(flat.is_leaf, cost.of_leaf(flat.triangles), cost.traversal).astype(np.float64)
+    left, right = child_probabilities(flat)
+    order = np.argsort(flat.depth, kind="stable")
+    ends = np.cumsum(np.bincount(flat.depth))
+    for level in reversed(np.split(order, ends[:-1])):
+        inner = level[~flat.is_leaf[level]]
+        costs[inner] += left[inner] * costs[flat.left[inner]] + right[inner] * costs[flat.right[inner]]
+    return costs
+
+
+def child_probabilities(flat: UnpackedKdTree) -> tuple[np.ndarray, np.ndarray]:
+    """Of each node, how likely a ray through its cell meets the left and the right child's."""
+    area = half_area(flat.low, flat.high)
+    safe = np.where(area > 0.0, area, 1.0)
+    return tuple(np.where(flat.is_leaf, 0.0, area[child] / safe) for child in (flat.left, flat.right))

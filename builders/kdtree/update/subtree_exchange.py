@@ -1,0 +1,85 @@
+"""Subtrees of a kd-tree built again, in place of the old ones (Yang et al. 2008: the whole tree, or a subtree).
+
+The triangles of a subtree are those in its leaves, with their boxes cut off at its cell. Nodes are in depth-first order
+(`wrt.kernels.layout.kdtree_nodes`), so a subtree is a range of them: the tree is put together of the ranges between.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree
+from wrt.builders.leaf_blocks import gather_blocks
+from wrt.builders.tree import BuildStats, KdTree
+from wrt.builders.triangle_boxes import TriangleBoxes, boxes_of
+from wrt.kernels.layout import kdtree_nodes as kdtree
+
+Build = Callable[[TriangleBoxes], KdTree]
+
+
+def subtree_end(flat: UnpackedKdTree, node: int) -> int:
+    """One past the last node of a subtree."""
+    while not flat.is_leaf[node]:
+        node = int(flat.right[node])
+    return node + 1
+
+
+def subtree_triangles(tree: KdTree, flat: UnpackedKdTree, node: int) -> np.ndarray:
+    """Ids of the triangles in a subtree's leaves, each once, in order."""
+    own = np.arange(node, subtree_end(flat, node))
+    own = own[flat.is_leaf[own]]
+    lists, _ = gather_blocks(tree.primitive.numpy(), tree.width, flat.first_block[own], -(-flat.triangles[own] // tree.width))
+    listed = np.zeros(lists.max(initial=-1) + 1, dtype=bool)
+    listed[lists[lists >= 0]] = True
+    return np.flatnonzero(listed)
+
+
+def build_subtree(ids: np.ndarray, flat: UnpackedKdTree, node: int, low: np.ndarray, high: np.ndarray, build: Build) -> KdTree:
+    """A tree of the cell's box for the triangles `ids` of a subtree; low, high: (T, 3) float32 boxes of all triangles."""
+    cell = flat.low[node].astype(np.float32), flat.high[node].astype(np.float32)
+    own = boxes_of(np.maximum(low[ids], cell[0]), np.minimum(high[ids], cell[1]))
+    tree = build(replace(own, low=cell[0], high=cell[1]))
+    lists = tree.primitive.numpy()
+    numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
+    return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
+
+
+def exchange(tree: KdTree, flat: UnpackedKdTree, subtrees: Mapping[int, KdTree]) -> tuple[KdTree, np.ndarray]:
+    """The tree with others in place of some of its nodes, none of which is below another.
+
+    Returns:
+        The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
+    """
+    pieces, origin, moved_to = [], [], np.zeros(len(flat.axis), dtype=np.int64)
+    lists, block_base, begin, total = [tree.primitive.numpy()], len(tree.primitive) // tree.width, 0, 0
+    words = tree.nodes.numpy().copy()
+    for node in (*sorted(subtrees), len(words)):
+        pieces.append(words[begin:node])
+        origin.append(np.arange(begin, node))
+        moved_to[begin:node] = total + np.arange(node - begin)
+        total += node - begin
+        if node == len(words):
+            break
+        new = subtrees[node].nodes.numpy().copy()
+        leaf = new[:, 1] & 3 == kdtree.LEAF
+        new[leaf, 0] += block_base
+        new[~leaf, 1] += total << 2
+        pieces.append(new)
+        origin.append(np.full(len(new), -1))
+        lists.append(subtrees[node].primitive.numpy())
+        moved_to[node], total = total, total + len(new)
+        block_base += len(lists[-1]) // tree.width
+        begin = subtree_end(flat, node)
+    joined, source = np.concatenate(pieces), np.concatenate(origin)
+    inner = (source >= 0) & (joined[:, 1] & 3 != kdtree.LEAF)
+    joined[inner, 1] = moved_to[joined[inner, 1] >> 2] << 2 | joined[inner, 1] & 3
+    leaf = joined[:, 1] & 3 == kdtree.LEAF
+    blocks = -(-(joined[leaf, 1] >> 2) // tree.width)
+    primitive, joined[leaf, 0] = gather_blocks(np.concatenate(lists), tree.width, joined[leaf, 0], blocks)
+    device = tree.nodes.device
+    nodes, primitive = wp.array(joined, dtype=wp.vec2i, device=device), wp.array(primitive, dtype=int, device=device)
+    stats = BuildStats(dict(tree.stats.seconds))
+    stats.reserve(nodes, primitive)
+    return replace(tree, nodes=nodes, primitive=primitive, stats=stats), source

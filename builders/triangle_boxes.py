@@ -1,0 +1,100 @@
+"""Bounding boxes of triangles: what every builder starts from."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import launch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MAX_CORNER = 2.0**126
+"""Largest coordinate of a box: float32 ends at 2^128, and builders add and subtract two of them."""
+
+
+@wp.struct
+class Boxes:
+    """Bounding boxes of triangles, component by component."""
+
+    low: wp.array2d(dtype=float)
+    """(3, triangles)"""
+    high: wp.array2d(dtype=float)
+
+
+@wp.kernel
+def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
+    """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
+    i = first + wp.tid()
+    face = faces[i]
+    a = vertices[face[0]]
+    b = vertices[face[1]]
+    c = vertices[face[2]]
+    for axis in range(3):
+        boxes.low[axis, i] = wp.min(a[axis], wp.min(b[axis], c[axis])) + 0.0
+        boxes.high[axis, i] = wp.max(a[axis], wp.max(b[axis], c[axis])) + 0.0
+
+
+@dataclass
+class TriangleBoxes:
+    """Boxes of all triangles and the box of them all.
+
+    Attributes:
+        boxes: of each triangle.
+        count: number of triangles.
+        low, high: (3,) float32, the box of all of them.
+        center: (3,) the point that positions are relative to.
+        vertices, faces: the triangles themselves, for builders that clip them; None where boxes stand for other things.
+
+    Raises:
+        ValueError: a box that is NaN, or so large that sums and differences of two corners are not finite. (Areas may overflow:
+            what has no finite price is divided in the middle.) The box of all tells it: a minimum of NumPy keeps NaN.
+    """
+
+    boxes: Boxes
+    count: int
+    low: np.ndarray
+    high: np.ndarray
+    center: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    vertices: wp.array | None = None
+    faces: wp.array | None = None
+
+    def __post_init__(self) -> None:
+        largest = np.abs([self.low, self.high]).max()
+        if not largest <= MAX_CORNER:
+            raise ValueError(f"boxes reach out to {largest:.3g}; a tree can be built up to {MAX_CORNER:.3g}")
+
+    @property
+    def size(self) -> float:
+        """Longest side of the box of all triangles."""
+        return float((self.high - self.low).max())
+
+
+def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | None = None) -> TriangleBoxes:
+    """Bounding boxes of the triangles.
+
+    Args:
+        vertices: (V,) vec3.
+        faces: (F,) vec3i.
+        center: (3,) the point that vertices are relative to; None for the origin.
+    """
+    device, count = vertices.device, len(faces)
+    boxes = Boxes()
+    boxes.low = wp.empty((3, count), dtype=float, device=device)
+    boxes.high = wp.empty((3, count), dtype=float, device=device)
+    launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
+    low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
+    return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)
+
+
+def boxes_of(low: np.ndarray, high: np.ndarray) -> TriangleBoxes:
+    """Boxes that are known already, on the CPU.
+
+    Args:
+        low, high: (N, 3) corners, rounded to float32.
+    """
+    boxes = Boxes()
+    boxes.low, boxes.high = (
+        wp.array(np.ascontiguousarray(corner.T, dtype=np.float32), dtype=float, device="cpu") for corner in (low, high)
+    )
+    return TriangleBoxes(boxes, len(low), boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))

@@ -1,0 +1,1 @@
+"""Data structures in device memory: rays, hits, nodes, and instances."""

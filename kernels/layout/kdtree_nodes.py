@@ -1,0 +1,118 @@
+"""Kd-tree as traversals read it: 8 bytes a node, depth-first order.
+
+A node is two 32-bit words:
+
+    word 0   inner node: the splitting plane's position, bits of a float32
+             leaf:       index of its first triangle block
+    word 1   bits 0-1    0, 1, 2: inner node that splits x, y, z;  3: leaf
+             bits 2-30   inner node: index of its right (upper) child;  leaf: number of triangles, 0 if it is empty
+
+The left (lower) child of node i is node i + 1. A leaf of n triangles owns ceil(n / W) consecutive blocks of W lanes.
+
+In pairs, another order of the same nodes, the children of a node stand side by side, wherever they are: an inner node has the
+index of its left child, and the right one follows. Pairs can be in any order (`wrt.builders.convert.node_layouts`).
+
+References:
+    V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001 (depth-first layout).
+    I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004 (8-byte node).
+"""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MAX_TREE_DEPTH = 64
+"""Bounds the depth of every tree that a builder makes, and so the stack of every traversal."""
+
+LEAF = wp.constant(3)
+MAX_INDEX = (1 << 29) - 1
+"""Largest child index and leaf size that a node can hold."""
+
+
+@wp.struct
+class KdNodes:
+    """The nodes of a tree and the box that they divide; or the part of a tree below one of its nodes."""
+
+    nodes: wp.array(dtype=wp.vec2i)
+    root: int
+    """Where a traversal begins: 0, or the node whose box `low`, `high` is."""
+    low: wp.vec3
+    high: wp.vec3
+
+
+@wp.func
+def inner_node(axis: int, position: float, right: int):
+    """Packs an inner node."""
+    return wp.vec2i(wp.cast(position, wp.int32), (right << 2) | axis)
+
+
+@wp.func
+def leaf_node(first_block: int, triangles: int):
+    """Packs a leaf."""
+    return wp.vec2i(first_block, (triangles << 2) | LEAF)
+
+
+@wp.func_native("return nodes.data[index];")
+def load_node(nodes: wp.array(dtype=wp.vec2i), index: int) -> wp.vec2i:
+    """Node `index`, without the index checks of `nodes[index]`: every step of a traversal waits for this load."""
+    ...
+
+
+@wp.func
+def children_depth_first(index: int, node: wp.vec2i):
+    """Indices of an inner node's children, (lower, upper)."""
+    return wp.vec2i(index + 1, node[1] >> 2)
+
+
+@wp.func
+def children_in_pairs(index: int, node: wp.vec2i):
+    """The same where nodes are in pairs."""
+    return wp.vec2i(node[1] >> 2, (node[1] >> 2) + 1)
+
+
+@wp.func
+def split_axis(node: wp.vec2i):
+    """0, 1 or 2; `LEAF` for a leaf."""
+    return node[1] & 3
+
+
+@wp.func
+def split_position(node: wp.vec2i):
+    """Where an inner node splits its axis."""
+    return wp.cast(node[0], wp.float32)
+
+
+@wp.func
+def right_child(node: wp.vec2i):
+    """Index of an inner node's upper child."""
+    return node[1] >> 2
+
+
+@wp.func
+def child_low(low: wp.vec3, axis: int, position: float, is_right: bool):
+    """Lower corner of a child's cell: that of its parent's, but for the right child along the axis of the plane."""
+    result = wp.vec3(low)
+    if is_right:
+        result[axis] = position
+    return result
+
+
+@wp.func
+def child_high(high: wp.vec3, axis: int, position: float, is_right: bool):
+    """Upper corner of a child's cell."""
+    result = wp.vec3(high)
+    if not is_right:
+        result[axis] = position
+    return result
+
+
+@wp.func
+def first_block(node: wp.vec2i):
+    """Index of a leaf's first triangle block."""
+    return node[0]
+
+
+@wp.func
+def leaf_triangles(node: wp.vec2i):
+    """Number of triangles in a leaf."""
+    return node[1] >> 2

@@ -1,0 +1,197 @@
+"""What follows from a hit's primitive and weights: the point, the normal, which geometry it belongs to."""
+
+import warp as wp
+
+from wrt.kernels.layout.instance_maps import Geometry, Placement, scene_point
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class SceneMesh:
+    """All triangles of a scene: its own, or those of its instances."""
+
+    vertices: wp.array(dtype=wp.vec3)
+    """Relative to `center`; of a scene of instances (0,)."""
+    faces: wp.array(dtype=wp.vec3i)
+    center: wp.vec3d
+    low: wp.vec3
+    """Lowest corner of all triangles, relative to `center`."""
+    high: wp.vec3
+    geometry_first: wp.array(dtype=int)
+    """(geometries + 1,) or (instances + 1,) number of the first triangle of each."""
+    placements: wp.array(dtype=Placement)
+    """(instances,); (0,) in a scene without."""
+    geometries: wp.array(dtype=Geometry)
+    """What the placements name."""
+
+
+@wp.struct
+class Triangle:
+    """A triangle of a scene, relative to its centre, in float64."""
+
+    a: wp.vec3d
+    b: wp.vec3d
+    c: wp.vec3d
+    face: int
+    """Its number if what instances share is counted once."""
+    instance: int
+    """-1 in a scene without instances."""
+
+
+@wp.func
+def geometry_of(mesh: SceneMesh, primitive: int):
+    """Number of the geometry, or of the instance, that a triangle belongs to, numbered through the scene."""
+    low = int(0)
+    high = mesh.geometry_first.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) / 2
+        if mesh.geometry_first[middle] <= primitive:
+            low = middle
+        else:
+            high = middle
+    return low
+
+
+@wp.func
+def triangle_of(mesh: SceneMesh, primitive: int):
+    """Triangle number `primitive` of the scene, as its geometry winds it, mirrored or not."""
+    triangle = Triangle()
+    if mesh.placements.shape[0] == 0:
+        face = mesh.faces[primitive]
+        triangle.a = wp.vec3d(mesh.vertices[face[0]])
+        triangle.b = wp.vec3d(mesh.vertices[face[1]])
+        triangle.c = wp.vec3d(mesh.vertices[face[2]])
+        triangle.face = primitive
+        triangle.instance = -1
+    else:
+        triangle.instance = geometry_of(mesh, primitive)
+        placement = mesh.placements[triangle.instance]
+        geometry = mesh.geometries[placement.geometry]
+        local = primitive - placement.first
+        face = geometry.faces[local]
+        triangle.a = scene_point(placement, geometry.vertices[face[0]])
+        triangle.b = scene_point(placement, geometry.vertices[face[1]])
+        triangle.c = scene_point(placement, geometry.vertices[face[2]])
+        triangle.face = geometry.first_face + local
+    return triangle
+
+
+@wp.func
+def winding(mesh: SceneMesh, triangle: Triangle):
+    """1, or -1 for a triangle that its instance mirrors: then the cross product of its edges points to its back."""
+    sign = wp.float64(1.0)
+    if triangle.instance >= 0 and wp.determinant(mesh.placements[triangle.instance].to_scene) < wp.float64(0.0):
+        sign = wp.float64(-1.0)
+    return sign
+
+
+@wp.func
+def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
+    """The point (1 - u - v) a + u b + v c in float64, in the caller's coordinates; NaN for a miss."""
+    nan = wp.float64(wp.nan)
+    point = wp.vec3d(nan, nan, nan)
+    if primitive >= 0:
+        at = triangle_of(mesh, primitive)
+        point = mesh.center + (at.a + wp.float64(uv[0]) * (at.b - at.a) + wp.float64(uv[1]) * (at.c - at.a))
+    return point
+
+
+@wp.func
+def hit_normal(mesh: SceneMesh, primitive: int):
+    """Unit normal of a triangle by its winding; 0 for a miss and for a triangle without area."""
+    normal = wp.vec3d()
+    if primitive >= 0:
+        at = triangle_of(mesh, primitive)
+        normal = winding(mesh, at) * wp.normalize(wp.cross(at.b - at.a, at.c - at.a))
+    return wp.vec3(normal)
+
+
+@wp.kernel
+def hit_positions(
+    first: int,
+    mesh: SceneMesh,
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    positions: wp.array(dtype=wp.vec3d),
+):
+    """Item: a ray. The point of its hit."""
+    i = first + wp.tid()
+    positions[i] = hit_position(mesh, primitive[i], uv[i])
+
+
+GRAZING = wp.constant(wp.float64(1e-4))
+"""Sine of the angle between ray and triangle below which the weights say where a hit lies, not the plane."""
+
+
+@wp.kernel
+def meet_planes(
+    first: int,
+    vertices: wp.array(dtype=wp.vec3d),
+    faces: wp.array(dtype=wp.vec3i),
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    ray: wp.array(dtype=int),
+    primitive: wp.array(dtype=int),
+    uv: wp.array(dtype=wp.vec2),
+    positions: wp.array(dtype=wp.vec3d),
+):
+    """Item: a hit. Where its ray meets the plane of its triangle, all in float64.
+
+    Where the angle between the two is too small for that, and for a triangle without area, the point of the triangle with
+    the weights `uv`.
+    """
+    i = first + wp.tid()
+    face = faces[primitive[i]]
+    a = vertices[face[0]]
+    edge1 = vertices[face[1]] - a
+    edge2 = vertices[face[2]] - a
+    normal = wp.cross(edge1, edge2)
+    origin = origins[ray[i]]
+    direction = directions[ray[i]]
+    slope = wp.dot(normal, direction)
+    point = a + wp.float64(uv[i][0]) * edge1 + wp.float64(uv[i][1]) * edge2
+    if wp.abs(slope) > GRAZING * wp.length(normal) * wp.length(direction):
+        point = origin + (wp.dot(normal, a - origin) / slope) * direction
+    positions[i] = point
+
+
+@wp.kernel
+def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
+    """Item: a ray. Normal of the triangle that it hits."""
+    i = first + wp.tid()
+    normals[i] = hit_normal(mesh, primitive[i])
+
+
+@wp.kernel
+def locate_geometry(
+    first: int,
+    mesh: SceneMesh,
+    primitive: wp.array(dtype=int),
+    instance: wp.array(dtype=int),
+    geometry: wp.array(dtype=int),
+    local: wp.array(dtype=int),
+):
+    """Item: a ray. Turns the scene's triangle number into instance, geometry and a triangle of it; all -1 for a miss.
+
+    Without instances, a geometry is its own instance."""
+    i = first + wp.tid()
+    found = int(-1)
+    shared = int(-1)
+    inside = int(-1)
+    if primitive[i] >= 0:
+        found = geometry_of(mesh, primitive[i])
+        shared = found
+        if mesh.placements.shape[0] > 0:
+            shared = mesh.placements[found].geometry
+        inside = primitive[i] - mesh.geometry_first[found]
+    instance[i] = found
+    geometry[i] = shared
+    local[i] = inside
+
+
+@wp.kernel
+def mark_hits(first: int, primitive: wp.array(dtype=int), is_hit: wp.array(dtype=wp.bool)):
+    """Item: a ray. Whether it hit anything."""
+    i = first + wp.tid()
+    is_hit[i] = primitive[i] >= 0

@@ -1,0 +1,125 @@
+"""All hits of each ray, from the room in which a traversal left them to sorted lists without gaps (count, scan, fill).
+
+A traversal writes the hits of a ray in the order in which it meets them. Here each ray's hits are sorted by t, then by
+triangle, which no tree, traversal or number of threads can change, and copied to where they belong.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+FEW = wp.constant(16)
+"""Hits up to which a ray's list is sorted by insertion; more by a heap, whose time grows no faster than n log n."""
+
+
+@wp.func
+def comes_before(hits: HitBatch, a: int, b: int):
+    """Whether hit a comes before hit b: at the smaller t, then by the smaller triangle."""
+    return hits.t[a] < hits.t[b] or (hits.t[a] == hits.t[b] and hits.primitive[a] < hits.primitive[b])
+
+
+@wp.func
+def swap_hits(hits: HitBatch, a: int, b: int):
+    """Exchanges two hits."""
+    t = hits.t[a]
+    primitive = hits.primitive[a]
+    uv = hits.uv[a]
+    hits.t[a] = hits.t[b]
+    hits.primitive[a] = hits.primitive[b]
+    hits.uv[a] = hits.uv[b]
+    hits.t[b] = t
+    hits.primitive[b] = primitive
+    hits.uv[b] = uv
+
+
+@wp.func
+def sift_down(hits: HitBatch, begin: int, start: int, count: int):
+    """Restores the heap of `count` hits, the last of all on top, below the one at `start`."""
+    parent = int(start)
+    child = int(2 * start + 1)
+    while child < count:
+        if child + 1 < count and comes_before(hits, begin + child, begin + child + 1):
+            child += 1
+        if comes_before(hits, begin + parent, begin + child):
+            swap_hits(hits, begin + parent, begin + child)
+            parent = child
+            child = 2 * parent + 1
+        else:
+            child = count
+
+
+@wp.func
+def sort_hits(hits: HitBatch, begin: int, count: int):
+    """Sorts the hits begin .. begin + count - 1."""
+    if count <= FEW:
+        for i in range(1, count):
+            j = int(begin + i)
+            while j > begin and comes_before(hits, j, j - 1):
+                swap_hits(hits, j, j - 1)
+                j -= 1
+    else:
+        for i in range(count / 2):
+            sift_down(hits, begin, count / 2 - 1 - i, count)
+        for i in range(count - 1):
+            swap_hits(hits, begin, begin + count - 1 - i)
+            sift_down(hits, begin, 0, count - 1 - i)
+
+
+@wp.kernel
+def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets: wp.array(dtype=wp.int64), hits: HitBatch):
+    """Item: a traced ray. Its nearest hits, sorted, to the elements that `offsets` gives it.
+
+    Args:
+        first: number of the first item.
+        found: what the traversal wrote; a ray for which there was no room is passed over. Sorted in place.
+        order: the ray that each traced one is; empty if they are traced in their own order.
+        offsets: (rays + 1,) where the hits of each ray begin.
+        hits: `t`, `primitive` and `uv` are written.
+    """
+    item = first + wp.tid()
+    ray = int(item)
+    if order.shape[0] > 0:
+        ray = order[item]
+    begin = int(item * found.room)
+    if found.room == 0:
+        begin = found.begins[item]
+    count = found.counts[item]
+    if found.room == 0 or count <= found.room:
+        sort_hits(found, begin, count)
+        place = int(offsets[ray])
+        for k in range(int(offsets[ray + 1]) - place):
+            hits.t[place + k] = found.t[begin + k]
+            hits.primitive[place + k] = found.primitive[begin + k]
+            hits.uv[place + k] = found.uv[begin + k]
+
+
+@wp.kernel
+def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(dtype=int)):
+    """Item: a ray. Writes its number to each of its hits."""
+    i = first + wp.tid()
+    for k in range(int(offsets[i]), int(offsets[i + 1])):
+        ray_id[k] = i
+
+
+@wp.kernel
+def count_listed(first: int, offsets: wp.array(dtype=wp.int64), counts: wp.array(dtype=int)):
+    """Item: a ray. Number of its hits in the lists."""
+    i = first + wp.tid()
+    counts[i] = int(offsets[i + 1] - offsets[i])
+
+
+@wp.kernel
+def is_odd(first: int, counts: wp.array(dtype=int), odd: wp.array(dtype=wp.bool)):
+    """Item: a ray. Whether it crosses the surface an odd number of times."""
+    i = first + wp.tid()
+    odd[i] = (counts[i] & 1) != 0
+
+
+@wp.kernel
+def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
+    """Item: a ray. Along the direction or against it, whichever leads away from the scene's centre."""
+    i = first + wp.tid()
+    offset = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
+    directions[i] = wp.where(wp.dot(offset, direction) < 0.0, -direction, direction)

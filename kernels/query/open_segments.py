@@ -1,0 +1,132 @@
+"""Whether the open segment between two points is free.
+
+**Problem.** Points to be seen mostly lie on surfaces: on them but for rounding. The ray between two such points meets their own
+triangles, near its ends and, where it leaves at a grazing angle, far from them; that must not count.
+
+**Rule.** A triangle whose plane passes through one of the ends, within rounding, does not block. That is more than to leave
+out hits near the ends: at a grazing angle, a rounding of the end moves the hit along the ray by many times as much, but the
+end stays as near to the plane as it was. Rounding is bound by `TOUCH` times the largest coordinate of the triangle and of the
+end, relative to the scene's centre, and that of the caller's float32 coordinates.
+
+**Symmetry.** The rays from a to b and from b to a are rounded differently, and may pass an edge on different sides. So the ray
+of a pair always starts at the same one of its ends: the smaller by x, then y, then z.
+
+**Steps.** Most pairs are decided by the nearest hit, looked for only where it is farther than rounding from both ends: none, or
+one on a triangle through neither end. The others are decided by the list of all hits.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import RayBatch, is_finite
+from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+TOUCH = wp.constant(2.0**-22)
+"""Four roundings of half a unit in the last place, as a share of the largest coordinate: two of a point, two of a plane."""
+
+HIDDEN = wp.constant(0)
+VISIBLE = wp.constant(1)
+UNDECIDED = wp.constant(2)
+
+
+@wp.func
+def size_of(v: wp.vec3):
+    """Largest component."""
+    return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
+
+
+@wp.func
+def comes_first(a: wp.vec3d, b: wp.vec3d):
+    """Whether a is not after b: by x, then y, then z."""
+    return a[0] < b[0] or (a[0] == b[0] and (a[1] < b[1] or (a[1] == b[1] and a[2] <= b[2])))
+
+
+@wp.kernel
+def connect_points(
+    first: int,
+    from_points: wp.array(dtype=wp.vec3d),
+    to_points: wp.array(dtype=wp.vec3d),
+    from_index: wp.array(dtype=int),
+    to_index: wp.array(dtype=int),
+    center: wp.vec3d,
+    rounding: float,
+    rays: RayBatch,
+    targets: wp.array(dtype=wp.vec3),
+    verdict: wp.array(dtype=int),
+):
+    """Item: a pair of points. Its ray, from the first one in order, and where that ends, relative to the centre, t = 1; pairs
+    without a ray are decided."""
+    i = first + wp.tid()
+    one = from_points[from_index[i]]
+    other = to_points[to_index[i]]
+    in_order = comes_first(one, other)
+    a = wp.where(in_order, one, other) - center
+    b = wp.where(in_order, other, one) - center
+    origin = wp.vec3(a)
+    target = wp.vec3(b)
+    direction = wp.vec3(b - a)
+    length = wp.length(direction)
+    margin = wp.min((TOUCH * wp.min(size_of(origin), size_of(target)) + rounding) / length, 0.5)
+    verdict[i] = wp.where(is_finite(origin) and is_finite(target), VISIBLE, HIDDEN)
+    targets[i] = target
+    rays.origins[i] = origin
+    rays.directions[i] = direction
+    rays.t_min[i] = wp.where(length > 0.0, margin, 0.0)
+    rays.t_max[i] = wp.where(length > 0.0, 1.0 - margin, 0.0)
+
+
+@wp.func
+def passes_through(mesh: SceneMesh, primitive: int, point: wp.vec3, rounding: float):
+    """Whether the triangle's plane passes through the point, within rounding; true for a triangle without area."""
+    corners = triangle_of(mesh, primitive)
+    a = wp.vec3(corners.a)
+    b = wp.vec3(corners.b)
+    c = wp.vec3(corners.c)
+    size = wp.max(wp.max(size_of(a), size_of(b)), wp.max(size_of(c), size_of(point)))
+    normal = wp.normalize(wp.cross(corners.b - corners.a, corners.c - corners.a))
+    return float(wp.abs(wp.dot(normal, wp.vec3d(point) - corners.a))) <= TOUCH * size + rounding
+
+
+@wp.func
+def blocks(mesh: SceneMesh, primitive: int, start: wp.vec3, end: wp.vec3, rounding: float):
+    """Whether a triangle that the segment meets hides its ends from each other."""
+    return not (passes_through(mesh, primitive, start, rounding) or passes_through(mesh, primitive, end, rounding))
+
+
+@wp.kernel
+def judge_nearest(
+    first: int,
+    mesh: SceneMesh,
+    rays: RayBatch,
+    targets: wp.array(dtype=wp.vec3),
+    primitive: wp.array(dtype=int),
+    rounding: float,
+    verdict: wp.array(dtype=int),
+):
+    """Item: a pair of points and the nearest hit of its ray, -1 for none."""
+    i = first + wp.tid()
+    if primitive[i] >= 0:
+        verdict[i] = wp.where(blocks(mesh, primitive[i], rays.origins[i], targets[i], rounding), HIDDEN, UNDECIDED)
+
+
+@wp.kernel
+def judge_lists(
+    first: int,
+    mesh: SceneMesh,
+    rays: RayBatch,
+    targets: wp.array(dtype=wp.vec3),
+    order: wp.array(dtype=int),
+    offsets: wp.array(dtype=wp.int64),
+    primitive: wp.array(dtype=int),
+    rounding: float,
+    verdict: wp.array(dtype=int),
+):
+    """Item: an undecided pair, number order[item], and the hits of its ray, elements offsets[item] .. of `primitive`."""
+    i = first + wp.tid()
+    pair = order[i]
+    result = int(VISIBLE)
+    for k in range(int(offsets[i]), int(offsets[i + 1])):
+        if blocks(mesh, primitive[k], rays.origins[pair], targets[pair], rounding):
+            result = HIDDEN
+    verdict[pair] = result

@@ -1,0 +1,45 @@
+"""Rays that each pass through one triangle: the single-ray walks with the step of `wrt.kernels.traversal.single.skip_step`."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.leaf import Counters, start, store_best
+from wrt.kernels.traversal.search_results import Skipping
+from wrt.kernels.traversal.single.walk_table import WALKS
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@cache
+def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
+    """The kernel for a kind of tree, key in `WALKS`, and a config that is `skipping`.
+
+    Its argument `skipped`: (N,), or (n,) for rays in rows of n that skip the same triangles row by row; -1 skips nothing.
+    """
+    Tree, make_walk = WALKS[kind]
+    walk, store = make_walk(config), store_best(config)
+
+    def skipping_hits(
+        first: int,
+        tree: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        skipped: wp.array(dtype=int),
+        hits: HitBatch,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        if ray.valid:
+            search = Skipping()
+            search.t_min = ray.t_min
+            search.skipped = skipped[i % skipped.shape[0]]
+            work = Counters()
+            best = walk(tree, triangles, ray, search, i, work)
+        store(hits, i, best)
+
+    return wp.kernel(skipping_hits, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,350 @@
+"""How a kernel is run over N items: the thread pool on the CPU, one launch on CUDA.
+
+Warp runs a CPU kernel on the calling thread and releases the interpreter lock meanwhile. So items are cut into contiguous
+chunks, which the caller and the pool's helpers claim in native code (`wrt.kernels.runtime.pool`). Chunks shrink towards the end
+(Polychronopoulos and Kuck), so that threads end together. The caller works too: a call from inside another call cannot wait for
+itself, and small batches never leave the calling thread. Where native helpers are not to be had, Python threads do the same,
+which scales to some four threads.
+
+Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
+What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
+
+While a graph is captured on the CPU, all items are one launch.
+
+References:
+    C. D. Polychronopoulos and D. J. Kuck. Guided Self-Scheduling: A Practical Scheduling Scheme for Parallel
+    Supercomputers. IEEE Transactions on Computers C-36(12), 1987.
+"""
+
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import warp as wp
+
+from wrt.kernels.runtime import pool as native
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.cores import available_cores
+from wrt.kernels.runtime.kernel_cache import init_warp, load_module
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+
+Config = TypeVar("Config")
+
+CHUNKS_PER_THREAD = 8
+MAX_CHUNK = 1 << 16
+"""Items that a launch has at most, if they are rays or triangles: about a hundredth of a second's work."""
+
+SMALLEST_SHARE = 4
+"""The last chunks are this many times smaller than the first ones."""
+
+MAX_THREADS = 1024
+
+CUDA_BLOCK = 128
+"""Threads of a block on CUDA."""
+
+_lock = threading.RLock()
+_loaded: set[tuple[wp.Kernel, str]] = set()
+_executor: ThreadPoolExecutor | None = None
+_num_threads: int | None = None
+_local_threads: ContextVar[int | None] = ContextVar("wrt_threads", default=None)
+_schedule: ContextVar[str] = ContextVar("wrt_schedule", default=DEFAULT_SCHEDULE)
+
+
+def get_num_threads() -> int:
+    """Threads that CPU kernels use: `use_threads`, else `set_num_threads`, else WRT_NUM_THREADS, else all cores.
+
+    Raises:
+        ValueError: WRT_NUM_THREADS is not a whole number from 1 to 1024.
+    """
+    global _num_threads
+    if (local := _local_threads.get()) is not None:
+        return local
+    if _num_threads is None:
+        text = os.environ.get("WRT_NUM_THREADS", "").strip()
+        if not text:
+            return available_cores()
+        if not text.isdigit():
+            raise ValueError(f"WRT_NUM_THREADS is {text!r}; set it to a whole number from 1 to {MAX_THREADS}")
+        _num_threads = check_num_threads(int(text), "WRT_NUM_THREADS")
+    return _num_threads
+
+
+def set_num_threads(count: int | None) -> None:
+    """Sets the threads that CPU kernels use from now on; None goes back to the default.
+
+    Raises:
+        ValueError: `count` is not from 1 to 1024.
+    """
+    global _num_threads
+    _num_threads = None if count is None else check_num_threads(count, "count")
+
+
+@contextmanager
+def use_threads(count: int | None) -> Iterator[None]:
+    """Sets the threads for the launches inside the `with` block, of the calling thread only; None changes nothing."""
+    token = _local_threads.set(_local_threads.get() if count is None else count)
+    try:
+        yield
+    finally:
+        _local_threads.reset(token)
+
+
+def check_num_threads(count: int, name: str) -> int:
+    """Returns `count` if it is a valid number of threads; raises an error that names `name` otherwise."""
+    if isinstance(count, bool) or not isinstance(count, int):
+        raise TypeError(f"{name} must be an int, not {type(count).__name__}")
+    if not 1 <= count <= MAX_THREADS:
+        raise ValueError(f"{name} is {count}; it must be from 1 to {MAX_THREADS}")
+    return count
+
+
+def launch(
+    kernel: wp.Kernel,
+    count: int,
+    inputs: Sequence[Any],
+    *,
+    device: wp.Device,
+    chunk: int = 256,
+    longest: int = MAX_CHUNK,
+    chunks_per_thread: int = CHUNKS_PER_THREAD,
+) -> None:
+    """Runs `kernel` for the items 0 .. count - 1. No `wp.Tape` takes notice.
+
+    Args:
+        kernel: a kernel whose first parameter is `first: int`, the number of the first item of the chunk.
+        count: number of items.
+        inputs: the kernel's other arguments.
+        device: where the arguments live; on CUDA this is one launch on the device's current stream.
+        chunk: on the CPU, the least number of items that is worth a launch of its own.
+        longest: on the CPU, the greatest number of items in a launch; lower it for items that take long, because a Ctrl-C
+            waits for the launches under way.
+        chunks_per_thread: on the CPU, of the size with which they begin; lower it for items that all cost the same, whose
+            chunks are then of one size, and raise it for few, long and uneven items.
+    """
+    if count <= 0:
+        return
+    load([kernel], device)
+    if device.is_cuda:
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK, record_tape=False)
+        return
+    if device.is_capturing:
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)
+    else:
+        chunks = Chunks(chunk, longest, chunks_per_thread)
+        PreparedLaunch(kernel, inputs, device).run(count, chunks)
+
+
+@dataclass(frozen=True)
+class Chunks:
+    """How items are cut into chunks on the CPU; attributes as the arguments of `launch`."""
+
+    chunk: int = 256
+    longest: int = MAX_CHUNK
+    chunks_per_thread: int = CHUNKS_PER_THREAD
+
+    def sizes(self, count: int, threads: int) -> tuple[int, int]:
+        """Items of the largest and of the smallest chunk of `count` items."""
+        if threads == 1:
+            return min(count, self.longest), min(count, self.longest)
+        chunks = min(self.chunks_per_thread * threads, -(-count // self.chunk))
+        largest = min(-(-count // max(1, chunks)), self.longest)
+        falls = self.chunks_per_thread >= CHUNKS_PER_THREAD
+        return largest, min(largest, max(self.chunk, -(-largest // SMALLEST_SHARE))) if falls else largest
+
+
+class PreparedLaunch:
+    """A kernel with its arguments packed, which one caller at a time runs on the CPU, as often as it wants.
+
+    Args:
+        kernel, inputs, device: as of `launch`.
+    """
+
+    def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
+        load([kernel], device)
+        self._packed = PackedKernel(kernel, [0, *inputs], device)
+
+    def argument(self, index: int) -> Any:
+        """The packed form of a struct among the kernel's arguments: what is written there holds for the next run."""
+        return self._packed.argument(index)
+
+    def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
+        """Runs the kernel for the items 0 .. count - 1.
+
+        Args:
+            count: number of items.
+            chunks: how they are cut.
+            used: owners of memory whose addresses were written into the arguments: they live until the last helper is done,
+                also if the caller is interrupted again while it waits for that.
+        """
+        if count <= min(chunks.chunk, chunks.longest):
+            self._packed.call_own_range(0, count)
+            return
+        threads = get_num_threads()
+        largest, smallest = chunks.sizes(count, threads)
+        threads = min(threads, -(-count // smallest))
+        if threads == 1:
+            for first in range(0, count, largest):
+                self._packed.call_own_range(first, min(largest, count - first))
+        elif native.is_available():
+            schedule = SCHEDULES[_schedule.get()]
+            job, memory = native.new_job(
+                self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=schedule
+            )
+            native.the_pool().run(job, (memory, used))
+        else:
+            self._run_in_python(count, largest, used)
+
+    def _run_in_python(self, count: int, largest: int, used: Any) -> None:
+        """Chunks handed out by Python."""
+
+        def run(number: int) -> None:
+            first = number * largest
+            self._packed.call_range(first, min(largest, count - first))
+
+        run.used = used
+        run_tasks(run, -(-count // largest))
+        del run.used  # at once: the pool may hold the function for a moment longer
+
+
+@contextmanager
+def use_schedule(name: str) -> Iterator[None]:
+    """Sets the schedule (a key of `SCHEDULES`) of launches inside the `with` block, of the calling thread only.
+
+    Raises:
+        ValueError: there is no such schedule.
+    """
+    if name not in SCHEDULES:
+        raise ValueError(f"schedule {name!r} is not known; choose from {', '.join(SCHEDULES)}")
+    token = _schedule.set(name)
+    try:
+        yield
+    finally:
+        _schedule.reset(token)
+
+
+def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
+    """A launch to be repeated, on the CPU by the calling thread alone: `set_dim` tells it how many items, from the first on.
+
+    Args: as of `launch`.
+    """
+    load([kernel], device)
+    block = CUDA_BLOCK if device.is_cuda else None
+    return wp.launch(kernel, dim=1, inputs=[0, *inputs], device=device, block_dim=block, record_cmd=True)
+
+
+@contextmanager
+def kept(device: wp.Device) -> Iterator[None]:
+    """Around what is made on the device once and kept, for queries from any thread, on any stream, and in graphs.
+
+    Memory taken while a graph is captured would be the graph's, and filled when that is launched.
+
+    Raises:
+        RuntimeError: a graph is being captured on the device.
+    """
+    if device.is_capturing:
+        raise RuntimeError(
+            "a graph is being captured, and something that the query keeps for later calls is not there yet; "
+            "make the same query once before the capture"
+        )
+    yield
+    if device.is_cuda:
+        wp.synchronize_stream(device.stream)
+
+
+def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Loads a kernel's module again if it has grown: one with `Any` among its parameters does with each type that it meets."""
+    with _lock:
+        load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
+
+
+def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
+    """Compiles and loads the kernels' modules, once, whatever the number of threads that ask for them at a time."""
+    for kernel in kernels:
+        if (kernel, device.alias) not in _loaded:
+            with _lock:
+                load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
+                _loaded.add((kernel, device.alias))
+
+
+def specialise(factory: Callable[[Config], wp.Kernel], config: Config) -> wp.Kernel:
+    """The kernel that a factory makes for a configuration, by one thread at a time.
+
+    Two threads that made it side by side would make its structs twice, and parts of the one do not fit those of the other.
+    """
+    with _lock:
+        return factory(config)
+
+
+def run_tasks(task: Callable[[int], Any], count: int) -> None:
+    """Calls `task(0)` .. `task(count - 1)`, on the caller's thread and the pool's; returns when all are done.
+
+    The first exception (a KeyboardInterrupt too) stops the handing out of tasks, waits for those that run and is raised.
+    """
+    helpers = min(get_num_threads(), count) - 1
+    if helpers <= 0:
+        for number in range(count):
+            task(number)
+        return
+    pending = deque(range(count))
+
+    def work() -> None:
+        while True:
+            try:
+                number = pending.popleft()
+            except IndexError:
+                return
+            try:
+                task(number)
+            except BaseException:
+                pending.clear()
+                raise
+
+    futures: list[Future[None]] = [_pool().submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        pending.clear()
+        for future in futures:
+            future.cancel()
+        wait(futures)
+    for future in futures:
+        if not future.cancelled():
+            future.result()
+
+
+def _pool() -> ThreadPoolExecutor:
+    global _executor
+    with _lock:
+        if _executor is None:
+            _executor = ThreadPoolExecutor(MAX_THREADS, thread_name_prefix="wrt")
+        return _executor
+
+
+def _forget_pool() -> None:
+    """A forked child has none of the pool's threads."""
+    global _executor, _lock
+    _executor, _lock = None, threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_pool)
+
+
+def as_device(device: str | wp.Device | None) -> wp.Device:
+    """The device of that name; Warp's default device for None.
+
+    Raises:
+        ValueError: it is not there.
+    """
+    init_warp()
+    try:
+        return wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        names = ", ".join(str(d) for d in wp.get_devices())
+        raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None

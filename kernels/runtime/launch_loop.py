@@ -1,0 +1,76 @@
+"""Loops of kernel launches whose turns depend on numbers in memory, such as the levels of a tree: on the CPU without Python.
+
+On the CPU the launches are jobs of the thread pool that follow one another (`wrt.kernels.runtime.board`, programs): how many
+items a job has, and whether to go on, is read from memory when the job before has ended. A level of a tree then costs some
+microseconds beside its work, where Python took tens for each launch. On CUDA, and with one thread, Python runs the loop.
+"""
+
+import ctypes
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime import pool as native
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.launch import get_num_threads, launch, load
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+
+
+@dataclass(frozen=True)
+class Step:
+    """A launch in a loop of launches.
+
+    Attributes:
+        kernel, inputs: as of `launch`.
+        count: number of items; None if `number` says it.
+        number: index among the loop's numbers of the number of items.
+    """
+
+    kernel: wp.Kernel
+    inputs: Sequence[Any]
+    count: int | None = None
+    number: int = 0
+
+    def items(self, numbers: np.ndarray) -> int:
+        """How many items the step has now."""
+        return int(numbers[self.number]) if self.count is None else self.count
+
+
+def launch_loop(turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
+    """Runs the steps of each turn one after the other, and the turns in a circle, until the first of `numbers` is 0.
+
+    On the CPU without Python between steps; elsewhere with a look at `numbers` before each turn. Every item is a chunk.
+
+    Args:
+        turns: at least one of at least one step.
+        numbers: (N,) int32, which the steps change.
+        device: where the arrays are.
+    """
+    load([step.kernel for steps in turns for step in steps], device)
+    threads = get_num_threads()
+    if device.is_cpu and threads > 1 and native.is_available():
+        schedule = SCHEDULES[DEFAULT_SCHEDULE]
+        jobs, memory = [], []
+        for steps in turns:
+            for step in steps:
+                packed = PackedKernel(step.kernel, [0, *step.inputs], device)
+                job, used = native.new_job(packed, step.count or 0, largest=1, smallest=1, threads=threads, schedule=schedule)
+                if step.count is None:
+                    job.count_at = numbers.ptr + 4 * step.number
+                jobs.append(job)
+                memory.append(used)
+            jobs[-1].while_at = numbers.ptr
+        for job, following in zip(jobs, [*jobs[1:], jobs[0]], strict=True):
+            job.following = ctypes.addressof(following)
+        native.the_pool().run(jobs[0], (jobs, memory, numbers))
+        return
+    for steps in itertools.cycle(turns):
+        now = numbers.numpy()
+        if now[0] == 0:
+            return
+        for step in steps:
+            launch(step.kernel, step.items(now), step.inputs, device=device, chunk=1)

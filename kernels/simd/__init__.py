@@ -1,0 +1,1 @@
+"""Native loops over W lanes, in C++ that Clang and NVRTC compile."""

@@ -1,0 +1,57 @@
+"""Records of floats into lanes, and lanes into records: 16 at a time, as a transposition.
+
+What is read as a whole lies together, word after word; what is computed 16 at a time lies lane beside lane. To go from the
+one to the other takes a gather or a scatter for each word, and those are slow. 16 records of 16 words are a matrix that 16
+vector loads bring in, 64 shuffles turn over (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores put away.
+
+References:
+    J. O. Eklundh: A fast computer method for matrix transposing. IEEE Transactions on Computers C-21(7), 1972.
+"""
+
+
+def _turn(distance: int) -> str:
+    """C++ that swaps the parts of rows `distance` apart whose columns have the other bit: Eklundh's transposition, a step."""
+    low = ", ".join(str(j if not j & distance else j - distance + 16) for j in range(16))
+    high = ", ".join(str(j + distance if not j & distance else j + 16) for j in range(16))
+    return "".join(
+        f"""
+        {{ const wrt_row a = r[{i}], b = r[{i + distance}];
+          r[{i}] = __builtin_shufflevector(a, b, {low}); r[{i + distance}] = __builtin_shufflevector(a, b, {high}); }}"""
+        for i in range(16)
+        if not i & distance
+    )
+
+
+TRANSPOSE = f"""
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    typedef float wrt_row __attribute__((ext_vector_type(16)));
+    auto wrt_turn = [](wrt_row* r) {{
+        {_turn(1)}{_turn(2)}{_turn(4)}{_turn(8)}
+    }};
+    auto wrt_write = [&](const float* columns, float* to, int words, int count) {{
+        wrt_row r[16];
+        for (int c = 0; c < 16; ++c) __builtin_memcpy(&r[c], columns + c * 16, sizeof(wrt_row));
+        wrt_turn(r);
+        WRT_UNROLLED for (int k = 0; k < 16; ++k) {{
+            if (k < count) __builtin_memcpy(to + (size_t)k * words, &r[k], sizeof(wrt_row));
+        }}
+    }};
+    auto wrt_read = [&](const float* const* from, int first, float* columns) {{
+        wrt_row r[16];
+        WRT_UNROLLED for (int k = 0; k < 16; ++k) __builtin_memcpy(&r[k], from[k] + first, sizeof(wrt_row));
+        wrt_turn(r);
+        for (int c = 0; c < 16; ++c) __builtin_memcpy(columns + c * 16, &r[c], sizeof(wrt_row));
+    }};
+#else
+    auto wrt_write = [&](const float* columns, float* to, int words, int count) {{
+        for (int k = 0; k < count; ++k) for (int c = 0; c < 16; ++c) to[k * words + c] = columns[c * 16 + k];
+    }};
+    auto wrt_read = [&](const float* const* from, int first, float* columns) {{
+        for (int k = 0; k < 16; ++k) for (int c = 0; c < 16; ++c) columns[c * 16 + k] = from[k][first + c];
+    }};
+#endif
+"""
+"""C++, after `wrt.kernels.simd.lanes.FOR_LANES`. `columns`: 16 columns of 16 lanes, word c of record k in columns[c * 16 + k].
+
+`wrt_write(columns, to, words, count)`: 16 words each of `count` <= 16 records, which begin at `to` and are `words` apart.
+`wrt_read(from, first, columns)`: words first .. first + 15 of the 16 records at `from`."""

@@ -1,0 +1,68 @@
+"""Brute force: every ray against every triangle. The judge of every tree and every traversal; O(rays x triangles)."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.traversal.crossings import take_crossing
+from wrt.kernels.traversal.leaf import CounterRows, improves, start, store_best, triangle_step
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class AllTriangles:
+    """All triangles, in blocks in the order of their ids."""
+
+    count: int
+    low: wp.vec3
+    """Bounds of the scene."""
+    high: wp.vec3
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
+    test = TRIANGLE_TESTS[config.triangle_test]
+    prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
+    take, crossing = take_crossing(config), config.crossing
+    counting, any_hit = config.counters, config.query == ANY
+
+    def brute_force(
+        first: int,
+        tree: AllTriangles,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        tested = int(0)
+        if ray.valid:
+            slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
+            state = prepare(ray.origin, ray.direction)
+            while tested < tree.count:
+                hit = candidate(triangles.records, tested, state, slabs)
+                if wp.static(crossing):
+                    if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
+                        best = take(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
+                elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
+                    best.t = hit[0]
+                    best.primitive = triangles.primitive[tested]
+                    best.u = hit[1]
+                    best.v = hit[2]
+                    if wp.static(any_hit):
+                        break
+                tested += 1
+        store(hits, i, best)
+        if wp.static(counting):
+            counters.rows[i].triangles = tested
+
+    return wp.kernel(brute_force, module="unique", enable_backward=False, module_options={"fuse_fp": False})

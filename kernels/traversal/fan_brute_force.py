@@ -1,0 +1,112 @@
+"""Brute force over triangle fans: every ray against every fan, after Galin and Akkouche 2005.
+
+**Idea.** With s from a fan's centre to the origin and n = s x D, a rim vertex at e from the centre is on one side or the other
+of the plane through ray and centre, by the sign of n . e. Two neighbours on the rim on the same side: the ray passes their
+triangle. So a triangle costs one dot product, which the next one uses again. Where the signs differ, with N = e_k x e_(k+1):
+
+    u = -(n . e_(k+1)) / (N . D)    v = (n . e_k) / (N . D)    t = -(N . s) / (N . D)
+
+weigh the two rim vertices and tell where. Both triangles at a spoke see it by the same number, so no ray passes between them
+there; at the rim it may.
+
+**Data.** A centre and M + 1 rim vertices for M triangles, as positions, or (`edges`) as vectors from the centre, which saves
+their subtraction: nothing else is done of every rim vertex. Normals would be read only where signs differ.
+
+**Speed.** A view of the teapot against all its triangles took 0.57 of the time of Moeller and Trumbore's test one by one, 0.55
+with edges, where that test with precomputed edges and normal took 0.75; of the wood, whose fans are small, 0.77 and 0.71. The
+paper reports nearly 40 % saved.
+
+**Departures.** The determinant is compared with nothing: what a division by zero gives is rejected by the comparisons. The
+matrix form of the survey that passes the formula on has the signs of u and v exchanged.
+
+References:
+    E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.traversal.leaf import improves, start
+from wrt.kernels.triangle.support.vectors import cross, dot, miss
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class FanSet:
+    """Fans on the device; `wrt.builders.triangle_fans.TriangleFans` says how they lie."""
+
+    count: int
+    first: wp.array(dtype=int)
+    centre: wp.array(dtype=wp.vec3)
+    """Relative to the scene's centre."""
+    rim: wp.array(dtype=wp.vec3)
+    """Likewise, or from the fan's centre."""
+    primitive: wp.array(dtype=int)
+    corner: wp.array(dtype=int)
+
+
+@wp.func
+def meet(direction: wp.vec3, s: wp.vec3, e: wp.vec3, following: wp.vec3, x: float, x_following: float):
+    """(t, u, v) for the triangle of two rim vertices on either side of the ray; t is NaN for a miss."""
+    normal = cross(e, following)
+    scale = 1.0 / dot(normal, direction)
+    u = -x_following * scale
+    v = x * scale
+    t = -dot(normal, s) * scale
+    if u >= 0.0 and v >= 0.0 and u + v <= 1.0 and t - t == 0.0:
+        return wp.vec3(t, u, v)
+    return miss()
+
+
+@wp.func
+def weight(corner: int, vertex: int, u: float, v: float):
+    """Weight of the triangle's vertex 1 or 2, if u and v weigh the rim vertices."""
+    after = (vertex - corner + 6) % 3
+    flipped = corner >= 3
+    return wp.where(after == 0, (1.0 - u) - v, wp.where((after == 1) != flipped, u, v))
+
+
+@cache
+def make_kernel(edges: bool) -> wp.Kernel:
+    """Closest hits. `edges`: whether the rim is given from the fan's centre."""
+
+    def brute_force_fans(first: int, fans: FanSet, rays: RayBatch, hits: HitBatch):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        if ray.valid:
+            end = int(0)
+            for fan in range(fans.count):
+                centre = fans.centre[fan]
+                s = ray.origin - centre
+                n = cross(s, ray.direction)
+                place = end
+                end = fans.first[fan + 1]
+                e = fans.rim[place]
+                if wp.static(not edges):
+                    e = e - centre
+                x = dot(n, e)
+                place += 1
+                while place < end:
+                    following = fans.rim[place]
+                    if wp.static(not edges):
+                        following = following - centre
+                    x_following = dot(n, following)
+                    if x * x_following <= 0.0:
+                        hit = meet(ray.direction, s, e, following, x, x_following)
+                        triangle = place - 1 - fan
+                        if improves(hit[0], fans.primitive[triangle], ray.t_min, best):
+                            corner = fans.corner[triangle]
+                            best.t = hit[0]
+                            best.primitive = fans.primitive[triangle]
+                            best.u = weight(corner, 1, hit[1], hit[2])
+                            best.v = weight(corner, 2, hit[1], hit[2])
+                    e = following
+                    x = x_following
+                    place += 1
+        store_hit(hits, i, best.t, best.primitive, best.u, best.v)
+
+    return wp.kernel(brute_force_fans, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,12 @@
+"""Which step tests a leaf's triangles where it takes more, or other, than the closest of them (`TraversalConfig.own_step`)."""
+
+import warp as wp
+
+from wrt.kernels.traversal.crossings import crossing_step
+from wrt.kernels.traversal.single.exact_step import exact_step
+from wrt.kernels.traversal.traversal_config import EXACT, TraversalConfig
+
+
+def make_own_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`."""
+    return (exact_step if config.query == EXACT else crossing_step)(config, Tree)

@@ -1,0 +1,1 @@
+"""Lockstep traversal: each lane of a vector walks its own ray."""

@@ -1,0 +1,150 @@
+"""Packets: several rays that go through a tree together (survey, chapter 3).
+
+A packet of P rays lives in one local array, component by component (`layout`), with intervals over its rays beside it
+(`bounds`). `load` and `store` bring rays in and hits out, `block` tests the rays against the triangles of a leaf, W rays at
+a time, and a *culling* decides for all rays at once which child boxes and which triangles none of them can hit. A packet that
+meets too much goes on in parts (`parting`).
+
+**Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` looks at W child boxes, `triangles` at
+the W triangles of a block, `start` gets a packet ready for its walk, `leaf` looks at its rays again before a leaf is
+tested. They must keep whatever any ray may hit, and the keys of boxes must not be later than any ray's computed entry.
+`interval` and `vertex` compute lower and upper bounds of the rays' own numbers (rounding is monotone, so the same
+expressions on the ends of intervals bound the rounded values too); those that work with planes are widened by more than
+rounding can move a hit. So culling never shows in the hits (`wrt.kernels.simd.boxes`, the consistency rule).
+
+To add a culling: write its file, add one line to `CULLINGS`; tests, command line and benchmarks pick it up. What the loops
+over W boxes or triangles compute stands in `twins` for one of them, in plain Warp, to be read and to be compared with.
+
+References:
+    I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
+    S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
+        UUCS-06-010, University of Utah, 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.traversal.packet.culling import (
+    corner_rays,
+    every_ray,
+    side_planes,
+)
+from wrt.kernels.traversal.packet.culling import (
+    interval_culling as interval,
+)
+from wrt.kernels.traversal.packet.culling import (
+    inverse_frustum as frustum,
+)
+from wrt.kernels.traversal.packet.culling import (
+    transient_frustum as transient,
+)
+from wrt.kernels.traversal.packet.culling import (
+    two_plane_frustum as two_plane,
+)
+from wrt.kernels.traversal.packet.culling import (
+    vertex_culling as vertices,
+)
+from wrt.kernels.traversal.packet.culling.culling_hooks import no_leaf, no_start
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.triangle import TriangleTest
+
+
+@dataclass(frozen=True)
+class Culling:
+    """A way to cull for a whole packet; its functions are made for a layout.
+
+    Attributes:
+        name: key in `CULLINGS`.
+        paper: authors, title, year.
+        boxes: `wp.func(boxes, node, packet, bounds, keys, first) -> key of the nearest child`.
+        triangles: `wp.func(records, block, bounds) -> mask` of the triangles to be tested.
+        accurate: whether `triangles` looks at the vertices, so that it holds only for tests that find no hits beside them.
+        slopes: whether it looks at the bounds of slopes, or at where lines go through a plane across the main axis.
+        every_ray: whether `boxes` tests each ray on its own, rather than the packet as a whole.
+        start: `wp.func(low, high, packet, bounds)`, once a packet; low, high: the scene.
+        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node: how
+            many rays meet it, or any number above `FEW`. Up to `FEW` are listed in `bounds.few`, and nothing else is set.
+    """
+
+    name: str
+    paper: str
+    boxes: Callable[[PacketLayout], wp.Function]
+    triangles: Callable[[PacketLayout], wp.Function]
+    accurate: bool = False
+    slopes: bool = False
+    every_ray: bool = False
+    start: Callable[[PacketLayout], wp.Function] = no_start
+    leaf: Callable[[PacketLayout], wp.Function] = no_leaf
+
+    @property
+    def needs_boxes(self) -> bool:
+        """Whether it looks at the boxes of leaves, which only a bounding volume hierarchy has."""
+        return self.leaf is not no_leaf
+
+    def holds_for(self, test: TriangleTest) -> bool:
+        """Whether it keeps whatever the test may find."""
+        return test.accurate or not self.accurate
+
+
+CULLINGS: dict[str, Culling] = {
+    culling.name: culling
+    for culling in (
+        Culling(
+            "none",
+            "Wald, Slusallek, Benthin, Wagner: Interactive rendering with coherent ray tracing (2001)",
+            every_ray.cull_boxes,
+            every_ray.cull_triangles,
+            every_ray=True,
+        ),
+        Culling(
+            "interval",
+            "Boulos, Wald, Shirley: Geometric and arithmetic culling methods for entire ray packets (2006)",
+            interval.cull_boxes,
+            interval.cull_triangles,
+        ),
+        Culling(
+            "corner_rays",
+            "Dmitriev, Havran, Seidel: Faster ray tracing with SIMD shaft culling (2004), boxes as interval",
+            interval.cull_boxes,
+            corner_rays.cull_triangles,
+            accurate=True,
+            slopes=True,
+        ),
+        Culling(
+            "frustum",
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), inverse frustum culling",
+            frustum.cull_boxes,
+            frustum.cull_triangles,
+            slopes=True,
+            start=frustum.start,
+        ),
+        Culling(
+            "vertex",
+            "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007)",
+            interval.cull_boxes,
+            vertices.cull_triangles,
+            accurate=True,
+            slopes=True,
+        ),
+        Culling(
+            "transient_frustum",
+            "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007), a frustum a leaf",
+            interval.cull_boxes,
+            side_planes.cull_triangles,
+            accurate=True,
+            start=transient.start,
+            leaf=transient.leaf,
+        ),
+        Culling(
+            "two_plane",
+            "Overbeck, Ramamoorthi, Mark: Large ray packets for real-time Whitted ray tracing (2008)",
+            frustum.cull_boxes,
+            side_planes.cull_triangles,
+            accurate=True,
+            start=two_plane.start,
+        ),
+    )
+}

@@ -1,0 +1,1 @@
+"""The walks of packets, and their steps through nodes, cells and leaves."""

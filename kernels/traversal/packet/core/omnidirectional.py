@@ -1,0 +1,137 @@
+"""Omnidirectional packets on a kd-tree (Reshetov 2006): rays that go every way, each with an interval of its own.
+
+**Problem.** Packets that decide by one interval need rays that go the same way. Secondary rays do not, and splitting packets
+until they do leaves lanes empty.
+
+**Idea.** Every ray keeps its own interval of t in the current cell, in lanes: at a plane all intervals are cut at once, each
+by its own direction's sign, and a child is visited if some ray's part of it is not empty. Near and far differ from ray to
+ray, so the order of the children is right for some rays only: a cell that turns out to lie behind the best hits of all its
+rays does not end the search, it is only left for the next one that waits.
+
+**The order.** Of the rays that visit both children, the majority decides which comes first. (The rule is ours: the survey,
+from which this is written, does not give the paper's.)
+
+**Leaves.** W rays are tested against a triangle at a time where more than `FEW` rays of the packet have arrived; the others
+go one by one against W triangles at a time (`few_rays`). Lanes are filled either way.
+
+**What we changed.** A waiting cell is its node and its box, not P intervals: when its turn comes, the intervals are worked
+out from the box, already cut at the best hits found in between. The stack does not grow with the packet. Rays with one sign
+need no special case; nothing falls back to single rays.
+
+**Measured** (one core of a Zen 5, the bunny, packets of 32, against `single`): far 2.4 times as fast, near 2.8 times, shadow
+rays to a point light 1.4 times (`packet`: 1.1), ambient occlusion 0.9 times, random rays 0.5 times.
+
+**Limits.** Where rays have nothing in common, a packet visits the cells of all its rays, and most lanes idle. There
+`wrt.kernels.traversal.lockstep.lockstep_kernel`, whose lanes each go their own way, is what to use.
+
+References:
+    A. Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees.
+        IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.unchecked import load_float, load_int, store_int
+from wrt.kernels.traversal.leaf import CounterRows, Counters
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet.core.few_active_rays import few_step, put_few
+from wrt.kernels.traversal.packet.core.lane_cells import enter_cell, split_cell
+from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
+from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_store import store_packet
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+def rays_per_item(config: TraversalConfig) -> int:
+    """An item of the kernel is a packet."""
+    return config.packet
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    layout = packet_layout(config)
+    load, store = load_packet(layout, CULLINGS[config.culling].slopes), store_packet(layout, config.query == ANY)
+    enter, split = enter_cell(layout), split_cell(layout)
+    leaf_together, leaf_alone = leaf_step(config), few_step(config)
+    counting, size_of_packet, P = config.counters, layout.size, config.packet
+    cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
+
+    def omnidirectional(
+        first: int,
+        tree: KdNodes,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+    ):
+        begin = (first + wp.tid()) * wp.static(P)
+        packet = wp.zeros(shape=(size_of_packet,), dtype=float)
+        cells = wp.zeros(shape=(cell_floats,), dtype=float)
+        bounds = PacketBounds()
+        load(rays, begin, tree.low, tree.high, packet, bounds)
+        work = Counters()
+        mailbox = wp.zeros(shape=(memory,), dtype=int)
+        stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+        stack_low = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
+        stack_high = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=wp.vec3)
+        size = int(0)
+        at = int(0)
+        low = wp.vec3(tree.low)
+        high = wp.vec3(tree.high)
+        searching = bool(bounds.active > 0)
+        if searching:
+            searching = enter(packet, bounds, low, high, cells) > 0
+        while searching:
+            node = kdtree.load_node(tree.nodes, at)
+            axis = kdtree.split_axis(node)
+            if axis != LEAF:
+                if wp.static(counting):
+                    work.nodes += 1
+                position = kdtree.split_position(node)
+                sides = split(packet, bounds, axis, position, cells)
+                right = kdtree.right_child(node)
+                go_right = (sides & 1) != 0
+                if (sides & 2) != 0:
+                    store_int(stack_node, size, wp.where(go_right, at + 1, right))
+                    stack_low[size] = child_low(low, axis, position, not go_right)
+                    stack_high[size] = child_high(high, axis, position, not go_right)
+                    size += 1
+                low = child_low(low, axis, position, go_right)
+                high = child_high(high, axis, position, go_right)
+                at = wp.where(go_right, right, at + 1)
+            else:
+                count = kdtree.leaf_triangles(node)
+                if count > 0:
+                    arrived = int(0)
+                    for k in range(wp.static(P)):
+                        if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
+                            put_few(bounds, wp.min(arrived, wp.static(FEW - 1)), k)
+                            arrived += 1
+                    if arrived > wp.static(FEW):
+                        leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
+                    else:
+                        leaf_alone(triangles, kdtree.first_block(node), count, arrived, packet, bounds, work)
+                searching = bool(False)
+                while size > 0 and not searching:
+                    size -= 1
+                    at = load_int(stack_node, size)
+                    low = stack_low[size]
+                    high = stack_high[size]
+                    searching = enter(packet, bounds, low, high, cells) > 0
+        store(packet, rays, begin, hits)
+        if wp.static(counting):
+            counters.rows[begin] = work
+
+    return wp.kernel(omnidirectional, module="unique", enable_backward=False, module_options={"fuse_fp": False})

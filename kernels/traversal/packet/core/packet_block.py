@@ -1,0 +1,96 @@
+"""The rays of a packet against triangles of a block, W rays x one triangle at a time."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import BITS
+from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN, SLABS
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import vertex_box
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_BLOCK = """
+    int* found = (int*)primitive;
+    for (; mask; mask &= mask - 1u) {
+        const int lane = wrt_lowest_bit(mask), id = ids.data[block * W + lane];
+        const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
+        float low[3], high[3];
+        WRT_BOX
+        WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {
+            if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
+            WRT_TRIANGLE
+            for (int f = 0; f < P; f += W) {
+                WRT_INSIDE
+                WRT_FOR_LANES(i) {
+                    const int k = f + i;
+                    float at, hit_u, hit_v;
+                    WRT_HIT
+                    // the consistency rule: t is that of a meeting with the triangle's own widened box
+                    float enter = -INF, leave = INF;
+                    WRT_SLABS
+                    at = at > enter ? at : enter;
+                    at = at < leave ? at : leave;
+                    const bool within = (inside[i] != 0) & (enter <= leave) & (at >= t_min[k]);
+                    if (ANY_HIT) {  // the first will do, and nobody asks for its weights
+                        const bool hit = within & (at <= t[k]);
+                        t[k] = hit ? -INF : t[k];
+                        found[k] = hit ? id : found[k];
+                    } else {  // no hit so far is -1, the greatest number without a sign
+                        const bool hit = within & ((at < t[k]) | ((at == t[k]) & ((unsigned)id < (unsigned)found[k])));
+                        t[k] = hit ? at : t[k];
+                        found[k] = hit ? id : found[k];
+                        u[k] = hit ? hit_u : u[k];
+                        v[k] = hit ? hit_v : v[k];
+                    }
+                }
+            }
+        }
+    }
+    WRT_SHORTEN
+"""
+
+SHORTEN = """
+    if (ANY_HIT) {  // whose rays get no shorter, but done
+        int left = 0;
+        WRT_FOR(P, k) { left |= t[k] >= -0.0f ? 1 : 0; }
+        bounds.t_max = left ? bounds.t_max : -INF;
+    } else {
+        // as integers: in the order of the floats that are not negative (adding 0 turns -0 into +0), and -inf below them
+        int most = (int)0x80000000;
+        WRT_FOR(P, k) { const int bits = __builtin_bit_cast(int, t[k] + 0.0f); most = bits > most ? bits : most; }
+        bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
+    }
+"""
+"""Rays have found hits: sets `bounds.t_max`. ANY_HIT: whether a hit is all that a ray wants."""
+
+
+@cache
+def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
+    """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays, and `bounds.t_max`.
+
+    A ray that has its answer (any hit) is shortened to -inf.
+    """
+    form = TRIANGLE_TESTS[layout.triangle_test].packet_form
+    constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"
+    pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
+    pieces["WRT_SHORTEN"] = SHORTEN
+    pieces["WRT_BOX"] = vertex_box("corner", "0")
+    body = _BLOCK
+    for name, piece in pieces.items():
+        body = body.replace(name, piece)
+
+    @wp.func_native(layout.head + constants + SHARED_ORIGIN + BITS + body)
+    def packet_block(
+        records: wp.array(dtype=float),
+        ids: wp.array(dtype=int),
+        block: int,
+        mask: wp.uint32,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+    ): ...
+
+    return packet_block

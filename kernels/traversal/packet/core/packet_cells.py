@@ -1,0 +1,85 @@
+"""A packet against the cells of a kd-tree: the interval of t in which any of its rays may be inside.
+
+A cell's interval (entry, leave) holds those of all rays: no ray's entry is earlier, no ray's exit is later, as
+`wrt.kernels.traversal.single.single_kdtree` computes them. Both come from the same expressions on the ends of the packet's
+intervals (`wrt.kernels.traversal.packet.culling.interval_culling` says why that bounds the rounded values too, and what a NaN
+does).
+
+**Both signs along the plane's axis.** Forward rays have the left child first, backward rays the right one, so there is no
+child that all rays leave where they enter the other. Still one of the two can be ruled out. Say the plane is to the right
+of every origin. No backward ray reaches it; forward rays reach it no sooner than the fastest of them, whose 1 / direction
+is the least, starting from the rightmost origin. If that is after the cell is left, nobody goes right. Packets that
+straddle an axis of the scene so need not visit both children of every plane across it.
+"""
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func_native(
+    FOR_LANES
+    + """
+    const float INF = WRT_INFINITY;
+    const float large = bounds.inverse_large.c[axis], small = bounds.inverse_small.c[axis];
+    if (large == large) {
+        float d = position - bounds.origin_out.c[axis], p = d * large, q = d * small;
+        q = q > p ? q : p;
+        const float near_leave = q < leave ? q : leave;
+        d = position - bounds.origin_in.c[axis]; p = d * large; q = d * small;
+        q = q < p ? q : p;
+        return wp::vec3(large, near_leave, q > entry ? q : entry);
+    }
+    const float forward = bounds.forward_small.c[axis], backward = bounds.backward_small.c[axis];
+    const float right_of = position - (bounds.origin_high.c[axis] + bounds.slack);
+    const float left_of = position - (bounds.origin_low.c[axis] - bounds.slack);
+    const bool no_right = (right_of > 0.0f) & (right_of * forward > leave) & (right_of * backward < entry);
+    const bool no_left = (left_of < 0.0f) & (left_of * backward > leave) & (left_of * forward < entry);
+    const bool right_first = -backward < forward;
+    return wp::vec3(right_first ? -1.0f : 1.0f, (right_first ? no_right : no_left) ? -INF : leave,
+                    (right_first ? no_left : no_right) ? INF : entry);
+"""
+)
+def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
+    """As `wrt.kernels.simd.boxes.cross_plane`, for all rays of a packet that is in a cell from `entry` to `leave`.
+
+    Returns (negative if the right child comes first, t at which the last ray leaves the first child, t at which the first
+    ray enters the second). The first child need not be visited if it is left before `entry`, nor the second if it is
+    entered after `leave`; with both signs, the first child is that towards which the faster rays go."""
+    ...
+
+
+@wp.func
+def enter_slab(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
+    """(entry, leave) of a box's extent along an axis, over all rays; NaN, which bounds nothing, if they have both signs."""
+    back = bounds.backward[axis] != 0
+    large = bounds.inverse_large[axis]
+    small = bounds.inverse_small[axis]
+    to_near = wp.where(back, high[axis], low[axis]) - bounds.origin_in[axis]
+    to_far = wp.where(back, low[axis], high[axis]) - bounds.origin_out[axis]
+    near = wp.where(to_near * small < to_near * large, to_near * small, to_near * large)
+    far = wp.where(to_far * small > to_far * large, to_far * small, to_far * large)
+    return wp.vec2(near, far)
+
+
+@wp.func
+def enter_box(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
+    """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave.
+
+    In plain Warp, what `wrt.kernels.traversal.packet.culling.interval_culling` does for W boxes at a time; the tests compare
+    them bit for bit.
+    """
+    entry = float(bounds.t_min)
+    leave = float(bounds.t_max)
+    for axis in range(3):
+        slab = enter_slab(bounds, axis, low, high)
+        entry = wp.where(slab[0] > entry, slab[0], entry)
+        leave = wp.where(slab[1] < leave, slab[1], leave)
+        ahead = (low[axis] - (bounds.origin_high[axis] + bounds.slack)) * bounds.forward_small[axis]
+        entry = wp.where(ahead > entry, ahead, entry)
+        behind = (high[axis] - (bounds.origin_low[axis] - bounds.slack)) * bounds.backward_small[axis]
+        entry = wp.where(behind > entry, behind, entry)
+    return wp.vec2(entry, leave)

@@ -1,0 +1,255 @@
+"""What packets have in common whatever the tree: the kernel around a walk, and the step through a leaf.
+
+An item of the kernel is a run of packets. Each is loaded, walked together, and stored. A packet that cannot stay together
+(directions with both signs along too many axes, or a walk that gave up) parts if its rays have origins of their own
+(`wrt.kernels.traversal.packet.core.packet_splitting`); what cannot be traced together then, or starts at one point, goes ray by
+ray.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.simd.lanes import count_bits
+from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet.core import packet_splitting as parting
+from wrt.kernels.traversal.packet.core.packet_block import test_block
+from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_a_triangle
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.packet_load import load_packet
+from wrt.kernels.traversal.packet.rays.packet_store import store_packet
+from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+def packet_layout(config: TraversalConfig) -> PacketLayout:
+    """Where the packet's numbers are."""
+    return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
+
+
+RUN = 8
+"""Packets of an item: they share its local memory, which Warp clears (a tenth of a camera ray's time, packet by packet)."""
+
+
+def rays_per_item(config: TraversalConfig) -> int:
+    """An item of the kernel is a run of packets."""
+    return RUN * config.packet
+
+
+@cache
+def leaf_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: the `count` triangles of a leaf, from a block on."""
+    layout = packet_layout(config)
+    cull_triangles = CULLINGS[config.culling].triangles(layout)
+    test_triangles = test_block(layout, config.query == ANY)
+    active_in, lanes_each = active_lanes(layout), lanes_a_triangle(layout)
+    forget = MAILBOXES[config.mailbox].filter(config.width)
+    width, counting = config.width, config.counters
+
+    @wp.func
+    def step(
+        triangles: TriangleBlocks,
+        first: int,
+        count: int,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+        mailbox: wp.array(dtype=int),
+        work: wp.ref[Counters],
+    ):
+        if wp.static(counting):
+            work.leaves += 1
+            work.culled += count
+        block = int(first)
+        rest = int(count)
+        while rest > 0:
+            kept = cull_triangles(triangles.records, block, bounds)
+            mask = forget(triangles.primitive, block, kept, mailbox)
+            if wp.static(counting):
+                used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))
+                tested = count_bits(mask & used)
+                avoided = count_bits(kept & used) - tested
+                work.culled -= tested + avoided
+                work.avoided += avoided
+                work.triangles += tested
+                work.lanes += tested * lanes_each(bounds)
+                work.active += active_in(triangles.records, block, mask & used, packet, bounds)
+            if mask != wp.uint32(0):
+                test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
+            block += 1
+            rest -= wp.static(width)
+
+    return step
+
+
+@cache
+def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
+    """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: rays of the packet from `begin` on, one by one.
+
+    These are all of them, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`.
+    `work` is what was done for them before, and then charged to the first.
+    """
+    store, counting, packet_rays = store_best(config), config.counters, config.packet
+    left_over = parting.goes_alone(packet_layout(config))
+
+    @wp.func
+    def trace(
+        tree: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
+        begin: int,
+        packet: wp.array(dtype=float),
+        hits: wp.ref[HitBatch],
+        counters: CounterRows,
+        work: wp.ref[Counters],
+    ):
+        for place in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
+            if not left_over(packet, place - begin):
+                continue
+            i = ray_at(rays, place, wp.static(packet_rays))
+            ray = load_ray(rays, i)
+            best = start(ray.t_max)
+            if ray.valid:
+                best = walk_ray(tree, triangles, ray, hits, i, work)
+            store(hits, i, best)
+            if wp.static(counting):
+                counters.rows[place] = work
+                work = Counters()
+
+    return trace
+
+
+@cache
+def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function) -> wp.Function:
+    """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, in parts if need be.
+
+    False if rays are left over (`parting.goes_alone`). trace_together: the same for one that is not to part.
+    """
+    layout = packet_layout(config)
+    take = parting.take_part(layout, CULLINGS[config.culling].slopes)
+    settle, count_alone = parting.settle_part(layout), parting.count_alone(layout)
+
+    @wp.func
+    def trace(
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        apart = bool(False)
+        parts = int(1)
+        number = int(0)
+        while number < parts:
+            if number > 0:
+                take(packet, bounds, number)
+            together = trace_together(tree, below, triangles, packet, memory, bounds, work)
+            apart = apart or not together
+            parts += settle(packet, bounds, number, parts, together)
+            number += 1
+        return not apart or count_alone(packet) == 0
+
+    return trace
+
+
+@cache
+def packet_step(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+) -> wp.Function:
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: the packet that begins at `begin`.
+
+    below: the tree, or the part of it where all hits of the packet are. packet: room for it. memory: room for its walk.
+    `work` is what was done for it before.
+
+    Args:
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up.
+        walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
+        mixed_axes: axes with both signs with which a packet is still walked together.
+    """
+    layout = packet_layout(config)
+    culling = CULLINGS[config.culling]
+    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
+    start_packet = culling.start(layout)
+
+    @wp.func
+    def trace_together(
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
+        bounds: wp.ref[PacketBounds],
+        work: wp.ref[Counters],
+    ):
+        together = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
+        if together and bounds.active > 0:
+            start_packet(tree.low, tree.high, packet, bounds)
+            together = walk_packet(below, triangles, packet, memory, bounds, work)
+        return together
+
+    alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.shared_origin
+    trace = trace_parts(config, Tree, trace_together) if parts else trace_together
+
+    @wp.func
+    def step(
+        tree: wp.ref[Tree],
+        below: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        rays: wp.ref[RayBatch],
+        begin: int,
+        packet: wp.array(dtype=float),
+        memory: wp.array(dtype=int),
+        hits: wp.ref[HitBatch],
+        counters: CounterRows,
+        work: wp.ref[Counters],
+    ):
+        bounds = PacketBounds()
+        load(rays, begin, tree.low, tree.high, packet, bounds)
+        together = trace(tree, below, triangles, packet, memory, bounds, work)
+        if together or wp.static(parts):  # rays that are left over are stored again, one by one
+            store(packet, rays, begin, hits)
+        if not together:
+            alone(tree, triangles, rays, begin, packet, hits, counters, work)
+        elif wp.static(counting):
+            counters.rows[begin] = work
+            work = Counters()
+
+    return step
+
+
+@cache
+def make_packet_kernel(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, room: int
+) -> wp.Kernel:
+    """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as those of `packet_step`."""
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
+    packet_rays, run, size = config.packet, rays_per_item(config), packet_layout(config).size
+
+    def packet_traversal(
+        first: int,
+        tree: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+    ):
+        packet = wp.zeros(shape=(size,), dtype=float)
+        memory = wp.zeros(shape=(room,), dtype=int)
+        begin = (first + wp.tid()) * wp.static(run)
+        end = wp.min(begin + wp.static(run), rays.count)
+        while begin < end:
+            work = Counters()
+            step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
+            begin += wp.static(packet_rays)
+
+    return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,1 @@
+"""Packet cullings: one file per published technique."""

@@ -1,0 +1,90 @@
+"""Corner rays: a shaft of four rays stands for the packet (Dmitriev, Havran, Seidel 2004).
+
+**Problem.** A large packet meets many triangles that none of its rays hit, and each takes P / W steps to be found out.
+
+**Idea.** Four rays, real or not, span a convex shaft around all the others. At a leaf a triangle is tested against these
+four: if all of them pass the same edge on its outer side, all the rays in between do, and the triangle is dropped before
+any ray is tested.
+
+**Where that is not safe.** The paper also lets the four rays alone find the way through the tree; Reshetov et al. (2005)
+point out that this goes wrong: a box may lie within the shaft and yet touch none of its corners. So boxes are culled by
+`interval` here. And the four rays bound the others only if all start at one point and have the same main axis: as a
+function of the two slopes (s, t), the signed area of an edge (p, q) seen from a shared origin is that of (p_x - s p_z,
+p_y - t p_z) and (q_x - s q_z, q_y - t q_z), in which the product s t cancels; so it is linear, and greatest and least at
+the corners of the rectangle of slopes. With an origin for each ray it is linear in no such way. Batches without a shared
+origin, and packets with different main axes, are culled by the triangles' boxes, as `interval` does.
+
+**What we changed.** The corners are virtual: the four pairs of extreme slopes. Both sides of a triangle are tested: it is
+dropped if neither all three areas can be >= 0 nor all three <= 0, which includes the one edge of the paper.
+
+**Why it never shows in the hits.** Sheared vertices are computed as the watertight test does, with errors of at most
+5 u reach (u = 2^-24), and a test that is `accurate` finds no hit farther than the slack, 16 u reach, from the triangle; so
+an area that decides over a hit differs from that of the exact vertices by at most 2 slack (|p| + |q|) plus terms of the second
+order, |p| being the sum of the coordinates, which is greatest at a corner. The areas compared here carry 13 / 16 slack
+(|p| + |q|) of their own rounding. They must lie beyond 4 slack (|p| + |q| + 4 slack), and beyond the least normal number.
+
+References:
+    K. Dmitriev, V. Havran, H.-P. Seidel: Faster ray tracing with SIMD shaft culling. Research report MPI-I-2004-4-006,
+        Max-Planck-Institut fuer Informatik, 2004.
+    A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import TINY
+from wrt.kernels.traversal.packet.culling import interval_culling as interval
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MARGIN = 4.0
+"""What an area may err by, in slacks times the distance of its vertices from the ray."""
+
+_TRIANGLES = f"""
+    const unsigned met = [&]() -> unsigned {{{interval.TRIANGLES}}}();
+    if (!SHARED || (bounds.main_axes & (bounds.main_axes - 1)) || !met) return met;
+    const int z = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : 2, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
+    const float* r = &records.data[(size_t)block * (RECORD * W)];
+    const float ox = bounds.origin_low.c[x], oy = bounds.origin_low.c[y], oz = bounds.origin_low.c[z];
+    const float s0 = bounds.slope_low.c[0], s1 = bounds.slope_high.c[0];
+    const float t0 = bounds.slope_low.c[1], t1 = bounds.slope_high.c[1];
+    const float wide = {MARGIN!r}f * bounds.slack;
+    int kept[W];
+    WRT_FOR_LANES(i) {{
+        float px[3], qx[3], py[3], qy[3], size[3];  // sheared by the least and by the greatest slope
+        for (int k = 0; k < 3; ++k) {{
+            const float vx = r[(3 * k + x) * W + i] - ox, vy = r[(3 * k + y) * W + i] - oy, vz = r[(3 * k + z) * W + i] - oz;
+            px[k] = vx - s0 * vz; qx[k] = vx - s1 * vz;
+            py[k] = vy - t0 * vz; qy[k] = vy - t1 * vz;
+            const float ax = WRT_ABS(px[k]), bx = WRT_ABS(qx[k]);
+            const float ay = WRT_ABS(py[k]), by = WRT_ABS(qy[k]);
+            size[k] = (ax > bx ? ax : bx) + (ay > by ? ay : by);
+        }}
+        bool front = true, back = true;  // whether some ray may see all areas >= 0, or all <= 0
+        for (int k = 0; k < 3; ++k) {{
+            const int l = k == 2 ? 0 : k + 1;
+            const float a = px[k] * py[l] - py[k] * px[l], b = px[k] * qy[l] - qy[k] * px[l];
+            const float c = qx[k] * py[l] - py[k] * qx[l], d = qx[k] * qy[l] - qy[k] * qx[l];
+            const float margin = wide * (size[k] + size[l] + 4.0f * bounds.slack) + {TINY!r}f;
+            // NaN, where products overflow, keeps the triangle
+            front = front & !((a < -margin) & (b < -margin) & (c < -margin) & (d < -margin));
+            back = back & !((a > margin) & (b > margin) & (c > margin) & (d > margin));
+        }}
+        kept[i] = (front | back) ? -1 : 0;
+    }}
+    return wrt_bits(kept) & met;
+"""
+
+
+@cache
+def cull_triangles(layout: PacketLayout) -> wp.Function:
+    """Four corner rays x the edges of the W triangles of a block."""
+
+    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    def corner_rays(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
+
+    return corner_rays

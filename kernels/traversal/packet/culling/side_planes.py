@@ -1,0 +1,60 @@
+"""Triangles beyond a side of the packet's frustum: all three vertices outside the same plane (Reshetov 2007, eq. 3.2-3.3).
+
+The planes of a frustum along a main axis contain one of the other axes each, so that a vertex is told from the inside by its
+position on one axis against a line over its depth. (In the survey's equation 3.3 that is the bracket; its first factor has
+the sign of y01 - y00, and the bracket tells the inside only if that sign is known.) The vertices must be out by the margin of
+`frustum`: what the line errs by, and what an `accurate` triangle test may find beside a triangle.
+
+References:
+    A. Reshetov: Faster ray packets - triangle intersection through vertex culling.
+        IEEE Symposium on Interactive Ray Tracing 2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.traversal.packet.culling import interval_culling as interval
+from wrt.kernels.traversal.packet.culling.inverse_frustum import SIDES
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_TRIANGLES = f"""
+    if (bounds.frame < 0) {{{interval.TRIANGLES}}}
+    const float* r = &records.data[(size_t)block * (RECORD * W)];{SIDES}
+    int kept[W];
+    WRT_FOR_LANES(i) {{
+        const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
+        float least = az < bz ? az : bz, most = az > bz ? az : bz;
+        least = least < cz ? least : cz; most = most > cz ? most : cz;
+        float d = (back ? most : least) - in_z, e = d * large, f = d * small; e = f < e ? f : e;
+        const bool late = e > t_max;
+        d = (back ? least : most) - out_z; e = d * large; f = d * small; e = f > e ? f : e;
+        const bool early = e < t_min;
+        bool left = true, right = true, below = true, above = true;
+        for (int k = 0; k < 3; ++k) {{
+            const float vx = r[(3 * k + x) * W + i], vy = r[(3 * k + y) * W + i];
+            const float depth = (r[(3 * k + z) * W + i] - near_plane) * forward;
+            left = left & (vx < (low_x + rise_low_x * depth) - margin);
+            right = right & (vx > (high_x + rise_high_x * depth) + margin);
+            below = below & (vy < (low_y + rise_low_y * depth) - margin);
+            above = above & (vy > (high_y + rise_high_y * depth) + margin);
+        }}
+        // an unused lane holds NaN, which is beyond nothing: it is told by its first vertex
+        kept[i] = (!(left | right | below | above | late | early) & (r[i] == r[i])) ? -1 : 0;
+    }}
+    return wrt_bits(kept);
+"""
+
+
+@cache
+def cull_triangles(layout: PacketLayout) -> wp.Function:
+    """Packet's frustum x the vertices of the W triangles of a block."""
+
+    @wp.func_native(f"{layout.constants}{_TRIANGLES}")
+    def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...
+
+    return beyond_a_side

@@ -1,0 +1,1 @@
+"""The rays of a packet: their numbers, their layout in memory, and their bounds."""

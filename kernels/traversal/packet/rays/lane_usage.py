@@ -1,0 +1,59 @@
+"""How well the lanes are used: rays that were tested against a triangle, and those for which it made sense."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import BITS
+from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN, SLABS
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import vertex_box
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_ACTIVE = f"""
+    int active = 0;
+    for (; mask; mask &= mask - 1u) {{
+        const float* corner = &records.data[(size_t)block * (RECORD * W)] + wrt_lowest_bit(mask);
+        float low[3], high[3];{vertex_box("corner", "0")}
+        for (int k = 0; k < P; ++k) {{
+            float enter = t_min[k], leave = t[k];
+{SLABS}
+            active += ((enter <= leave) & (t[k] > -INF)) ? 1 : 0;
+        }}
+    }}
+    return active;
+"""
+
+_LANES = """
+    return P * (PASSES == 1 ? 1 : (bounds.passes & 1) + (bounds.passes >> 1 & 1) + (bounds.passes >> 2 & 1));
+"""
+
+
+@cache
+def active_lanes(layout: PacketLayout) -> wp.Function:
+    """`wp.func(records, block, mask, packet, bounds) -> int`: pairs of a triangle in `mask` and a ray that meets its box."""
+
+    @wp.func_native(layout.head + SHARED_ORIGIN + BITS + _ACTIVE)
+    def count_active_lanes(
+        records: wp.array(dtype=float),
+        block: int,
+        mask: wp.uint32,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+    ) -> int: ...
+
+    return count_active_lanes
+
+
+@cache
+def lanes_a_triangle(layout: PacketLayout) -> wp.Function:
+    """`wp.func(bounds) -> int`: lanes that `test_block` fills for one triangle, all passes together."""
+    passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
+
+    @wp.func_native(f"{layout.constants}    constexpr int PASSES = {passes};{_LANES}")
+    def count_lanes(bounds: wp.ref[PacketBounds]) -> int: ...
+
+    return count_lanes

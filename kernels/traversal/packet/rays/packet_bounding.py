@@ -1,0 +1,110 @@
+"""Bounds of the active rays of a packet, from its own numbers: when it is loaded, and again for each part (`parting`).
+
+Rays that are not active are taken for the first one that is, so that no interval needs to leave anyone out.
+"""
+
+from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS, PACKET_INTERVALS
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+
+def bounding_head(layout: PacketLayout, slopes: bool) -> str:
+    """C++ for the head of a function that ends in `BOUND`, over `PacketLayout.head`; slopes: whether to bound them too."""
+    passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
+    constants = f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n"
+    return constants + INTERVALS + PACKET_INTERVALS
+
+
+BOUND = """
+    int one = 0;
+    while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
+    bounds.active = 0;
+    if (one == P) return;
+    WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
+    const int* axis = (const int*)main_axis;
+    int active = 0, main_axes = 0;
+    WRT_FOR_LANES(i) {
+        WRT_BOUND(ix, inverse_x[k]) WRT_BOUND(iy, inverse_y[k]) WRT_BOUND(iz, inverse_z[k])
+        if (SLOPES) { WRT_BOUND(sx, slope_x[k]) WRT_BOUND(sy, slope_y[k]) }
+        WRT_UNROLLED for (int f = 0; f < P; f += W) {
+            const int bit = 1 << axis[f + i], mask = t[f + i] >= -0.0f ? -1 : 0;
+            active -= mask;
+            main_axes |= bit & mask;
+        }
+    }
+    bounds.active = active;
+    if (ranged) {
+        WRT_ENDS(start); WRT_ENDS(end);
+        WRT_FOR_LANES(i) { WRT_BOUND(start, t_min[k]) WRT_BOUND(end, t[k]) }
+        bounds.t_min = wrt_least(start_low); bounds.t_max = wrt_greatest(end_high);
+    } else {
+        bounds.t_min = t_min[one]; bounds.t_max = t[one];
+    }
+    if (!SHARED) {
+        WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
+        WRT_FOR_LANES(i) {
+            WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
+            WRT_BOUND(wide, slack[k])
+        }
+        lows[0] = wrt_least(ox_low); lows[1] = wrt_least(oy_low); lows[2] = wrt_least(oz_low);
+        highs[0] = wrt_greatest(ox_high); highs[1] = wrt_greatest(oy_high); highs[2] = wrt_greatest(oz_high);
+        slack0 = wrt_greatest(wide_high);
+    }
+    bounds.main_axes = main_axes;
+    bounds.passes = PASSES == 1 ? 1 : main_axes;
+    bounds.slack = slack0;
+    if (SLOPES) {
+        const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
+        const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
+        const float plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
+        bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
+        bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
+        bounds.plane = plane;
+        if (SHARED) {
+            bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
+        } else {
+            const float* along = main == 0 ? origin_x : main == 1 ? origin_y : origin_z;
+            const float* across_x = main == 0 ? origin_y : main == 1 ? origin_z : origin_x;
+            const float* across_y = main == 0 ? origin_z : main == 1 ? origin_x : origin_y;
+            WRT_ENDS(cx); WRT_ENDS(cy);
+            WRT_FOR_LANES(i) {
+                WRT_BOUND(cx, across_x[k] - slope_x[k] * (along[k] - plane))
+                WRT_BOUND(cy, across_y[k] - slope_y[k] * (along[k] - plane))
+            }
+            bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
+            bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
+        }
+    }
+    const float inverse_low[3] = {wrt_least(ix_low), wrt_least(iy_low), wrt_least(iz_low)};
+    const float inverse_high[3] = {wrt_greatest(ix_high), wrt_greatest(iy_high), wrt_greatest(iz_high)};
+    const float none = WRT_NAN;
+    int mixed_axes = 0;
+    WRT_UNROLLED for (int a = 0; a < 3; ++a) {
+        const float least = inverse_low[a], most = inverse_high[a];
+        const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
+        mixed_axes += mixed ? 1 : 0;
+        bounds.backward.c[a] = backward ? 1 : 0;
+        bounds.inverse_large.c[a] = mixed ? none : backward ? least : most;
+        bounds.inverse_small.c[a] = mixed ? none : backward ? most : least;
+        bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
+        bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
+        bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];
+    }
+    bounds.mixed_axes = mixed_axes;
+    bounds.forward_small = wp::vec3(); bounds.backward_small = wp::vec3();
+    if (mixed_axes) for (int a = 0; a < 3; ++a) {
+        if (!((inverse_low[a] < 0.0f) & !(inverse_high[a] < 0.0f))) continue;
+        const float* inverse = a == 0 ? inverse_x : a == 1 ? inverse_y : inverse_z;
+        WRT_INTERVAL(forward); WRT_INTERVAL(behind);
+        WRT_FOR(P, k) {
+            const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), back = valid & !ahead;
+            WRT_WIDEN(forward, inverse[k], ahead) WRT_WIDEN(behind, inverse[k], back)
+        }
+        bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
+    }
+"""
+"""C++ over `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray's t is not negative; if there is no
+such ray, only `active` is set.
+
+`lows[3]`, `highs[3]` and `slack0` must be there: a shared origin and its slack, else any numbers; and `ranged`: whether rays
+may have a t_min or t of their own."""

@@ -1,0 +1,106 @@
+"""From rays in memory to a packet and its bounds, with the arithmetic of `load_ray`, `ray_slabs` and the test's `prepare`."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.simd.boxes import SLACK
+from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_LOAD = """
+    const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];
+    // in memory of their own, so that no component of the packet may lie in their way
+    float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
+    auto fetch = [&](int stride, auto take) {  // take(k, n): ray k has what is at place n
+        if (stride) for_rays(take);
+        else { WRT_FOR(P, k) take(k, 0); }
+    };
+    fetch(rays.direction_stride, [&](int k, int n) {
+        const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
+        to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
+    });
+    for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+    auto centred = [&](int n, float& x, float& y, float& z) {
+        const float* o = (const float*)rays.origins.data + 3 * (size_t)n;
+        x = (float)((double)o[0] - center_x); y = (float)((double)o[1] - center_y); z = (float)((double)o[2] - center_z);
+    };
+    float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f;
+    if (SHARED) centred(0, ox0, oy0, oz0);
+    else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
+    fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
+    fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
+    auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
+    const bool ranged = rays.t_min_stride || rays.t_max_stride;
+    auto reach = [&](float x, float y, float z) {
+        float far = WRT_ABS(low.c[0] - x), f;
+        f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;
+        f = WRT_ABS(low.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(high.c[1] - y); far = f > far ? f : far;
+        f = WRT_ABS(low.c[2] - z); far = f > far ? f : far;
+        f = WRT_ABS(high.c[2] - z); far = f > far ? f : far;
+        return far;
+    };
+    float slack0 = SHARED ? SLACK * reach(ox0, oy0, oz0) : 0.0f;
+    float lows[3] = {ox0, oy0, oz0}, highs[3] = {ox0, oy0, oz0};
+
+    WRT_FOR(P, k) {
+        float x = to_x[k], y = to_y[k], z = to_z[k];
+        wrt_direction(x, y, z);
+        const float farthest = most[k] > FARTHEST ? FARTHEST : most[k];
+        const float ox = SHARED ? ox0 : from_x[k], oy = SHARED ? oy0 : from_y[k], oz = SHARED ? oz0 : from_z[k];
+        // sizes as integers, in the order of the floats: NaN and infinity are beyond all numbers
+        const int size_x = wrt_size(x), size_y = wrt_size(y), size_z = wrt_size(z);
+        int size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
+        const bool valid = (size >= wrt_size(SHORTEST)) & (size < wrt_size(INF))
+            & (ox - ox == 0.0f) & (oy - oy == 0.0f) & (oz - oz == 0.0f)
+            & (least[k] >= 0.0f) & (least[k] <= farthest);
+        if (!SHARED) {
+            origin_x[k] = ox; origin_y[k] = oy; origin_z[k] = oz;
+            slack[k] = SLACK * reach(ox, oy, oz);
+        }
+        const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
+        inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
+        t_min[k] = least[k];
+        t[k] = valid ? farthest : -INF;
+        ((int*)primitive)[k] = -1;
+        u[k] = 0.0f; v[k] = 0.0f;
+        const bool xy = size_x >= size_y, xz = size_x >= size_z, yz = size_y >= size_z;
+        const bool main_x = xy & xz, main_y = !xy & yz;  // ties as in the scalar form of the watertight test
+        const float major = main_x ? x : main_y ? y : z;
+        const float sx = (main_x ? y : main_y ? z : x) / major, sy = (main_x ? z : main_y ? x : y) / major;
+        slope_x[k] = sx; slope_y[k] = sy;
+        ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
+        WRT_PREPARE
+    }
+"""
+
+
+@cache
+def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
+    """`wp.func(rays, first, low, high, packet, bounds)`: P rays of a batch (`numbers`); low, high: the scene.
+
+    slopes: whether bounds of the slopes are asked for (`Culling.slopes`). Rays that are bad or beyond the end of
+    the batch are not active: no hit improves on their t of -inf.
+    """
+    form = TRIANGLE_TESTS[layout.triangle_test].packet_form
+    constants = f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
+    head = layout.head + constants + NUMBERS + bounding_head(layout, slopes)
+
+    @wp.func_native(head + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
+    def load_packet_native(
+        rays: RayBatch,
+        first: int,
+        low: wp.vec3,
+        high: wp.vec3,
+        packet: wp.array(dtype=float),
+        bounds: wp.ref[PacketBounds],
+    ): ...
+
+    return load_packet_native

@@ -1,0 +1,37 @@
+"""From a packet to hits in memory."""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_STORE = """
+    const int* found = (const int*)primitive;
+    if (ANY_HIT) {
+        bool* __restrict__ occluded = hits.occluded.data;
+        for_rays([&](int k, int n) { occluded[n] = found[k] >= 0; });
+        return;
+    }
+    float* __restrict__ t_out = hits.t.data;
+    int* __restrict__ primitive_out = hits.primitive.data;
+    float* __restrict__ uv_out = (float*)hits.uv.data;
+    for_rays([&](int k, int n) { t_out[n] = found[k] < 0 ? INF : t[k]; });
+    for_rays([&](int k, int n) { primitive_out[n] = found[k]; });
+    for_rays([&](int k, int n) { uv_out[2 * (size_t)n] = u[k]; uv_out[2 * (size_t)n + 1] = v[k]; });
+"""
+
+
+@cache
+def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
+    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loads."""
+    constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
+
+    @wp.func_native(layout.head + constant + NUMBERS + _STORE)
+    def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
+
+    return store_packet_native

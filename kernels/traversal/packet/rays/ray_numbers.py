@@ -1,0 +1,64 @@
+"""Which rays a packet has: consecutive ones, or, of a picture, the pixels of a tile.
+
+Neighbours in a row of a picture see the same thing for a while, neighbours in a tile for longer: packets of 8 columns and
+P / 8 rows descend into far fewer nodes than runs of P pixels (measured, packets of 32: camera rays 1.6 times as fast on the
+bunny, twice as fast on the dragon). Tiles go from left to right, then down; where the picture ends, they are smaller, and
+a packet may have rays of two of them, as it may if P is more than 8 and no multiple of it. The rays of a packet are those at
+the places first .. first + P - 1 of that order.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import RayBatch
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+TILE_COLUMNS = wp.constant(8)
+
+NUMBERS = """
+    const int rest = rays.count - first, here = rest < P ? rest : P;  // how many of them exist
+    const bool picture = rays.columns > 0;
+    // `whole` packets are runs of ACROSS consecutive rays, from `begin` on, so many rays `apart`
+    constexpr int ACROSS = P < 8 ? P : 8, DOWN = P / ACROSS;
+    int begin = first, apart = ACROSS, number[P];
+    bool whole = here == P;
+    if (picture) {
+        const int columns = rays.columns, rows = DOWN * columns, band = first / rows, within = first - band * rows;
+        const int left = within / P * ACROSS;  // if the band has all its rows
+        begin = band * rows + left;
+        apart = columns;
+        whole = whole && P % ACROSS == 0 && within % P == 0 && band * rows <= rays.count - rows && left + ACROSS <= columns;
+        if (!whole) for (int k = 0; k < P; ++k) {
+            const int place = first + (k < here ? k : 0), b = place / rows, below = rays.count / columns - b * DOWN;
+            const int h = below < DOWN ? below : DOWN;
+            int offset = place - b * rows;
+            const int l = offset / (ACROSS * h) * ACROSS, w = columns - l < ACROSS ? columns - l : ACROSS;
+            offset -= l * h;
+            number[k] = (b * DOWN + offset / w) * columns + l + offset % w;
+        }
+    } else if (!whole) for (int k = 0; k < P; ++k) number[k] = first + (k < here ? k : 0);
+    // visit(k, n) for each ray k of the packet, n being its number in the batch
+    auto for_rays = [&](auto visit) {
+        if (whole && !picture) { WRT_FOR(P, k) visit(k, first + k); }
+        else if (whole) for (int y = 0; y < DOWN; ++y) { WRT_FOR(ACROSS, x) visit(y * ACROSS + x, begin + y * apart + x); }
+        else { WRT_SCALAR for (int k = 0; k < here; ++k) visit(k, number[k]); }
+    };
+"""
+"""C++ for the head of a native function with parameters `rays` and `first`, and the constant P."""
+
+
+@wp.func
+def ray_at(rays: RayBatch, place: int, packet: int):
+    """Number of the ray at a place in the order of packets of so many rays."""
+    if rays.columns == 0:
+        return place
+    across = wp.min(packet, TILE_COLUMNS)
+    down = packet / across
+    rows = rays.count / rays.columns
+    band = place / (down * rays.columns)
+    height = wp.min(down, rows - band * down)
+    offset = place - band * down * rays.columns
+    left = offset / (across * height) * across
+    width = wp.min(across, rays.columns - left)
+    offset -= left * height
+    return (band * down + offset / width) * rays.columns + left + offset % width

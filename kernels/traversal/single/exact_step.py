@@ -1,0 +1,123 @@
+"""The nearest hit in float64, found through a tree in float32.
+
+**Problem.** A tree and its boxes in float32 are half as large and twice as fast as in float64, and precise enough to tell which
+triangles a ray may meet. They do not tell which it meets first where two are closer together than float32 resolves, nor where
+it passes an edge, nor t to more than seven digits. To compute the winner's t once more in float64 mends only the last of these.
+
+**Idea.** Boxes are conservative: the slack that `wrt.kernels.simd.boxes` gives them, 16 roundings of half a unit in the last
+place of the ray's reach, also covers that origin, direction and vertices were rounded to float32 (one each) and the box test's
+own rounding (three). So every triangle that the exact ray meets lies in a leaf that the rounded ray visits, and its own box is
+met, no later than at its exact t. There, the triangle is tested in float64, with the ray and the vertices as they were given:
+the answer is that of brute force in float64 over all triangles.
+
+**Bounds on t.** A walk in float32 goes by the rounded t of the best hit, and of both ends of the range. They need no margin.
+Along any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|: the slack makes the entry of every box
+around the hit earlier than t by 2^-20 t at least, 16 times what rounding t to float32 takes away, and the six roundings above
+leave ten. The last step of the entry is a rounding itself, and rounding is monotone: the entry is at most float32(t), where
+float32 has few digits left near zero too. Likewise boxes are left no earlier than float32(t_min).
+
+**Test.** Woop's: the vertices are sheared so that the ray is an axis; three signed areas about it say whether it passes
+through. An area is the difference of two products, and rounding is monotone, so its sign is right or it is zero. Zero counts
+as inside: no ray slips through at an edge or a vertex.
+
+**Limits.** Where a triangle is so thin that even float64 cannot tell where along it a ray passes (lower than 1e-16 of the ray's
+reach), its t may come out before its box is met; whether that hit is found then depends on the tree.
+
+References:
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+    T. Ize: Robust BVH ray traversal. Journal of Computer Graphics Techniques 2(2), 2013.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.lanes import lanes, lowest_bit
+from wrt.kernels.traversal.leaf import Candidate, clamp_block
+from wrt.kernels.traversal.search_results import ExactSearch
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.func
+def shear(point: wp.vec3d, origin: wp.vec3d, direction: wp.vec3d, axis: int):
+    """A point as seen along the ray: (x, y) about it, and the t at which it passes by. axis: `dominant_axis(direction)`."""
+    x = (axis + 1) % 3
+    y = (axis + 2) % 3
+    t = (point[axis] - origin[axis]) / direction[axis]
+    return wp.vec3d((point[x] - origin[x]) - direction[x] * t, (point[y] - origin[y]) - direction[y] * t, t)
+
+
+@wp.func
+def dominant_axis(direction: wp.vec3d):
+    """Axis of the largest component."""
+    size = wp.vec3d(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+    axis = wp.where(size[1] > size[0], 1, 0)
+    return wp.where(size[2] > wp.max(size[0], size[1]), 2, axis)
+
+
+@wp.func
+def test_exactly(search: wp.ref[ExactSearch], primitive: int):
+    """Tests a triangle in float64 and keeps the hit if it is the nearest so far; at the same t the smaller triangle wins."""
+    axis = dominant_axis(search.direction)
+    face = search.faces[primitive]
+    a = shear(search.vertices[face[0]], search.origin, search.direction, axis)
+    b = shear(search.vertices[face[1]], search.origin, search.direction, axis)
+    c = shear(search.vertices[face[2]], search.origin, search.direction, axis)
+    zero = wp.float64(0.0)
+    area_a = b[0] * c[1] - b[1] * c[0]
+    area_b = c[0] * a[1] - c[1] * a[0]
+    area_c = a[0] * b[1] - a[1] * b[0]
+    total = (area_a + area_b) + area_c
+    front = area_a >= zero and area_b >= zero and area_c >= zero
+    back = area_a <= zero and area_b <= zero and area_c <= zero
+    if (front or back) and total != zero:
+        t = ((area_a * a[2] + area_b * b[2]) + area_c * c[2]) / total
+        nearer = t < search.t or (t == search.t and (search.primitive < 0 or primitive < search.primitive))
+        if nearer and t >= search.t_min:
+            search.t = t
+            search.primitive = primitive
+            search.u = area_b / total
+            search.v = area_c / total
+
+
+@cache
+def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
+    """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`, `hits` being the search.
+
+    The candidate that it returns holds the exact t, rounded, for the walk to go by.
+    """
+    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
+    Lanes, RayState, meet_boxes = lanes(width), test.ray_state, clamp_block(test.record, width)
+    lane_mask = (1 << width) - 1
+
+    @wp.func
+    def step(
+        tree: Tree,
+        node: int,
+        interval: wp.vec2,
+        triangles: TriangleBlocks,
+        block: int,
+        state: RayState,
+        slabs: wp.ref[RaySlabs],
+        search: wp.ref[ExactSearch],
+        i: int,
+        best: Candidate,
+    ):
+        starts = Lanes(interval[0])
+        mask = meet_boxes(triangles.records, block, slabs, wp.uint32(wp.static(lane_mask)), starts, interval[0], best.t)
+        while mask != wp.uint32(0):
+            primitive = triangles.primitive[block * wp.static(width) + lowest_bit(mask)]
+            mask = mask & (mask - wp.uint32(1))
+            if primitive >= 0:
+                test_exactly(search, primitive)
+        if search.primitive >= 0:
+            best.primitive = search.primitive
+            best.t = wp.min(best.t, wp.float32(search.t))
+        return best
+
+    return step

@@ -1,0 +1,80 @@
+"""The walk of a wide tree that keeps a row of keys for each level: nearest child first, whatever its leaves hold.
+
+A level of the tree that a ray is in keeps the keys of its W children (`wrt.kernels.simd.box_lanes`); the next child is their
+minimum, found in the lanes. The search is done with a level as soon as its least key lies beyond the best hit. Leaves hold
+triangles (`wrt.kernels.traversal.single.single_bvh`), instances (`wrt.kernels.traversal.two_level.instance_single`) or whole
+trees in spaces of their own (`wrt.kernels.traversal.two_level.fuzzy_boxes`).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.bvh_nodes import WideNodes
+from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.traversal.leaf import Candidate, Counters
+from wrt.kernels.traversal.search_results import results_of
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@cache
+def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.Function) -> wp.Function:
+    """`wp.func(tree, root, slabs, t_min, search, hits, i, best, work) -> best`: what is below a node, for ray number i.
+
+    Args:
+        config: the specialisation; a tree is at least 2 wide.
+        levels: inner nodes on a path of the tree.
+        Search: struct of what leaves need.
+        visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf.
+    """
+    width, counting, any_hit, Results = max(config.width, 2), config.counters, config.query == ANY, results_of(config)
+    test_boxes, nearest, row = ray_boxes(width), nearest_child(width), levels * width
+
+    @wp.func
+    def walk(
+        tree: WideNodes,
+        root: int,
+        slabs: wp.ref[RaySlabs],
+        t_min: float,
+        search: wp.ref[Search],
+        hits: wp.ref[Results],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        keys = wp.zeros(shape=(row,), dtype=int)
+        path = wp.zeros(shape=(levels,), dtype=int)
+        store_int(path, 0, root)
+        level = int(0)
+        key = test_boxes(tree.bounds, root, slabs, t_min, best.t, keys, 0)
+        if wp.static(counting):
+            work.nodes += 1
+            work.boxes += wp.static(width)
+        while level >= 0:
+            if entry_of(key, wp.static(width)) <= best.t:
+                lane = key & wp.static(width - 1)
+                store_int(keys, level * wp.static(width) + lane, NO_CHILD)
+                child = load_int(tree.child, load_int(path, level) * wp.static(width) + lane)
+                if child >= 0:
+                    level += 1
+                    store_int(path, level, child)
+                    key = test_boxes(tree.bounds, child, slabs, t_min, best.t, keys, level * wp.static(width))
+                    if wp.static(counting):
+                        work.nodes += 1
+                        work.boxes += wp.static(width)
+                else:
+                    best = visit(tree, child, search, hits, i, best, work)
+                    key = nearest(keys, level * wp.static(width))
+                    if wp.static(any_hit):
+                        level = wp.where(best.primitive < 0, level, -1)
+            else:
+                level -= 1
+                if level >= 0:
+                    key = nearest(keys, level * wp.static(width))
+        return best
+
+    return walk

@@ -1,0 +1,97 @@
+"""Which parts of a tree rays ask for that are not built yet.
+
+A tree that is built lazily (`wrt.builders.kdtree.lazy.lazy_kdtree`) has a skeleton: the planes above its cells. A leaf of the
+skeleton with triangles is a cell that waits to be built, its "first block" the cell's number; one without triangles is built,
+or empty. Rays that have been traced through what is built walk the skeleton as `single` would, from the near end of their range
+to their hit, and name the first waiting cells that they reach. A ray that names none has its final answer: what could come
+before its hit was there when it was traced.
+
+References:
+    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
+        IEEE Symposium on Interactive Ray Tracing 2007.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
+from wrt.kernels.traversal.leaf import enter
+from wrt.kernels.traversal.single.single_kdtree import Cell, step_guessing
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+UNTRACED = wp.constant(0)
+TO_HIT = wp.constant(1)
+TO_ANY = wp.constant(2)
+"""How far a ray asks: to the end of its range, to its closest hit, or not at all if it has one."""
+
+
+@wp.func
+def asks_until(how: int, ray: Ray, hits: HitBatch, i: int):
+    """The t up to which a ray asks for cells; below every t if it does not ask."""
+    bound = ray.t_max
+    if how == TO_HIT:
+        bound = wp.min(bound, hits.t[i])
+    elif how == TO_ANY:
+        bound = wp.where(hits.occluded[i], -1.0, bound)
+    return wp.where(ray.valid, bound, -1.0)
+
+
+@wp.func
+def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dtype=wp.uint8)):
+    """Marks up to `most` waiting cells that the ray reaches first; returns their number."""
+    slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, skeleton.low, skeleton.high))
+    interval = enter(slabs, skeleton.low, skeleton.high, ray.t_min, bound)
+    cell = Cell()
+    cell.entry = interval[0]
+    cell.leave = interval[1]
+    stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
+    stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+    stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
+    size = int(0)
+    found = int(0)
+    searching = cell.entry <= cell.leave
+    while searching:
+        node = kdtree.load_node(skeleton.nodes, cell.node)
+        axis = kdtree.split_axis(node)
+        if axis != LEAF:
+            crossing = cross_plane(slabs, axis, kdtree.split_position(node))
+            crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
+            crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+            right = kdtree.right_child(node)
+            step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
+        else:
+            if kdtree.leaf_triangles(node) > 0:
+                asked[kdtree.first_block(node)] = wp.uint8(1)  # by several threads perhaps: they write the same
+                found += 1
+            searching = size > 0 and found < most
+            if searching:
+                size -= 1
+                cell.node = load_int(stack_node, size)
+                cell.entry = load_float(stack_entry, size)
+                cell.leave = load_float(stack_leave, size)
+    return found
+
+
+@wp.kernel
+def ask_for_cells(
+    first: int,
+    skeleton: KdNodes,
+    rays: RayBatch,
+    hits: HitBatch,
+    how: int,
+    most: int,
+    asked: wp.array(dtype=wp.uint8),
+    unfinished: wp.array(dtype=wp.bool),
+):
+    """Item: a ray. asked: (cells,) zeros, 1 for cells that are wanted; unfinished: (rays,) whether the ray wants any."""
+    i = first + wp.tid()
+    ray = load_ray(rays, i)
+    bound = asks_until(how, ray, hits, i)
+    found = int(0)
+    if bound >= 0.0:
+        found = ask(skeleton, ray, bound, most, asked)
+    unfinished[i] = found > 0

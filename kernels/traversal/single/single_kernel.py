@@ -1,0 +1,41 @@
+"""The kernel around a walk of one ray at a time: the same for every kind of tree."""
+
+from collections.abc import Callable
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+
+def make_ray_kernel(config: TraversalConfig, Tree: type, make_walk: Callable[[TraversalConfig], wp.Function]) -> wp.Kernel:
+    """A kernel for one specialisation: item, a ray.
+
+    Args:
+        config: of the walk.
+        Tree: the struct of the tree.
+        make_walk: makes `wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one.
+    """
+    walk, store, counting = make_walk(config), store_best(config), config.counters
+
+    def single_ray(
+        first: int,
+        tree: Tree,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        work = Counters()
+        if ray.valid:
+            best = walk(tree, triangles, ray, hits, i, work)
+        store(hits, i, best)
+        if wp.static(counting):
+            counters.rows[i] = work
+
+    return wp.kernel(single_ray, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,1 @@
+"""Streams: lists of rays, filtered node by node."""

@@ -1,0 +1,209 @@
+"""Candidates of a stream: rays with triangles that their lines meet, and which of them are hits.
+
+**Problem.** A candidate is a ray and a triangle somewhere in memory: some hundred instructions, a triangle's id that no cache
+has yet, and up to three decisions that nobody can guess (is it in the ray's range, does the ray have a better hit, are there
+more). One by one, that was a third of the time of random and ambient rays, and most of it was waiting.
+
+**Idea.** Candidates are independent until the last step, so 16 of them, of any rays and triangles, are worked out at a time,
+a lane each. Rays come in by vector loads and a transposition (`wrt.kernels.simd.transpose`), triangles word by word; gathers
+took longer. Of 16 candidates, those that are in the range of their rays are left, and are taken over one after the other, so
+that a ray with several of them ends with the best.
+
+A test says how it works in these lanes (`TestForm.candidate_lanes`). For other tests, for queries for all hits and where back
+faces are culled, candidates are tested one after the other by the scalar form (`triangle_step`), with the same bits.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.transpose import TRANSPOSE
+from wrt.kernels.traversal.crossings import take_crossing
+from wrt.kernels.traversal.leaf import BOX_INTERVAL, Candidate, triangle_step
+from wrt.kernels.traversal.stream.stream_kernel import get_ray, ray_words, stream_ray
+from wrt.kernels.traversal.stream.stream_lists import LISTS, Pairs, load_candidate
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, vertex_box
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_TEST = """
+    for (int first = 0; first < count; first += L) {
+        alignas(64) float words[WORDS][L], corner[9][L];
+        float t[L], u[L], v[L];
+        int primitive[L], near[L];
+        const float* from[L];
+        WRT_SCALAR for (int i = 0; i < L; ++i) {
+            const int p = first + i < count ? first + i : first;
+            const int slot = pairs.candidates.c[p];
+            primitive[i] = primitives.data[slot];
+            from[i] = (const float*)(rays.data + pairs.candidate_rays.c[p]);
+            const float* r = &records.data[(size_t)(slot / WIDTH) * (COMPONENTS * WIDTH) + slot % WIDTH];
+            WRT_UNROLLED for (int c = 0; c < 9; ++c) corner[c][i] = r[c * WIDTH];
+        }
+        wrt_read(from, 0, words[0]);
+        wrt_read(from, WORDS - 16, words[WORDS - 16]);
+        CANDIDATE_LANES
+        WRT_FOR_LANES(i) {
+            float low[3], high[3];
+            VERTEX_BOX
+            const float ix = words[0][i], iy = words[1][i], iz = words[2][i];
+            const float in_x = words[3][i], in_y = words[4][i], in_z = words[5][i];
+            const float out_x = words[6][i], out_y = words[7][i], out_z = words[8][i];
+            const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
+            float at = t[i];
+            BOX_INTERVAL
+            t[i] = at;
+            near[i] = ((enter <= leave) & (at >= words[9][i]) & (at <= words[10][i]) & (first + i < count)) ? -1 : 0;
+        }
+        for (unsigned mask = wrt_bits(near); mask; mask &= mask - 1u) {
+            const int i = wrt_lowest_bit(mask);
+            auto& best = rays.data[pairs.candidate_rays.c[first + i]].best;
+            TAKE
+        }
+    }
+"""
+
+_TAKE_ANY = """
+            best.primitive = primitive[i];
+            best.t = -WRT_INFINITY;
+"""
+
+_TAKE_CLOSEST = """
+            if ((t[i] < best.t) | ((t[i] == best.t) & ((best.primitive < 0) | (primitive[i] < best.primitive)))) {
+                best.t = t[i];
+                best.primitive = primitive[i];
+                best.u = u[i];
+                best.v = v[i];
+            }
+"""
+
+
+@cache
+def test_in_lanes(config: TraversalConfig) -> wp.Function:
+    """`func(records, primitives, rays, pairs, count)`: the first `count` candidates, and what they are to their rays."""
+    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
+    StreamRay, words = stream_ray(config.triangle_test), ray_words(config.triangle_test)
+    code = _TEST.replace("CANDIDATE_LANES", test.candidate_lanes).replace("VERTEX_BOX", vertex_box("corner[0]", "i"))
+    code = code.replace("BOX_INTERVAL", BOX_INTERVAL).replace("TAKE", _TAKE_ANY if config.query == ANY else _TAKE_CLOSEST)
+    constants = f"""{LISTS}{TRANSPOSE}
+    constexpr int W = L, WIDTH = {width}, WORDS = {words}, COMPONENTS = {test.record.components};
+    """
+
+    @wp.func_native(constants + code)
+    def test_in_lanes_native(
+        records: wp.array(dtype=float),
+        primitives: wp.array(dtype=int),
+        rays: wp.array(dtype=StreamRay),
+        pairs: wp.ref[Pairs],
+        count: int,
+    ): ...
+
+    return test_in_lanes_native
+
+
+@wp.func_native("""
+    const float t = hit.c[0];
+    const bool ahead = (t < best.t) | ((t == best.t) & ((best.primitive < 0) | (primitive < best.primitive)));
+    const unsigned taken = 0u - (unsigned)((t >= t_min) & ahead);
+    auto pick = [&](float old, float other) {
+        const unsigned kept = wp::cast<unsigned>(old) & ~taken;
+        return wp::cast<float>(kept | (wp::cast<unsigned>(other) & taken));
+    };
+    best.primitive = (int)(((unsigned)best.primitive & ~taken) | ((unsigned)primitive & taken));
+    best.t = pick(best.t, t);
+    best.u = pick(best.u, hit.c[1]);
+    best.v = pick(best.v, hit.c[2]);
+""")
+def take_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
+    """Takes over a hit (t, u, v) if it `improves` the best so far, bit by bit: a select that is written as such may become a
+    branch, which cost random rays of the atrium a twelfth of their time."""
+    ...
+
+
+@cache
+def test_alone(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, k, slot, hits, i)`: one candidate, of ray k of the stream and i of the batch."""
+    StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
+    get, candidate = get_ray(config.triangle_test), triangle_step(config)
+    any_hit, crossing, take = config.query == ANY, config.crossing, take_crossing(config)
+
+    @wp.func_native(f"""
+        rays.data[k].best = best;
+        if ({int(any_hit)} && best.primitive >= 0) rays.data[k].best.t = __builtin_bit_cast(float, 0xff800000u);  // -inf
+    """)
+    def put_best(rays: wp.array(dtype=StreamRay), k: int, best: Candidate): ...
+
+    @wp.func
+    def test_one(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        k: int,
+        slot: int,
+        hits: wp.ref[HitBatch],
+        i: int,
+    ):
+        slabs = RaySlabs()
+        state = RayState()
+        best = Candidate()
+        t_min = get(stream, k, slabs, state, best)
+        if wp.static(any_hit) and best.primitive >= 0:
+            return  # it has had its hit
+        hit = candidate(triangles.records, slot, state, slabs)
+        primitive = load_int(triangles.primitive, slot)
+        if wp.static(crossing):
+            if hit[0] >= t_min and hit[0] <= best.t:
+                best = take(hits, i, best, hit[0], primitive, hit[1], hit[2])
+        else:
+            take_better(hit, primitive, t_min, best)
+        put_best(stream, k, best)
+
+    return test_one
+
+
+@cache
+def candidate_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, pairs, count, hits, begin)`: the first `count` candidates.
+
+    hits, begin: as of `wrt.kernels.traversal.stream.stream_pairs.pair_tester`.
+    """
+    StreamRay, test = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test]
+    if test.candidate_lanes and not config.crossing and not config.cull_backfaces:
+        in_lanes = test_in_lanes(config)
+
+        @wp.func
+        def test_all(
+            triangles: TriangleBlocks,
+            stream: wp.array(dtype=StreamRay),
+            pairs: wp.ref[Pairs],
+            count: int,
+            hits: wp.ref[HitBatch],
+            begin: int,
+        ):
+            in_lanes(triangles.records, triangles.primitive, stream, pairs, count)
+
+        return test_all
+
+    test_one = test_alone(config)
+
+    @wp.func
+    def test_each(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        pairs: wp.ref[Pairs],
+        count: int,
+        hits: wp.ref[HitBatch],
+        begin: int,
+    ):
+        p = int(0)
+        while p < count:
+            slot = int(0)
+            k = load_candidate(pairs, p, slot)
+            test_one(triangles, stream, k, slot, hits, begin + k)
+            p += 1
+
+    return test_each

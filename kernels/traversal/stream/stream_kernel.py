@@ -1,0 +1,167 @@
+"""Streams: hundreds of rays, filtered node by node into compact lists of active ones (survey, section 3.4).
+
+**Problem.** A packet goes where any of its rays goes, and takes all of them along: once the rays part company, most lanes
+compute nothing. A single ray has few lanes' worth of work between two decisions, and waits for each of them.
+
+**Idea.** Tracing is filtering. A stream of rays comes to a node; a filter tests all of them and appends those that pass to
+the stream of each child. Only active rays go on, lists hold their numbers without gaps, and it does not matter whether the
+rays that meet at a node are neighbours: the longer the stream, the fuller the vectors. At a leaf the rays are filtered by
+the triangles in the same way (Gribble and Ramani 2008; Wald et al. 2007).
+
+**Here.** A stream has up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its rays lie in a local
+array (`stream_ray`), everything else is lists of their numbers.
+* In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray; what a stream brings is
+  that the tests follow one another without a decision between them, and that the children's lists are compacted 16 rays
+  at a time.
+* In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
+* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): which triangles of a block does the ray's line meet? One ray x W
+  triangles: lists are too short at leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437
+  leaves), and blocks are full. The candidates that are left are worked out 16 at a time, whosever they are
+  (`stream_candidates`).
+
+**What we changed.** The papers simulate a machine that gathers and compacts W rays at a time; CPUs have such instructions
+now, and where they do not, the compaction is a loop without a branch. Finished rays (any hit) and rays whose best hit lies
+before a child drop out in the BVH when the child's list is filtered by its boxes, as these intervals end at the best hit; in
+the kd-tree when its list is taken from the stack.
+
+**Limits.** A list is ordered for all its rays: a child is visited when the first of them enters it, so that some rays meet
+nodes that a single ray would skip. A stream takes some hundred bytes a ray of local memory, and a thread to itself: on CUDA,
+where it compiles but has not been measured, that is the wrong shape. Neighbouring rays are better off in packets, whose
+culling spares them most tests.
+
+References:
+    I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets
+        and on-the-fly re-ordering. Technical report UUSCI-2007-012, University of Utah, 2007.
+    C. P. Gribble, K. Ramani: Coherent ray tracing via stream filtering. IEEE Symposium on Interactive Ray Tracing 2008.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+"""
+
+import ctypes
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.traversal.leaf import Candidate, store_best
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+LIST_LANES = 16
+"""Numbers of a list that are filtered at a time, whatever the tree's width."""
+
+RAY_BITS = 16
+"""Bits of a ray's number in a list of the BVH; the children's bits are above."""
+
+
+@wp.struct
+class StreamCounters:
+    """Work done for one stream, at the number of its first ray.
+
+    A vector of a list is full if all its lanes hold rays. The lanes of a triangle test hold the W triangles of a block.
+    """
+
+    nodes: int
+    """Rays tested at inner nodes: a list of n rays counts n."""
+    leaves: int
+    """Pairs (ray, leaf)."""
+    triangles: int
+    """Triangles tested, each for each ray."""
+    traversal_slots: int
+    """Lanes of the vectors by which lists were filtered."""
+    traversal_active: int
+    """Those that held a ray."""
+    intersection_slots: int
+    """Lanes of the triangle tests."""
+    intersection_active: int
+    """Those that held a triangle."""
+
+
+@wp.struct
+class StreamCounterRows:
+    """Where kernels write them: `wrt.kernels.traversal.leaf.CounterRows` says why it is a struct."""
+
+    rows: wp.array(dtype=StreamCounters)
+
+
+@wp.func
+def round_up(count: int):
+    """Lanes of the vectors that a list of so many rays fills."""
+    return (count + wp.static(LIST_LANES - 1)) & wp.static(-LIST_LANES)
+
+
+def rays_per_item(config: TraversalConfig) -> int:
+    """Rays of a stream; an item of the kernel is one or several (`RayBatch.run`)."""
+    return config.stream
+
+
+@cache
+def stream_ray(triangle_test: str) -> type:
+    """The struct of a ray of a stream: all that tests need of it, and its best hit."""
+    RayState = TRIANGLE_TESTS[triangle_test].ray_state
+
+    class StreamRay:
+        slabs: RaySlabs
+        t_min: float
+        best: Candidate
+        state: RayState
+
+    StreamRay.__doc__ = """A ray as box and triangle tests want it. `best.t` is -inf if it needs no (more) tests."""
+    return wp.struct(StreamRay)
+
+
+def ray_words(triangle_test: str) -> int:
+    """4-byte words of a `stream_ray`."""
+    return ctypes.sizeof(stream_ray(triangle_test).ctype) // 4
+
+
+@cache
+def get_ray(triangle_test: str) -> wp.Function:
+    """`wp.func(stream, k, slabs, state, best) -> t_min`: reads a ray's parts."""
+    StreamRay = stream_ray(triangle_test)
+    RayState = TRIANGLE_TESTS[triangle_test].ray_state
+
+    @wp.func_native(
+        "slabs = rays.data[k].slabs; state = rays.data[k].state; best = rays.data[k].best; return rays.data[k].t_min;"
+    )
+    def get_ray_native(
+        rays: wp.array(dtype=StreamRay),
+        k: int,
+        slabs: wp.ref[RaySlabs],
+        state: wp.ref[RayState],
+        best: wp.ref[Candidate],
+    ) -> float: ...
+
+    return get_ray_native
+
+
+@cache
+def store_stream(config: TraversalConfig) -> wp.Function:
+    """`wp.func(stream, begin, count, hits)`: writes the answers of the rays begin .. begin + count - 1."""
+    StreamRay = stream_ray(config.triangle_test)
+    store_one = store_best(config)
+
+    @wp.func_native("best = rays.data[k].best;")
+    def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
+
+    if config.query == ANY:
+
+        @wp.func_native("for (int k = 0; k < count; ++k) occluded.data[begin + k] = rays.data[k].best.primitive >= 0;")
+        def store_any(rays: wp.array(dtype=StreamRay), begin: int, count: int, occluded: wp.array(dtype=wp.bool)): ...
+
+        @wp.func
+        def store_all(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):
+            store_any(stream, begin, count, hits.occluded)
+
+        return store_all
+
+    @wp.func
+    def store(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):
+        for k in range(count):
+            best = Candidate()
+            get_best(stream, k, best)
+            store_one(hits, begin + k, best)
+
+    return store

@@ -1,0 +1,248 @@
+"""The lane loops of streams: lists of ray numbers, filtered 16 at a time (`wrt.kernels.traversal.stream.stream_lists`).
+
+The arithmetic is that of `wrt.kernels.simd.boxes`: `slab_interval` for the boxes of a wide node, `cross_plane` for the plane of
+a kd-tree's node.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.traversal.stream.stream_kernel import stream_ray
+from wrt.kernels.traversal.stream.stream_lists import LISTS, PAIRS, Pairs
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+_FILTER_BOXES = """
+    const float* box = &bounds.data[(size_t)node * (6 * W)];
+    const int* child = &children.data[(size_t)node * W];
+    int* list = words.data + first;
+    int* key = keys.data + row;
+    int least[L], leaf[L] = {};
+    unsigned leaves = 0;
+    for (int i = 0; i < W; ++i) { leaf[i] = child[i]; leaves |= child[i] < 0 ? 1u << i : 0u; }
+    for (int i = 0; i < W; ++i) { least[i] = key[i]; }
+    auto wrt_sign = [](float x) { return __builtin_bit_cast(int, x) >> 31; };
+    int paired = 0, kept = survivors, j = tested;
+    for (; j < count && paired <= PAIRS; ++j) {
+        const int k = list[j] & RAY;
+        const auto& ray = rays.data[k];
+        const float ix = ray.slabs.inverse.c[0], iy = ray.slabs.inverse.c[1], iz = ray.slabs.inverse.c[2];
+        const int sx = wrt_sign(ix) & 3 * W, sy = wrt_sign(iy) & 3 * W, sz = wrt_sign(iz) & 3 * W;
+        const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
+        const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
+        const float in_x = ray.slabs.origin_in.c[0], in_y = ray.slabs.origin_in.c[1], in_z = ray.slabs.origin_in.c[2];
+        const float out_x = ray.slabs.origin_out.c[0], out_y = ray.slabs.origin_out.c[1], out_z = ray.slabs.origin_out.c[2];
+        const float t_min = ray.t_min, t_max = ray.best.t;
+        int hit[L] = {}, number[L];
+        WRT_FOR_LANES(i) {
+            float enter = t_min, leave = t_max, t;
+            t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
+            t = (near_y[i] - in_y) * iy; enter = t > enter ? t : enter;
+            t = (near_z[i] - in_z) * iz; enter = t > enter ? t : enter;
+            t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
+            t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
+            t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
+            const int entry = __builtin_bit_cast(int, enter);
+            int order = ((FAR_FIRST ? 0x7f7fffff - entry : entry) & -W) | i;
+            order = enter <= leave ? order : NO_CHILD;
+            least[i] = order < least[i] ? order : least[i];
+            hit[i] = enter <= leave ? -1 : 0;
+        }
+        const unsigned bits = wrt_bits(hit), inner = bits & ~leaves;
+        for (int i = 0; i < L; ++i) { number[i] = k; }
+        wrt_append(pairs.rays.c + paired, number, (1u << L) - 1u);
+        paired += wrt_append(pairs.leaves.c + paired, leaf, bits & leaves);
+        list[kept] = (int)(inner << RAY_BITS) | k;
+        kept += inner != 0u;
+    }
+    for (int i = 0; i < W; ++i) { key[i] = leaves >> i & 1u ? NO_CHILD : least[i]; }
+    survivors = kept;
+    tested = j;
+    return paired;
+"""
+
+
+@cache
+def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function:
+    """`func(bounds, children, node, rays, words, first, count, keys, row, pairs, tested, survivors) -> int`.
+
+    Filters a list, words[first .. first + count - 1], through the W boxes of a node. A ray whose interval up to its best hit
+    meets a child's box is active there: for a leaf, (ray, leaf) goes to `pairs`; for inner children, their bits go into
+    the ray's word above its number. Words without such a bit are dropped, in place, and keys[row ..] are lowered to those of
+    the rays that enter first; if `far_first`, keys are the other way round, and those of the rays that enter last count.
+    Stops when the pairs may run out of room, and goes on at `tested` when it is called again. How many pairs there are is
+    returned.
+    """
+    StreamRay = stream_ray(triangle_test)
+    constants = f"    constexpr int W = {width}, PAIRS = {PAIRS}, NO_CHILD = {NO_CHILD_CONSTANT};\n"
+    constants += f"    constexpr bool FAR_FIRST = {int(far_first)};\n"
+
+    @wp.func_native(LISTS + constants + _FILTER_BOXES)
+    def filter_boxes_native(
+        bounds: wp.array(dtype=float),
+        children: wp.array(dtype=int),
+        node: int,
+        rays: wp.array(dtype=StreamRay),
+        words: wp.array(dtype=int),
+        first: int,
+        count: int,
+        keys: wp.array(dtype=int),
+        row: int,
+        pairs: wp.ref[Pairs],
+        tested: wp.ref[int],
+        survivors: wp.ref[int],
+    ) -> int: ...
+
+    return filter_boxes_native
+
+
+@wp.func_native(
+    LISTS
+    + """
+    const int* list = words.data + first;
+    int* to = words.data + first + count;
+    int size = 0;
+    for (int f = 0; f < count; f += L) {
+        int ray[L], flag[L];
+        WRT_FOR(L, i) {
+            const int word = list[f + i];
+            ray[i] = word & RAY;
+            flag[i] = (word >> (RAY_BITS + lane) & 1) & (f + i < count ? 1 : 0);
+        }
+        size += wrt_append(to + size, ray, wrt_bits(flag));
+    }
+    return size;
+"""
+)
+def collect_child(words: wp.array(dtype=int), first: int, count: int, lane: int) -> int:
+    """The rays of a list that are active in the child of a lane, appended behind the list; how many."""
+    ...
+
+
+_NEXT_CHILD = """
+    const int* key = keys.data + row;
+    int nearest = NO_CHILD;
+    WRT_FOR_LANES(i) { const int k = key[i] > last ? key[i] : NO_CHILD; nearest = k < nearest ? k : nearest; }
+    return nearest;
+"""
+
+
+@cache
+def next_child(width: int) -> wp.Function:
+    """`func(keys, row, last) -> key`: the least of W keys above `last`; no key is ever taken out of the row, because a
+    vector that is loaded just after one of its lanes was stored waits for the store."""
+
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width}, NO_CHILD = {NO_CHILD_CONSTANT};{_NEXT_CHILD}")
+    def next_child_native(keys: wp.array(dtype=int), row: int, last: int) -> int: ...
+
+    return next_child_native
+
+
+_FILTER_PLANE = """
+    int *far_ray = far_rays.data + top;
+    int *far_from = (int*)far_entry.data + top, *far_to = (int*)far_leave.data + top;
+    int near_size = 0, far_size = 0;
+    for (int f = 0; f < count; f += L) {
+        int ray[L], from[L], to[L], to_near[L], from_far[L], near_flag[L], far_flag[L];
+        WRT_FOR(L, i) {
+            const int here = f + i < count ? -1 : 0, k = list.data[f + i] & here;
+            const float entry_i = entry.data[f + i], leave_i = leave.data[f + i];
+            const float inverse = rays.data[k].slabs.inverse.c[axis];
+            float before = (position - rays.data[k].slabs.origin_out.c[axis]) * inverse;
+            float behind = (position - rays.data[k].slabs.origin_in.c[axis]) * inverse;
+            before = before < leave_i ? before : leave_i;
+            behind = behind > entry_i ? behind : entry_i;
+            const bool visit_near = entry_i <= before;
+            ray[i] = k;
+            from[i] = wp::cast<int>(entry_i); to[i] = wp::cast<int>(leave_i);
+            to_near[i] = wp::cast<int>(before); from_far[i] = wp::cast<int>(behind);
+            near_flag[i] = visit_near ? here : 0;
+            far_flag[i] = (!visit_near | (behind <= leave_i)) ? here : 0;
+        }
+        const unsigned near_bits = wrt_bits(near_flag), far_bits = wrt_bits(far_flag);
+        wrt_append(list.data + near_size, ray, near_bits);
+        wrt_append((int*)entry.data + near_size, from, near_bits);
+        near_size += wrt_append((int*)leave.data + near_size, to_near, near_bits);
+        wrt_append(far_ray + far_size, ray, far_bits);
+        wrt_append(far_from + far_size, from_far, far_bits);
+        far_size += wrt_append(far_to + far_size, to, far_bits);
+    }
+    far_count = far_size;
+    return near_size;
+"""
+
+
+@cache
+def filter_plane(triangle_test: str) -> wp.Function:
+    """`func(axis, position, rays, list, entry, leave, count, far_rays, far_entry, far_leave, top, far_count) -> near count`.
+
+    Filters a list of rays with one sign along the axis, and the intervals in which they are inside the node, through a
+    plane. The rays of the near child take the list's place, those of the far one are written to the stack from `top` on; the
+    step of `wrt.kernels.traversal.single.single_kdtree`, formula for formula.
+    """
+    StreamRay = stream_ray(triangle_test)
+
+    @wp.func_native(LISTS + _FILTER_PLANE)
+    def filter_plane_native(
+        axis: int,
+        position: float,
+        rays: wp.array(dtype=StreamRay),
+        list: wp.array(dtype=int),
+        entry: wp.array(dtype=float),
+        leave: wp.array(dtype=float),
+        count: int,
+        far_rays: wp.array(dtype=int),
+        far_entry: wp.array(dtype=float),
+        far_leave: wp.array(dtype=float),
+        top: int,
+        far_count: wp.ref[int],
+    ) -> int: ...
+
+    return filter_plane_native
+
+
+_FILTER_HITS = """
+    int size = 0;
+    for (int f = 0; f < count; f += L) {
+        int ray[L], from[L], to[L], flag[L];
+        WRT_FOR(L, i) {
+            const int here = f + i < count ? -1 : 0, k = far_rays.data[top + f + i] & here;
+            const float entry_i = far_entry.data[top + f + i], leave_i = far_leave.data[top + f + i];
+            const float best = rays.data[k].best.t;
+            ray[i] = k;
+            from[i] = wp::cast<int>(entry_i);
+            to[i] = wp::cast<int>(leave_i < best ? leave_i : best);
+            flag[i] = entry_i <= best ? here : 0;
+        }
+        const unsigned bits = wrt_bits(flag);
+        wrt_append(list.data + size, ray, bits);
+        wrt_append((int*)entry.data + size, from, bits);
+        size += wrt_append((int*)leave.data + size, to, bits);
+    }
+    return size;
+"""
+
+
+@cache
+def filter_hits(triangle_test: str) -> wp.Function:
+    """`func(rays, far_rays, far_entry, far_leave, top, count, list, entry, leave) -> count`: takes a list from the stack,
+    without the rays whose best hit lies before their entry, and cuts off what lies beyond it."""
+    StreamRay = stream_ray(triangle_test)
+
+    @wp.func_native(LISTS + _FILTER_HITS)
+    def filter_hits_native(
+        rays: wp.array(dtype=StreamRay),
+        far_rays: wp.array(dtype=int),
+        far_entry: wp.array(dtype=float),
+        far_leave: wp.array(dtype=float),
+        top: int,
+        count: int,
+        list: wp.array(dtype=int),
+        entry: wp.array(dtype=float),
+        leave: wp.array(dtype=float),
+    ) -> int: ...
+
+    return filter_hits_native

@@ -1,0 +1,163 @@
+"""Rays of a batch into a stream, 16 at a time.
+
+A stream's rays lie one after the other, each with all its numbers: that is how filters and tests read them. Here they are
+worked out component by component, 16 rays to a vector, and then turned over (`TRANSPOSE`), so that a ray is written by one
+or two vector stores. What a triangle test wants of a ray is among them if it says how (`TestForm.prepare_lanes`); other tests
+prepare ray after ray. The arithmetic is that of `load_ray`, `ray_slabs` and `prepare`, number for number.
+
+Ray after ray it took 250 instructions, which is half the time of ambient rays that end at the next column.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.layout.unchecked import load_float
+from wrt.kernels.simd.boxes import SLACK
+from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.simd.transpose import TRANSPOSE
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, ray_words, stream_ray
+from wrt.kernels.triangle import TRIANGLE_TESTS
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+COMMON_WORDS = 14
+"""4-byte words of a `stream_ray` before the test's state: slabs, t_min, best."""
+
+
+RAYS_TO_LANES = (
+    DIRECTION_LANES
+    + """
+    // rays beyond the last are the first again, and not written
+    auto number = [&](int k, int stride) { return (first + (k < here ? k : 0)) * stride; };
+    const double center_x = batch.center.c[0], center_y = batch.center.c[1], center_z = batch.center.c[2];
+    if (here == L && batch.origin_stride) {
+        const float* o = (const float*)(batch.origins.data + first);
+        WRT_FOR(L, k) {
+            ox[k] = (float)((double)o[3 * k] - center_x);
+            oy[k] = (float)((double)o[3 * k + 1] - center_y);
+            oz[k] = (float)((double)o[3 * k + 2] - center_z);
+        }
+    } else WRT_SCALAR for (int k = 0; k < L; ++k) {
+        const wp::vec3 o = batch.origins.data[number(k, batch.origin_stride)];
+        ox[k] = (float)((double)o.c[0] - center_x);
+        oy[k] = (float)((double)o.c[1] - center_y);
+        oz[k] = (float)((double)o.c[2] - center_z);
+    }
+    if (here == L && batch.direction_stride) {
+        const float* d = (const float*)(batch.directions.data + first);
+        WRT_FOR(L, k) { dx[k] = d[3 * k]; dy[k] = d[3 * k + 1]; dz[k] = d[3 * k + 2]; }
+    } else WRT_SCALAR for (int k = 0; k < L; ++k) {
+        const wp::vec3 d = batch.directions.data[number(k, batch.direction_stride)];
+        dx[k] = d.c[0]; dy[k] = d.c[1]; dz[k] = d.c[2];
+    }
+    if (here == L && batch.t_min_stride) { WRT_FOR(L, k) t_min[k] = batch.t_min.data[first + k]; }
+    else WRT_SCALAR for (int k = 0; k < L; ++k) t_min[k] = batch.t_min.data[number(k, batch.t_min_stride)];
+    if (here == L && batch.t_max_stride) { WRT_FOR(L, k) t[k] = batch.t_max.data[first + k]; }
+    else WRT_SCALAR for (int k = 0; k < L; ++k) t[k] = batch.t_max.data[number(k, batch.t_max_stride)];
+    WRT_FOR(L, k) {
+        float x = dx[k], y = dy[k], z = dz[k];
+        wrt_direction(x, y, z);
+        dx[k] = x; dy[k] = y; dz[k] = z;
+        t[k] = t[k] > FARTHEST ? FARTHEST : t[k];
+    }
+"""
+)
+"""C++: the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min and t."""
+
+VALID_LANE = """
+        const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
+        const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
+        float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
+        const bool valid = (x - x == 0.0f) & (y - y == 0.0f) & (z - z == 0.0f)
+            & (px - px == 0.0f) & (py - py == 0.0f) & (pz - pz == 0.0f)
+            & (size >= SHORTEST) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
+"""
+"""C++ for a ray k of those: its numbers, and whether it is `valid`, as `load_ray` tells."""
+
+_LOAD = """
+    const float INF = __builtin_bit_cast(float, 0x7f800000);
+    const int here = count < L ? count : L;
+    float *ox = own.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
+    alignas(64) float words[WORDS < 16 ? 16 : WORDS][L];
+    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9], *t = words[10];
+    int* primitive = (int*)words[11];
+WRT_RAYS    WRT_FOR(L, k) {
+WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
+        f = WRT_ABS(high.c[0] - px); far = f > far ? f : far;
+        f = WRT_ABS(low.c[1] - py); far = f > far ? f : far;
+        f = WRT_ABS(high.c[1] - py); far = f > far ? f : far;
+        f = WRT_ABS(low.c[2] - pz); far = f > far ? f : far;
+        f = WRT_ABS(high.c[2] - pz); far = f > far ? f : far;
+        const float slack = SLACK * far, jx = 1.0f / x, jy = 1.0f / y, jz = 1.0f / z;
+        const float step_x = jx < 0.0f ? -slack : slack, step_y = jy < 0.0f ? -slack : slack;
+        const float step_z = jz < 0.0f ? -slack : slack;
+        ix[k] = jx; iy[k] = jy; iz[k] = jz;
+        words[3][k] = px + step_x; words[4][k] = py + step_y; words[5][k] = pz + step_z;
+        words[6][k] = px - step_x; words[7][k] = py - step_y; words[8][k] = pz - step_z;
+        t_min[k] = t_min[k] + 0.0f;  // turns -0 into +0: as an integer, -0 would be the least key of all
+        t[k] = valid ? t[k] : -INF;
+        primitive[k] = -1;
+        words[12][k] = 0.0f; words[13][k] = 0.0f;
+    }
+    WRT_PREPARE
+    float* to = (float*)(stream.data + place);
+    wrt_write(words[0], to, RAY_WORDS, here);
+    if (WORDS > 16) wrt_write(words[WORDS - 16], to + WORDS - 16, RAY_WORDS, here);
+    return here;
+"""
+
+
+@cache
+def load_stream(triangle_test: str) -> wp.Function:
+    """`wp.func(rays, begin, count, low, high, stream)`: brings in the rays begin .. begin + count - 1; low, high: the scene."""
+    test = TRIANGLE_TESTS[triangle_test]
+    StreamRay, RayState, prepare = stream_ray(triangle_test), test.ray_state, test.prepare
+    room = 6 * LIST_LANES
+    prepared = bool(test.prepare_lanes)
+    words = ray_words(triangle_test)
+    if not 16 <= words <= (32 if prepared else words):
+        raise ValueError(f"a ray of {triangle_test!r} has {words} words in a stream; one or two vectors of 16 are written")
+    constants = f"""{FOR_LANES}{TRANSPOSE}
+    constexpr int L = {LIST_LANES}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
+    constexpr float SLACK = {SLACK!r}f;
+    """
+    code = _LOAD.replace("WRT_RAYS", RAYS_TO_LANES).replace("WRT_VALID", VALID_LANE)
+    code = constants + code.replace("WRT_PREPARE", test.prepare_lanes)
+
+    @wp.func_native(code)
+    def load_lanes(
+        batch: RayBatch,
+        first: int,
+        count: int,
+        low: wp.vec3,
+        high: wp.vec3,
+        stream: wp.array(dtype=StreamRay),
+        place: int,
+        own: wp.array(dtype=float),
+    ) -> int: ...
+
+    @wp.func_native("stream.data[k].state = state;")
+    def put_state(stream: wp.array(dtype=StreamRay), k: int, state: RayState): ...
+
+    @wp.func
+    def vector(own: wp.array(dtype=float), k: int, component: int):
+        x = load_float(own, component * wp.static(LIST_LANES) + k)
+        y = load_float(own, (component + 1) * wp.static(LIST_LANES) + k)
+        return wp.vec3(x, y, load_float(own, (component + 2) * wp.static(LIST_LANES) + k))
+
+    @wp.func
+    def load(rays: RayBatch, begin: int, count: int, low: wp.vec3, high: wp.vec3, stream: wp.array(dtype=StreamRay)):
+        # origins and directions of 16 rays, component by component
+        own = wp.zeros(shape=(room,), dtype=float)
+        place = int(0)
+        while place < count:
+            here = load_lanes(rays, begin + place, count - place, low, high, stream, place, own)
+            if wp.static(not prepared):
+                for k in range(here):
+                    # of a ray that misses, numbers that nobody reads
+                    put_state(stream, place + k, prepare(vector(own, k, 0), vector(own, k, 3)))
+            place += here
+
+    return load

@@ -1,0 +1,119 @@
+"""Pairs (ray, leaf) of a stream: the intersection filter.
+
+Round by round, a block of each leaf: triangles that the ray's line meets become candidates, pairs (ray, triangle), without a
+branch. Each comparison ends a long chain of arithmetic, and a wrong guess would throw away what has been done for the next
+pairs meanwhile: with a branch, random rays took 1.6 times as long altogether. Whether a candidate is a hit is worked out for
+16 of them at a time (`wrt.kernels.traversal.stream.stream_candidates`). To filter by the ray's range as well, along its main
+axis or by the triangles' boxes, spares up to half of the candidates and took 1.1 to 1.3 times as long.
+
+References: see `wrt.kernels.traversal.stream.stream_kernel`.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout import bvh_nodes as bvh
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.simd.boxes import RaySlabs
+from wrt.kernels.simd.lanes import lanes
+from wrt.kernels.traversal.leaf import Candidate
+from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
+from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, get_ray, stream_ray
+from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates, load_pair, store_pair
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@cache
+def line_filter(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, pairs, count, tested, left, work) -> found`: one block of each of `count` pairs, from
+    `tested` on.
+
+    Lists the candidates, and stops when there may be no more room for them. The pairs with blocks that remain take the first
+    places of the list; `left` is how many they are.
+    """
+    test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
+    StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
+    get, forms, append = get_ray(config.triangle_test), test.forms(config.crossing), append_candidates(width)
+    intersect_block = (forms.line_test or forms.block_test)(width)
+
+    @wp.func
+    def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
+        t = Lanes()  # which nothing reads
+        u = Lanes()
+        v = Lanes()
+        return intersect_block(triangles.records, block, state, t, u, v)
+
+    @wp.func
+    def find_candidates(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        pairs: wp.ref[Pairs],
+        count: int,
+        tested: wp.ref[int],
+        left: wp.ref[int],
+        work: wp.ref[StreamCounters],
+    ):
+        found = int(0)
+        p = int(tested)
+        remain = int(left)
+        while p < count and found <= PAIRS:
+            leaf = int(0)
+            k = load_pair(pairs, p, leaf)
+            slabs = RaySlabs()
+            state = RayState()
+            best = Candidate()
+            get(stream, k, slabs, state, best)
+            block = bvh.first_block(leaf)
+            triangles_left = bvh.leaf_triangles(leaf)
+            found = append(triangles.primitive, pairs, found, k, block, lines_meet(triangles, block, state))
+            store_pair(pairs, remain, k, bvh.leaf_child(block + 1, triangles_left - wp.static(width)))
+            remain += wp.where(triangles_left > wp.static(width), 1, 0)
+            if wp.static(counting):
+                there = wp.min(triangles_left, wp.static(width))
+                work.triangles += there
+                work.intersection_slots += wp.static(width)
+                work.intersection_active += there
+            p += 1
+        tested = p
+        left = remain
+        return found
+
+    return find_candidates
+
+
+@cache
+def pair_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first so many pairs to the end.
+
+    hits, begin: where all hits go, if that is the query, and the number of the stream's first ray.
+    """
+    StreamRay = stream_ray(config.triangle_test)
+    find_candidates, test_candidates, counting = line_filter(config), candidate_tester(config), config.counters
+
+    @wp.func
+    def test_pairs(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        pairs: wp.ref[Pairs],
+        number: int,
+        hits: wp.ref[HitBatch],
+        begin: int,
+        work: wp.ref[StreamCounters],
+    ):
+        count = int(number)
+        if wp.static(counting):
+            work.leaves += count
+        while count > 0:
+            tested = int(0)
+            left = int(0)
+            while tested < count:
+                found = find_candidates(triangles, stream, pairs, count, tested, left, work)
+                test_candidates(triangles, stream, pairs, found, hits, begin)
+            count = left
+
+    return test_pairs

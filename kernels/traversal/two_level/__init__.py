@@ -1,0 +1,1 @@
+"""Trees of trees: instances, and clusters with fuzzy boxes."""

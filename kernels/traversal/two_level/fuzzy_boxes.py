@@ -1,0 +1,143 @@
+"""A tree of fuzzy boxes: clusters of triangles that move nearly as one, each with a tree in a space that moves along.
+
+**Idea (Guenther et al. 2006).** What a cluster does is an affine motion that its triangles share, and a rest. In the space that
+the affine maps carry along, the rest is small: boxes around all that a triangle does there in all frames, fuzzy boxes, hold a
+tree that is built once. A frame is a map for each cluster, and where the triangles are. A ray is brought into the cluster's
+space to walk its tree.
+
+**What we changed.** Triangles are not brought there: a leaf is tested in the scene, with the ray as it is. So the hits are
+those of any other tree over the frame's triangles, to the bit, and neighbours in different clusters have no crack between them.
+
+**Why none is lost.** A fuzzy box encloses the image of the box of its triangle in the scene, not of the triangle alone. Boxes
+in the scene are widened by a slack (`wrt.kernels.simd.boxes`), a share of the reach there; its image is at most the slack times
+the greatest sum of a row's absolute values of the map (`Cluster.stretch`). Boxes in the cluster's space are widened by that
+and, as anywhere, by the same share of the reach in there, which covers the rounding of the ray on its way. So the boxes on the
+way to a triangle are entered no later than the triangle's own, and what a walk skips lies beyond its best hit.
+
+The upper tree is over the boxes of the clusters in the scene. It and the trees below are walked as any other
+(`wrt.kernels.traversal.single.key_walk`).
+
+References:
+    J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
+        Computer Graphics Forum 25(3) (Eurographics 2006).
+    J. Guenther, H. Friedrich, H.-P. Seidel, P. Slusallek: Interactive ray tracing of skinned animations. The Visual Computer
+        22(9), 2006.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout import bvh_nodes as bvh
+from wrt.kernels.layout.bvh_nodes import WideNodes
+from wrt.kernels.layout.ray_batch import HitBatch, Ray
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.traversal.leaf import Candidate, Counters, start
+from wrt.kernels.traversal.single.key_walk import make_key_walk
+from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
+from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class Cluster:
+    """Where a cluster's space is in a frame."""
+
+    to_own: wp.mat33d
+    """A point p relative to the scene's centre goes to to_own (p - origin)."""
+    origin: wp.vec3d
+    stretch: float
+    """Greatest sum of a row's absolute values of `to_own`."""
+    root: int
+    """Its tree's in the nodes of all clusters."""
+    low: wp.vec3
+    """Its tree's box, in its own space."""
+    high: wp.vec3
+
+
+@wp.struct
+class FuzzyNodes:
+    """The trees of a frame."""
+
+    top: WideNodes
+    """Boxes of the clusters relative to the scene's centre; a leaf has one."""
+    order: wp.array(dtype=int)
+    """(leaves * width,) the cluster of each leaf, first of its block."""
+    clusters: wp.array(dtype=Cluster)
+    parts: WideNodes
+    """Trees of all clusters, each in its own space."""
+
+
+@wp.func
+def own_slabs(cluster: Cluster, ray: Ray, far: float):
+    """The ray in a cluster's space, for tests of its fuzzy boxes; far: the reach in the scene."""
+    origin = wp.vec3(cluster.to_own * (wp.vec3d(ray.origin) - cluster.origin))
+    direction = wp.vec3(cluster.to_own * wp.vec3d(ray.direction))
+    return ray_slabs(origin, direction, reach(origin, cluster.low, cluster.high) + cluster.stretch * far)
+
+
+@cache
+def fuzzy_search(triangle_test: str) -> type:
+    """The struct of what visits to clusters need."""
+
+    class FuzzySearch:
+        tree: FuzzyNodes
+        ray: Ray
+        far: float
+        leaf: leaf_search(triangle_test)
+
+    FuzzySearch.__qualname__ = f"FuzzySearch_{triangle_test}"
+    return wp.struct(FuzzySearch)
+
+
+@cache
+def make_visit(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    FuzzySearch, width = fuzzy_search(config.triangle_test), config.width
+    walk_keys = make_key_walk(config, config.levels, leaf_search(config.triangle_test), make_leaf(config))
+
+    @wp.func
+    def visit(
+        tree: WideNodes,
+        child: int,
+        search: wp.ref[FuzzySearch],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
+        slabs = own_slabs(cluster, search.ray, search.far)
+        return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
+
+    return visit
+
+
+@cache
+def make_walk(config: TraversalConfig) -> wp.Function:
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
+    FuzzySearch, begin = fuzzy_search(config.triangle_test), begin_search(config.triangle_test)
+    walk_keys = make_key_walk(config, config.levels, FuzzySearch, make_visit(config))
+
+    @wp.func
+    def walk(tree: FuzzyNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+        far = reach(ray.origin, tree.top.low, tree.top.high)
+        slabs = ray_slabs(ray.origin, ray.direction, far)
+        search = FuzzySearch()
+        search.tree = tree
+        search.ray = ray
+        search.far = far
+        search.leaf = begin(triangles, ray, slabs)
+        return walk_keys(tree.top, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+
+    return walk
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    return make_ray_kernel(config, FuzzyNodes, make_walk)

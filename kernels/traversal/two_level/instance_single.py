@@ -1,0 +1,205 @@
+"""Two levels: a tree of instances, and in each instance that a ray reaches the tree of its geometry, one ray at a time.
+
+**Here.** The upper tree is a wide BVH over the boxes of the instances in the scene, one instance a leaf, walked as
+`wrt.kernels.traversal.single.key_walk` walks any: nearest box first, and nothing beyond the best hit. At a leaf the ray is
+brought into the geometry's space (`wrt.kernels.layout.instance_maps`), and the geometry's own tree, of either kind, is walked
+by the same function that walks a scene of one mesh: with t_max where the best hit so far is.
+
+**The consistency rule on two levels.** A hit counts if the transformed ray meets the triangle's widened box
+(`wrt.kernels.simd.boxes`), whose slack is a share of the reach in the geometry's space. In the scene that slack is stretched by
+the
+map: by at most the product of the norms of the map and of its inverse, the greatest sum of a row's absolute values. Twice
+that share of the reach in the scene (the factor 2 leaves room for rounding the transformed ray and the instance's box) is the
+slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). So no instance is passed over, or
+seems to start beyond, a hit that its own tree finds: the answer is that of every instance asked one after the other.
+
+References:
+    S. M. Rubin, T. Whitted: A 3-dimensional representation for fast rendering of complex scenes. SIGGRAPH 1980 (a hierarchy of
+        spaces, rays transformed on the way down).
+    I. Wald, C. Benthin, P. Slusallek: Distributed interactive ray tracing of dynamic scenes. IEEE Symposium on Parallel and
+        Large-Data Visualization and Graphics 2003 (two levels of trees, of which only the upper is built again).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout import bvh_nodes as bvh
+from wrt.kernels.layout.bvh_nodes import WideNodes
+from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_mask
+from wrt.kernels.layout.kdtree_nodes import KdNodes
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.simd.boxes import ray_slabs, reach
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
+from wrt.kernels.traversal.single.key_walk import make_key_walk
+from wrt.kernels.traversal.single.walk_table import WALKS
+from wrt.kernels.traversal.traversal_config import ALL, TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@wp.struct
+class InstanceTree:
+    """The upper level."""
+
+    tree: WideNodes
+    """Boxes relative to the scene's centre; a leaf has one instance."""
+    order: wp.array(dtype=int)
+    """(leaves * width,) the instance of each leaf, first of its block."""
+    placements: wp.array(dtype=Placement)
+    stretch: float
+    """By what a ray's reach is multiplied for the slack of the boxes."""
+
+
+@wp.struct
+class BvhPart:
+    """What is traversed of a geometry."""
+
+    tree: WideNodes
+    triangles: TriangleBlocks
+
+
+@wp.struct
+class KdTreePart:
+    """What is traversed of a geometry."""
+
+    tree: KdNodes
+    triangles: TriangleBlocks
+
+
+PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
+"""For each kind of tree the struct of a geometry."""
+
+
+@cache
+def take_hits(config: TraversalConfig) -> wp.Function:
+    """`wp.func(placement, found, t_min, hits, i, best) -> best`: what a walk found in an instance, as a hit of the scene."""
+    crossing, storing = config.crossing, config.query == ALL
+
+    @wp.func
+    def take(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[HitBatch], i: int, best: Candidate):
+        if wp.static(crossing):
+            if wp.static(storing):
+                begin = hits.begins[i]
+                for place in range(begin, begin + found.primitive + 1):
+                    hits.primitive[place] = hits.primitive[place] + placement.first
+                hits.begins[i] = begin + found.primitive + 1
+            best.primitive += found.primitive + 1
+        elif found.primitive >= 0 and improves(found.t, placement.first + found.primitive, t_min, best):
+            best = found
+            best.primitive = placement.first + found.primitive
+        return best
+
+    return take
+
+
+@cache
+def instance_search(kind: str) -> type:
+    """The struct of what visits to instances need; kind: of the geometries' trees, key of `PARTS`."""
+
+    class InstanceSearch:
+        top: InstanceTree
+        parts: wp.array(dtype=PARTS[kind])
+        origin: wp.vec3d
+        ray: Ray
+        mask: wp.uint32
+
+    InstanceSearch.__qualname__ = f"InstanceSearch_{kind}"
+    return wp.struct(InstanceSearch)
+
+
+@cache
+def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    InstanceSearch, walk, take = instance_search(kind), WALKS[kind][1](config), take_hits(config)
+    width = max(config.width, 2)  # of the upper tree
+
+    @wp.func
+    def visit(
+        tree: WideNodes,
+        child: int,
+        search: wp.ref[InstanceSearch],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
+        if (placement.mask & search.mask) != wp.uint32(0):
+            own = object_ray(placement, search.origin, search.ray, best.t)
+            if own.valid:
+                part = search.parts[placement.geometry]
+                found = walk(part.tree, part.triangles, own, hits, i, work)
+                best = take(placement, found, search.ray.t_min, hits, i, best)
+        return best
+
+    return visit
+
+
+@cache
+def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
+    """`wp.func(top, parts, origin, ray, mask, hits, i, work) -> best` for ray number i, a valid one.
+
+    Args:
+        config: the specialisation of the walks through geometries.
+        kind: of the geometries' trees, key of `PARTS`.
+        levels: inner nodes on a path of the upper tree.
+    """
+    Part, InstanceSearch = PARTS[kind], instance_search(kind)
+    walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
+
+    @wp.func
+    def walk(
+        top: InstanceTree,
+        parts: wp.array(dtype=Part),
+        origin: wp.vec3d,
+        ray: Ray,
+        mask: wp.uint32,
+        hits: wp.ref[HitBatch],
+        i: int,
+        work: wp.ref[Counters],
+    ):
+        slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+        search = InstanceSearch()
+        search.top = top
+        search.parts = parts
+        search.origin = origin
+        search.ray = ray
+        search.mask = mask
+        return walk_keys(top.tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+
+    return walk
+
+
+@cache
+def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
+    """The kernel for one specialisation; arguments as those of `make_walk_instances`.
+
+    Lists of all hits go to the places from `HitBatch.begins` on: a ray's hits have to be counted first.
+    """
+    Part, walk, store = PARTS[kind], make_walk_instances(config, kind, levels), store_best(config)
+    counting, storing = config.counters, config.query == ALL
+
+    def single_ray_instances(
+        first: int,
+        top: InstanceTree,
+        parts: wp.array(dtype=Part),
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: CounterRows,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        work = Counters()
+        if ray.valid:
+            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), hits, i, work)
+            if wp.static(storing):
+                hits.begins[i] = hits.begins[i] - (best.primitive + 1)
+        store(hits, i, best)
+        if wp.static(counting):
+            counters.rows[i] = work
+
+    return wp.kernel(single_ray_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,276 @@
+"""Two levels for many rays that have little in common: those that reach the same instance are brought together.
+
+**Problem.** Streams are fast because many rays do the same thing at the same time. Rays that leave a tree of instances one by
+one have lost their company, and those of one stream that meet an instance are a handful.
+
+**Idea.** Rounds. First each ray lists the nearest instances whose boxes it meets, up to `ROOM` of them, with the t of its
+entry. In round k every ray whose k-th entry is not beyond its best hit goes to its k-th instance: rays are counted by
+instance, the counts are summed, and the rays, transformed, are copied to the places of their instance. There they are an
+ordinary batch, and streams walk the tree of the mesh; what they find shortens the rays for the rounds to come. Rays with more
+than `ROOM` boxes list the next when they have done with the first. So rays go front to back, each of them, and stop as soon as
+a single ray would.
+
+**Cost.** A round copies 32 bytes a ray there and 16 back, and looks at all rays; where few are left, these go one by one
+(`wrt.kernels.traversal.two_level.instance_single`). Most rays of a scene whose instances stand apart are done after two rounds.
+
+References:
+    M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997 (rays
+        queued at the parts of a scene).
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout import bvh_nodes as bvh
+from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_mask
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.simd.box_lanes import met_boxes
+from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
+from wrt.kernels.simd.lanes import lanes, lowest_bit
+from wrt.kernels.traversal.stream import stream_bvh
+from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_load import load_stream
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, TraversalConfig
+from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+ROOM = wp.constant(8)
+"""Instances that a ray lists at a time."""
+
+
+@wp.struct
+class Search:
+    """What N consecutive rays of a batch have before them. A ray's list is sorted by entry, then by instance."""
+
+    begin: int
+    """Number of the first ray."""
+    bound: wp.array(dtype=float)
+    """(N,) t beyond which nothing matters: that of the best hit, or t_max; -inf for a ray that is done."""
+    size: wp.array(dtype=int)
+    """(N,) length of the list."""
+    instance: wp.array(dtype=int)
+    """(ROOM * N,) k-th instances from k N on."""
+    entry: wp.array(dtype=float)
+    """(ROOM * N,) where their boxes begin, or a hair before."""
+
+
+@wp.struct
+class Sorted:
+    """A round's rays, in the geometries' spaces, instance after instance."""
+
+    rays: RayBatch
+    order: wp.array(dtype=int)
+    """Number of each of them in the batch."""
+    instance: wp.array(dtype=int)
+
+
+@wp.func
+def precedes(entry: float, instance: int, other_entry: float, other: int):
+    """Whether an instance comes before another one."""
+    return entry < other_entry or (entry == other_entry and instance < other)
+
+
+@wp.func
+def insert(entries: wp.array(dtype=float), instances: wp.array(dtype=int), size: int, entry: float, instance: int):
+    """Puts an instance in its place in a sorted list with room for ROOM; the last falls out if that is full. Its new size."""
+    place = int(size)
+    if size == ROOM:
+        place = ROOM - 1
+        if not precedes(entry, instance, entries[place], instances[place]):
+            return size
+    while place > 0 and precedes(entry, instance, entries[wp.max(place - 1, 0)], instances[wp.max(place - 1, 0)]):
+        entries[place] = entries[place - 1]
+        instances[place] = instances[place - 1]
+        place -= 1
+    entries[place] = entry
+    instances[place] = instance
+    return wp.min(size + 1, ROOM)
+
+
+@cache
+def make_list_instances(width: int, levels: int) -> wp.Kernel:
+    """The kernel that lists the instances before each ray of a block; width, levels: of the upper tree.
+
+    Nodes are visited in any order, which costs less than to find the nearest: most boxes that are met are wanted.
+    """
+    test_boxes, Lanes, room = met_boxes(width), lanes(width), levels * (width - 1) + 1
+
+    def list_instances(first: int, top: InstanceTree, rays: RayBatch, again: bool, search: Search):
+        place = first + wp.tid()
+        count = search.size.shape[0]
+        i = search.begin + place
+        ray = load_ray(rays, i)
+        passed = float(-INFINITY)
+        passed_instance = int(-1)
+        waiting = wp.zeros(shape=(room,), dtype=int)
+        left = wp.where(ray.valid, 1, 0)
+        bound = wp.where(ray.valid, ray.t_max, -INFINITY)
+        if again:
+            last = (ROOM - 1) * count + place
+            bound = search.bound[place]
+            if search.size[place] == ROOM and search.entry[last] <= bound:
+                passed = search.entry[last]
+                passed_instance = search.instance[last]
+            else:
+                left = int(0)
+        else:
+            search.bound[place] = bound
+        mask = ray_mask(rays, i)
+        slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
+        entries = wp.zeros(shape=(ROOM,), dtype=float)
+        instances = wp.zeros(shape=(ROOM,), dtype=int)
+        size = int(0)
+        while left > 0:
+            left -= 1
+            node = load_int(waiting, left)
+            entry = Lanes()
+            met = test_boxes(top.tree.bounds, node, slabs, ray.t_min, bound, entry)
+            while met != wp.uint32(0):
+                lane = lowest_bit(met)
+                met = met & (met - wp.uint32(1))
+                child = load_int(top.tree.child, node * wp.static(width) + lane)
+                if child >= 0:
+                    store_int(waiting, left, child)
+                    left += 1
+                else:
+                    instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
+                    is_seen = (top.placements[instance].mask & mask) != wp.uint32(0)
+                    if is_seen and precedes(passed, passed_instance, entry[lane], instance):
+                        size = insert(entries, instances, size, entry[lane], instance)
+                        if size == ROOM:
+                            bound = wp.min(bound, entries[ROOM - 1])
+        for k in range(size):
+            search.instance[k * count + place] = instances[k]
+            search.entry[k * count + place] = entries[k]
+        search.size[place] = size
+
+    return wp.kernel(list_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@wp.func
+def next_instance(search: Search, turn: int, place: int):
+    """The instance whose turn it is for the ray at a place; -1 if there is none, or its best hit lies before it."""
+    instance = int(-1)
+    at = turn * search.size.shape[0] + place
+    if turn < search.size[place] and search.entry[at] <= search.bound[place]:
+        instance = search.instance[at]
+    return instance
+
+
+@wp.kernel
+def count_instances(first: int, chunk: int, turn: int, search: Search, counts: wp.array2d(dtype=int)):
+    """Item: a chunk of rays. counts: (chunks, instances), zeros."""
+    item = first + wp.tid()
+    row = counts[item]
+    for place in range(item * chunk, wp.min(search.size.shape[0], (item + 1) * chunk)):
+        instance = next_instance(search, turn, place)
+        if instance >= 0:
+            row[instance] += 1
+
+
+@wp.kernel
+def sort_by_instance(
+    first: int,
+    top: InstanceTree,
+    rays: RayBatch,
+    chunk: int,
+    turn: int,
+    search: Search,
+    places: wp.array2d(dtype=int),
+    sorted_rays: Sorted,
+):
+    """Item: a chunk of rays. Transforms them, and copies them to where those of their instances are."""
+    item = first + wp.tid()
+    row = places[item]
+    for place in range(item * chunk, wp.min(search.size.shape[0], (item + 1) * chunk)):
+        instance = next_instance(search, turn, place)
+        if instance >= 0:
+            i = search.begin + place
+            to = row[instance]
+            row[instance] = to + 1
+            own = object_ray(top.placements[instance], centered_origin(rays, i), load_ray(rays, i), search.bound[place])
+            sorted_rays.order[to] = i
+            sorted_rays.instance[to] = instance
+            sorted_rays.rays.origins[to] = own.origin
+            sorted_rays.rays.directions[to] = own.direction
+            sorted_rays.rays.t_min[to] = own.t_min
+            sorted_rays.rays.t_max[to] = own.t_max
+
+
+@cache
+def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel by which streams trace a round; an item is a segment of one instance's rays."""
+    StreamRay = stream_ray(config.triangle_test)
+    load, store, trace = load_stream(config.triangle_test), store_stream(config), stream_bvh.make_trace(config)
+    list_valid, size = stream_bvh.list_valid(config.triangle_test), config.stream
+    room = (config.levels + 1) * size + LIST_LANES
+
+    def streams_of_instances(
+        first: int,
+        segments: wp.array(dtype=wp.vec3i),
+        placements: wp.array(dtype=Placement),
+        parts: wp.array(dtype=BvhPart),
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: StreamCounterRows,
+    ):
+        segment = segments[first + wp.tid()]
+        part = parts[placements[segment[0]].geometry]
+        stream = wp.zeros(shape=(size,), dtype=StreamRay)
+        words = wp.zeros(shape=(room,), dtype=int)
+        begin = segment[1]
+        while begin < segment[2]:
+            count = wp.min(wp.static(size), segment[2] - begin)
+            work = StreamCounters()
+            load(rays, begin, count, part.tree.low, part.tree.high, stream)
+            trace(part.tree, part.triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
+            store(stream, begin, count, hits)
+            begin += wp.static(size)
+
+    return wp.kernel(streams_of_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+@wp.kernel
+def merge_hits(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. Takes what it found over to its answer, if that is better, and shortens the ray."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    if found.primitive[k] >= 0:
+        t = found.t[k]
+        primitive = placements[sorted_rays.instance[k]].first + found.primitive[k]
+        if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
+            hits.t[i] = t
+            hits.primitive[i] = primitive
+            hits.uv[i] = found.uv[k]
+            search.bound[i - search.begin] = t
+
+
+@wp.kernel
+def merge_occlusion(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. One that found something is done."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    if found.occluded[k]:
+        hits.occluded[i] = True
+        search.bound[i - search.begin] = -INFINITY
+
+
+@wp.kernel
+def merge_counts(
+    first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
+):
+    """Item: a ray of a round. Adds what it counted."""
+    k = first + wp.tid()
+    i = sorted_rays.order[k]
+    hits.counts[i] = hits.counts[i] + found.counts[k]
+
+
+MERGE = {CLOSEST: merge_hits, ANY: merge_occlusion, COUNT: merge_counts}
+"""What takes the results of a round over, for each query."""

@@ -1,0 +1,1 @@
+"""Triangle tests under measurement: isolated from trees, their operations and exits counted."""

@@ -1,0 +1,90 @@
+"""Where tests end: one count for each exit, made from the very steps that the engine compiles.
+
+A test of a ray and a triangle ends at the step whose condition fails, or is a hit. Lanes go together: a vector of them ends
+where the last of its lanes does. Both are counted, for groups of any shape: frusta of R rays x one triangle, one ray x G
+triangles, or R x G. What early exits could save at most, and what they save in lockstep, are the two sides of that.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.triangle.support.lane_form import LaneForm
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
+from wrt.kernels.triangle.support.triangle_contract import TestForm
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+
+@cache
+def exit_of(test: TestForm) -> wp.Function:
+    """`wp.func(records, slot, width, ray) -> int`: number of the step at which a test ends; the number of steps for a hit."""
+    if isinstance(test.lanes, LaneForm):
+        return exit_of_form(test.lanes, test.ray_state)
+    RayState, intersect, load = test.ray_state, test.intersect, test.record.load
+
+    @wp.func
+    def end(records: wp.array(dtype=float), slot: int, width: int, ray: RayState):
+        hit = intersect(ray, load(records, slot, width))
+        return wp.where(hit[0] == hit[0], 1, 0)
+
+    return end
+
+
+@cache
+def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
+    """The same from the steps of a form."""
+    RayState, components = ray_state, form.components
+    text = FOR_LANES + f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
+    text += "    const float* r = &records.data[(size_t)(slot / width) * (COMPONENTS * width) + slot % width];\n"
+    text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
+    text += "".join(f"    float kept_{name}[1];\n" for name in form.kept())
+    for number, step in enumerate(form.steps):
+        code = form.lane_code(
+            number, lambda step: [f"const float {n} = r[{components[n]} * width];" for n in step.reads(components)]
+        )
+        text += f"    {{\n{code}\n        if (!({step.passes})) return {number};\n    }}\n"
+    text += f"    return {len(form.steps)};\n"
+
+    @wp.func_native(text)
+    def end(records: wp.array(dtype=float), slot: int, width: int, ray: RayState) -> int: ...
+
+    return end
+
+
+@cache
+def make_kernel(test: TestForm) -> wp.Kernel:
+    """Counts the ends of all tests of a group of rays against all triangles.
+
+    Item: a group of `group_rays` rays. It writes a row of `counts`: tests by their end, then groups of `group_rays` x
+    `group_triangles` tests by the end of the last of them. A group that would reach beyond the last triangle has fewer.
+    """
+    prepare, end = test.prepare, exit_of(test)
+    ends = len(test.lanes.exits) + 1
+
+    def count_exits(
+        first: int,
+        records: wp.array(dtype=float),
+        triangles: int,
+        width: int,
+        origins: wp.array(dtype=wp.vec3),
+        origin_stride: int,
+        directions: wp.array(dtype=wp.vec3),
+        group_rays: int,
+        group_triangles: int,
+        counts: wp.array2d(dtype=int),
+    ):
+        item = first + wp.tid()
+        for block in range(0, triangles, group_triangles):
+            last = int(0)
+            for k in range(group_rays):
+                i = item * group_rays + k
+                ray = prepare(origins[i * origin_stride], directions[i])
+                for slot in range(block, wp.min(block + group_triangles, triangles)):
+                    here = end(records, slot, width, ray)
+                    counts[item, here] = counts[item, here] + 1
+                    last = wp.max(last, here)
+            counts[item, wp.static(ends) + last] = counts[item, wp.static(ends) + last] + 1
+
+    return wp.kernel(count_exits, module="unique", enable_backward=False, module_options={"fuse_fp": False})

@@ -1,0 +1,181 @@
+"""The contenders of Komatsu et al. 2008 as the paper writes them: one-sided, in float32, with all their exits.
+
+For the paper's tables only. What the engine uses differs where it pays to be two-sided, safer at edges or better suited to
+wide vectors (`wrt.kernels.triangle.komatsu`, `.moeller_trumbore`). N = E1 x E2 is the triangle's normal, S leads from P0 to
+the origin O, D is the direction:
+
+    moeller     P0, E1, E2, N beforehand                        48 bytes, 34 operations a test
+    pluecker    N, the planes of O and each edge, N . S         52 bytes, 21 operations a test and 41 for an origin
+    proposed    N, -S x E2, S x E1, N . S                       40 bytes, 17 operations a test and 26 for an origin
+
+All drop at the first exit what does not face the origin, N . D >= 0. The second of Pluecker's exits comes when everything is
+computed but t. (The paper lists S among the 40 bytes of the proposed test; what its listing uses is N.) The paper's fourth
+contender, projection, is described without a listing and not repeated here.
+
+References:
+    K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
+        precomputation and early termination. IPSJ Transactions on Advanced Computing Systems 1(1), 2008.
+"""
+
+import warp as wp
+
+from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
+from wrt.kernels.triangle.support.record_blocks import Corners, Record
+from wrt.kernels.triangle.support.triangle_contract import TestForm
+from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, prepare
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+MoellerValues = wp.types.vector(length=12, dtype=wp.float32)
+PlueckerValues = wp.types.vector(length=13, dtype=wp.float32)
+ProposedValues = wp.types.vector(length=10, dtype=wp.float32)
+
+
+@wp.func
+def derive_moeller(corners: Corners, origin: wp.vec3):
+    """P0, E1, E2, N; whatever the origin."""
+    first = corners.b - corners.a
+    second = corners.c - corners.a
+    normal = cross(first, second)
+    values = MoellerValues()
+    for axis in range(3):
+        values[axis] = corners.a[axis]
+        values[3 + axis] = first[axis]
+        values[6 + axis] = second[axis]
+        values[9 + axis] = normal[axis]
+    return values
+
+
+@wp.func
+def derive_pluecker(corners: Corners, origin: wp.vec3):
+    """N, T0, T1, T2, N . S."""
+    a = corners.a - origin
+    b = corners.b - origin
+    c = corners.c - origin
+    normal = cross(corners.b - corners.a, corners.c - corners.a)
+    planes = wp.matrix_from_rows(cross(b, a), cross(c, b), cross(a, c))
+    values = PlueckerValues()
+    for axis in range(3):
+        values[axis] = normal[axis]
+        values[3 + axis] = planes[0, axis]
+        values[6 + axis] = planes[1, axis]
+        values[9 + axis] = planes[2, axis]
+    values[12] = dot(normal, origin - corners.a)
+    return values
+
+
+@wp.func
+def derive_proposed(corners: Corners, origin: wp.vec3):
+    """N, -S x E2, S x E1, N . S."""
+    first = corners.b - corners.a
+    second = corners.c - corners.a
+    normal = cross(first, second)
+    s = origin - corners.a
+    for_u = cross(second, s)
+    for_v = cross(s, first)
+    values = ProposedValues()
+    for axis in range(3):
+        values[axis] = normal[axis]
+        values[3 + axis] = for_u[axis]
+        values[6 + axis] = for_v[axis]
+    values[9] = dot(normal, s)
+    return values
+
+
+FACING = Step(
+    exit="turned away",
+    code="const float f1 = (dx * nx + dy * ny) + dz * nz;",
+    passes="f1 < 0.0f",
+    keeps=("f1",),
+)
+
+DISTANCE = """
+    const float t = -f2 / f1, u = alpha / -f1, v = beta / -f1;
+"""
+"""What a hit still needs; the paper leaves u' and v' undivided, here hits are to be compared."""
+
+MOELLER = LaneForm(
+    ray=(*ORIGIN, *DIRECTION),
+    triangle=("p0x", "p0y", "p0z", "e1x", "e1y", "e1z", "e2x", "e2y", "e2z", "nx", "ny", "nz"),
+    steps=(
+        FACING,
+        Step(
+            exit="u < 0",
+            code="""
+                const float sx = ox - p0x, sy = oy - p0y, sz = oz - p0z;
+                const float gx = dy * sz - dz * sy, gy = dz * sx - dx * sz, gz = dx * sy - dy * sx;
+                const float alpha = -((gx * e2x + gy * e2y) + gz * e2z);
+            """,
+            passes="alpha >= 0.0f",
+            keeps=("sx", "sy", "sz", "gx", "gy", "gz", "alpha"),
+        ),
+        Step(
+            exit="v < 0",
+            code="const float beta = (gx * e1x + gy * e1y) + gz * e1z;",
+            passes="beta >= 0.0f",
+            keeps=("beta",),
+        ),
+        Step(exit="u + v > 1", code="const float both = alpha + beta;", passes="both <= -f1"),
+        Step(
+            exit="no distance",
+            code=f"const float f2 = (nx * sx + ny * sy) + nz * sz;{DISTANCE}",
+            passes="t - t == 0.0f",
+        ),
+    ),
+)
+
+PLUECKER = LaneForm(
+    ray=DIRECTION,
+    triangle=("nx", "ny", "nz", "t0x", "t0y", "t0z", "t1x", "t1y", "t1z", "t2x", "t2y", "t2z", "f2"),
+    steps=(
+        FACING,
+        Step(
+            exit="signs differ",
+            code="""
+                const float gamma = (dx * t0x + dy * t0y) + dz * t0z;
+                const float rest = (dx * t1x + dy * t1y) + dz * t1z;
+                const float alpha = (dx * t2x + dy * t2y) + dz * t2z;
+            """,
+            passes="(alpha >= 0.0f) & (rest >= 0.0f) & (gamma >= 0.0f)",
+            keeps=("alpha", "gamma"),
+        ),
+        Step(exit="no distance", code=f"const float beta = gamma;{DISTANCE}", passes="t - t == 0.0f"),
+    ),
+)
+
+PROPOSED = LaneForm(
+    ray=DIRECTION,
+    triangle=("nx", "ny", "nz", "gux", "guy", "guz", "gvx", "gvy", "gvz", "f2"),
+    steps=(
+        FACING,
+        Step(
+            exit="u < 0",
+            code="const float alpha = (dx * gux + dy * guy) + dz * guz;",
+            passes="alpha >= 0.0f",
+            keeps=("alpha",),
+        ),
+        Step(
+            exit="v < 0",
+            code="const float beta = (dx * gvx + dy * gvy) + dz * gvz;",
+            passes="beta >= 0.0f",
+            keeps=("beta",),
+        ),
+        Step(exit="u + v > 1", code="const float both = alpha + beta;", passes="both <= -f1"),
+        Step(exit="no distance", code=DISTANCE, passes="t - t == 0.0f"),
+    ),
+)
+
+
+def published(name: str, record: Record, lanes: LaneForm) -> TestForm:
+    """A contender."""
+    return TestForm(name=name, record=record, ray_state=PlainRay, prepare=prepare, lanes=lanes)
+
+
+PUBLISHED: dict[str, TestForm] = {
+    form.name: form
+    for form in (
+        published("moeller", Record(12, derive_moeller), MOELLER),
+        published("pluecker", Record(13, derive_pluecker, per_origin=True), PLUECKER),
+        published("proposed", Record(10, derive_proposed, per_origin=True), PROPOSED),
+    )
+}

@@ -1,0 +1,1 @@
+"""What triangle tests share: their contract, records in blocks, and lane loops."""

@@ -1,0 +1,100 @@
+"""Triangles seen along the main axis of their normal: two coordinates of a point in their plane tell whether it is inside.
+
+A triangle's projection onto a coordinate plane has the barycentric coordinates that it has in space; the plane across the
+normal's largest component keeps most of its area. The axis is `k`, the other two, in cyclic order, are `p` and `q`.
+
+Two ways to keep such a triangle: `RowsOfPlane` are three linear functions (the plane, u and v), constants included;
+`wrt.kernels.triangle.shevtsov` keeps a vertex and two edges instead.
+"""
+
+from typing import Any
+
+import warp as wp
+
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.vectors import cross
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+RowsOfPlane = wp.types.vector(length=10, dtype=wp.float32)
+"""k (0.0, 1.0 or 2.0); n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; then u_p, u_q, u and v_p, v_q, v: a point of the
+plane has u = u_p x_p + u_q x_q + u, and v alike."""
+
+ROW_NAMES = ("axis", "np", "nq", "n0", "up", "uq", "u0", "vp", "vq", "v0")
+"""Their names in the steps of a `LaneForm`."""
+
+
+@wp.func
+def main_axis(normal: Any):
+    """Axis of the largest component, the earlier one if two are equal; 2 for NaN."""
+    x = wp.abs(normal[0])
+    y = wp.abs(normal[1])
+    z = wp.abs(normal[2])
+    return wp.where(x >= y and x >= z, 0, wp.where(y >= z, 1, 2))
+
+
+@wp.func
+def next_axis(axis: int):
+    """The following one of x, y, z, x, ..."""
+    return wp.where(axis == 2, 0, axis + 1)
+
+
+@wp.func
+def derive_rows(corners: Corners, origin: wp.vec3):
+    """The rows of a triangle, in float64 and then rounded. A triangle without area has some that are not finite."""
+    a = wp.vec3d(corners.a)
+    edge_b = wp.vec3d(corners.b) - a
+    edge_c = wp.vec3d(corners.c) - a
+    normal = cross(edge_b, edge_c)
+    k = main_axis(normal)
+    p = next_axis(k)
+    q = next_axis(p)
+    height = normal[k]
+    rows = RowsOfPlane()
+    rows[0] = float(k)
+    rows[1] = float(normal[p] / height)
+    rows[2] = float(normal[q] / height)
+    rows[3] = float(a[k] + (normal[p] * a[p] + normal[q] * a[q]) / height)
+    rows[4] = float(edge_c[q] / height)
+    rows[5] = float(-edge_c[p] / height)
+    rows[6] = float((edge_c[p] * a[q] - edge_c[q] * a[p]) / height) + 0.0  # never -0, so that no sum with it is
+    rows[7] = float(-edge_b[q] / height)
+    rows[8] = float(edge_b[p] / height)
+    rows[9] = float((edge_b[q] * a[p] - edge_b[p] * a[q]) / height) + 0.0
+    return rows
+
+
+@wp.func
+def turned(v: wp.vec3, axis: int):
+    """Components of a vector along k = `axis`, p and q."""
+    p = next_axis(axis)
+    return wp.vec3(v[axis], v[p], v[next_axis(p)])
+
+
+@wp.func
+def plane_hit(origin: wp.vec3, direction: wp.vec3, rows: RowsOfPlane):
+    """(t, u, v) at which the line meets the plane of a triangle; something that is not finite if it is parallel."""
+    o = turned(origin, int(rows[0]))
+    d = turned(direction, int(rows[0]))
+    t = (rows[3] - ((o[0] + rows[1] * o[1]) + rows[2] * o[2])) / ((d[0] + rows[1] * d[1]) + rows[2] * d[2])
+    x = o[1] + t * d[1]
+    y = o[2] + t * d[2]
+    return wp.vec3(t, (rows[4] * x + rows[5] * y) + rows[6], (rows[7] * x + rows[8] * y) + rows[9])
+
+
+def turned_lanes(vector: str) -> str:
+    """C++ that declares the components k, p and q of a vector by the float `axis`, as `turned`."""
+    parts = []
+    for name, (if_x, if_y, if_z) in zip("kpq", ("xyz", "yzx", "zxy"), strict=True):
+        choice = f"axis == 0.0f ? {vector}{if_x} : axis == 1.0f ? {vector}{if_y} : {vector}{if_z}"
+        parts.append(f"{vector}{name} = {choice}")
+    return f"const float {', '.join(parts)};\n"
+
+
+PLANE_HIT = f"""
+    {turned_lanes("o")}{turned_lanes("d")}
+    const float t = (n0 - ((ok + np * op) + nq * oq)) / ((dk + np * dp) + nq * dq);
+    const float x = op + t * dp, y = oq + t * dq;
+    const float u = (up * x + uq * y) + u0, v = (vp * x + vq * y) + v0;
+"""
+"""C++ for `plane_hit`, over `ROW_NAMES`."""

@@ -1,0 +1,293 @@
+"""A triangle test as lane loops, written once: W triangles of a block for one ray, or W rays of a packet for one triangle.
+
+The arithmetic of a test does not care what the lanes hold. A `LaneForm` is that arithmetic for one ray and one triangle, as
+steps of C++ over named floats. Each step ends in a condition: what fails it leaves, and the next step is taken if any lane is
+left (an early exit saves time only where all lanes take it). From it come
+
+* `block_test`: names of the triangle are loaded from W lanes of the block, names of the ray are scalars;
+* `packet_form`: names of the ray are loaded from the packet, those of the triangle are scalars.
+
+A test that needs more than steps (`wrt.kernels.triangle.watertight.woop` computes some lanes again) writes both by hand. Either
+way the bits are those of the test's scalar form in plain Warp: same operations, same order, nothing fused.
+"""
+
+import re
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
+from wrt.kernels.triangle.study.operation_counts import Operations, count_operations
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
+"""Names of a triangle's vertices in the steps of every test."""
+
+RESULT = ("t", "u", "v")
+
+PACKET_ORIGIN = {
+    "ox": "SHARED ? origin0[0] : origin_x[k]",
+    "oy": "SHARED ? origin0[1] : origin_y[k]",
+    "oz": "SHARED ? origin0[2] : origin_z[k]",
+}
+"""Where a packet has the origins of its rays, whatever the test."""
+
+
+@dataclass(frozen=True)
+class PacketForm:
+    """W rays x one triangle: pieces of C++ that `wrt.kernels.traversal.packet` puts into its lane loops.
+
+    Free variables: `k` is the ray's number in the packet, `i` = k - f its lane, `corner` points at the record of the
+    triangle, whose component c is `corner[c * W]`; `SHARED`, `origin0`, `origin_x` .. `origin_z` and the test's own
+    components as in `wrt.kernels.traversal.packet.rays.packet_layout`; `bounds` are the packet's.
+
+    Attributes:
+        state: names of the components that the test keeps per ray.
+        passes: 1, or 3 for one pass over the rays of each main axis (bit `pass` of `bounds.passes` tells which occur).
+        prepare: per ray, from direction x, y, z, origin ox, oy, oz, inverse ix, iy, iz, slopes sx, sy and `main_x`,
+            `main_y`: the state.
+        triangle: once a triangle and pass.
+        inside: for the W rays from f on: declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
+            goes on with `continue` if it meets none.
+        hit: per ray, sets `at`, `hit_u`, `hit_v`.
+        ray: for ray k alone: sets what `block_test` reads of `ray`, the struct that the test's `prepare` returns.
+    """
+
+    state: tuple[str, ...]
+    passes: int
+    prepare: str
+    triangle: str
+    inside: str
+    hit: str
+    ray: str
+
+
+@dataclass(frozen=True)
+class HandWritten:
+    """Both lane loops of a test, written out.
+
+    Attributes:
+        make_block_test: width W -> `wp.func(records, block, ray, t, u, v) -> uint32` mask of the lanes whose triangle the
+            ray's line meets; t, u, v (`wp.ref` of W floats) are valid there.
+        packet_form: W rays x one triangle.
+        operations: those of a test that is not a hit, and those that a hit adds; empty if nobody counted them.
+        exits: as `Step.exit`: one, since what happens inside is not told apart.
+    """
+
+    make_block_test: Callable[[int], wp.Function]
+    packet_form: PacketForm
+    operations: tuple[Operations, ...] = ()
+    exits: tuple[str, ...] = ("the line passes beside the triangle",)
+
+    def block_test(self, record: Record, ray_state: type, width: int) -> wp.Function:
+        """One ray x W triangles."""
+        return self.make_block_test(width)
+
+
+@dataclass(frozen=True)
+class RayValue:
+    """A number of the ray that steps may name.
+
+    Attributes:
+        name: in the steps.
+        scalar: C++ that takes it from `ray`, the struct that the test's `prepare` returns.
+        packet: C++ that computes it for a packet, to be kept, over the names of `PacketForm.prepare`; empty for the origin,
+            which packets have.
+    """
+
+    name: str
+    scalar: str
+    packet: str = ""
+
+
+ORIGIN = tuple(RayValue(f"o{axis}", f"ray.origin.c[{i}]") for i, axis in enumerate("xyz"))
+"""ox, oy, oz, of a struct with an `origin`."""
+
+DIRECTION = tuple(RayValue(f"d{axis}", f"ray.direction.c[{i}]", axis) for i, axis in enumerate("xyz"))
+"""dx, dy, dz, of a struct with a `direction`."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A part of a test up to an exit.
+
+    Attributes:
+        exit: what is known of a ray that leaves here, in a few words.
+        code: C++ statements that declare `const float`s; selects instead of branches.
+        passes: C++ condition without branches (`&`, not `&&`); must be false for NaN.
+        keeps: names declared here that later steps read.
+    """
+
+    exit: str
+    code: str
+    passes: str
+    keeps: tuple[str, ...] = ()
+
+    def reads(self, names: Iterable[str]) -> list[str]:
+        """Those of the names that occur."""
+        words = set(re.findall(r"[A-Za-z_]\w*", self.code + self.passes))
+        return [name for name in names if name in words]
+
+    @property
+    def operations(self) -> Operations:
+        """What the step costs."""
+        return count_operations(f"{self.code};{self.passes}")
+
+
+@dataclass(frozen=True)
+class LaneForm:
+    """The arithmetic of a test.
+
+    Attributes:
+        ray: numbers of the ray.
+        steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
+        triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
+        packet_setup: C++ before the `packet` expressions of `ray`.
+        apart: of a form that was `joined`, the one with all exits, which is what is counted
+            (`wrt.kernels.triangle.study.exit_counts`).
+    """
+
+    ray: tuple[RayValue, ...]
+    steps: tuple[Step, ...]
+    triangle: tuple[str, ...] = ()
+    packet_setup: str = ""
+    apart: "LaneForm | None" = None
+
+    @property
+    def exits(self) -> tuple[str, ...]:
+        """What is known of a ray that leaves, step by step."""
+        return tuple(step.exit for step in self.steps)
+
+    @property
+    def operations(self) -> tuple[Operations, ...]:
+        """What each step costs."""
+        return tuple(step.operations for step in self.steps)
+
+    def joined(self, *counts: int) -> "LaneForm":
+        """The same test with fewer exits: so many steps at a time become one. Same arithmetic, same bits.
+
+        Lanes leave together or not at all, so an exit that few vectors take costs more than it saves.
+        """
+        if sum(counts) != len(self.steps):
+            raise ValueError(f"counts {counts} do not sum to the {len(self.steps)} steps of the form")
+        steps, first = [], 0
+        for count in counts:
+            group, later = self.steps[first : first + count], self.steps[first + count :]
+            names = (name for step in group for name in step.keeps)
+            kept = tuple(name for name in names if name in RESULT or any(step.reads([name]) for step in later))
+            exits, passes = (step.exit for step in group), (f"({step.passes})" for step in group)
+            steps.append(Step(" or ".join(exits), "\n".join(step.code for step in group), " & ".join(passes), kept))
+            first += count
+        return replace(self, steps=tuple(steps), apart=self.apart or self)
+
+    def block_test(self, record: Record, ray_state: type, width: int) -> wp.Function:
+        """One ray x W triangles; see `HandWritten`."""
+        if len(self.triangle) != record.own:
+            raise ValueError(f"the form names {len(self.triangle)} floats of a record of {record.own}")
+        return make_block_test(self, ray_state, width)
+
+    @property
+    def packet_form(self) -> PacketForm:
+        """W rays x one triangle."""
+        kept = [value for value in self.ray if value.packet]
+        prepare = "".join(f"        ray_{value.name}[k] = {value.packet};\n" for value in kept)
+        return PacketForm(
+            state=tuple(f"ray_{value.name}" for value in kept),
+            passes=1,
+            prepare=self.packet_setup + prepare,
+            triangle="".join(f"            const float {n} = corner[{c} * W];\n" for n, c in self.components.items()),
+            inside=self.packet_steps(),
+            hit="at = kept_t[i]; hit_u = kept_u[i]; hit_v = kept_v[i];",
+            ray="".join(f"    {value.scalar} = {source};\n" for value, source in zip(self.ray, self.sources, strict=True)),
+        )
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """Where a packet has the numbers of its ray k, in the order of `ray`."""
+        return tuple(f"ray_{value.name}[k]" if value.packet else PACKET_ORIGIN[value.name] for value in self.ray)
+
+    @property
+    def components(self) -> dict[str, int]:
+        """Component of the record for each name of the triangle that a step reads."""
+        numbers = dict(zip((*VERTEX_NAMES, *self.triangle), range(VERTEX_COMPONENTS + len(self.triangle)), strict=True))
+        return {name: numbers[name] for name in numbers if any(step.reads([name]) for step in self.steps)}
+
+    def kept(self) -> tuple[str, ...]:
+        """Names that outlive their step."""
+        return tuple(dict.fromkeys((*(name for step in self.steps for name in step.keeps), *RESULT)))
+
+    def lane_code(self, number: int, declare: Callable[[Step], list[str]]) -> str:
+        """C++ for one lane and one step: what it reads, what it does, what it keeps."""
+        step = self.steps[number]
+        before = dict.fromkeys(name for earlier in self.steps[:number] for name in earlier.keeps)
+        lines = [*declare(step), *(f"const float {name} = kept_{name}[i];" for name in step.reads(before)), step.code.strip()]
+        stored = set(step.keeps)
+        if number == len(self.steps) - 1:
+            stored |= {name for name in RESULT if name not in before}
+        return "\n".join([*lines, *(f"kept_{name}[i] = {name};" for name in sorted(stored))])
+
+    def packet_steps(self) -> str:
+        """C++ of `PacketForm.inside`."""
+        values = {value.name: source for value, source in zip(self.ray, self.sources, strict=True)}
+
+        def declare(step: Step) -> list[str]:
+            return ["const int k = f + i;", *(f"const float {name} = {values[name]};" for name in step.reads(values))]
+
+        text = "int inside[W];\n" + "".join(f"float kept_{name}[W];\n" for name in self.kept())
+        for number, step in enumerate(self.steps):
+            still = "(inside[i] != 0) & " if number else ""
+            text += f"""
+                int some{number} = 0;
+                WRT_FOR_LANES(i) {{
+                    {self.lane_code(number, declare)}
+                    inside[i] = ({still}({step.passes})) ? 1 : 0;
+                    some{number} |= inside[i];
+                }}
+                if (!some{number}) continue;
+            """
+        return text
+
+
+@cache
+def make_block_test(form: LaneForm, ray_state: type, width: int) -> wp.Function:
+    """One ray x W triangles, by a loop over lanes for each step."""
+    Lanes, RayState, components = lanes(width), ray_state, form.components
+
+    def declare(step: Step) -> list[str]:
+        return [f"const float {name} = r[{components[name]} * W + i];" for name in step.reads(components)]
+
+    text = f"    constexpr int W = {width}, COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)};\n{lane_bits()}"
+    text += "    const float* r = &records.data[(size_t)block * (COMPONENTS * W)];\n    unsigned mask = ~0u;\n"
+    text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
+    text += "".join(f"    float kept_{name}[W];\n" for name in form.kept())
+    for number, step in enumerate(form.steps):
+        text += f"""
+            {{
+                int passed[W];
+                WRT_FOR_LANES(i) {{
+                    {form.lane_code(number, declare)}
+                    passed[i] = ({step.passes}) ? -1 : 0;
+                }}
+                mask &= wrt_bits(passed);
+                if (!mask) return mask;
+            }}
+        """
+    text += (
+        "    WRT_FOR_LANES(i) { out_t.c[i] = kept_t[i]; out_u.c[i] = kept_u[i]; out_v.c[i] = kept_v[i]; }\n    return mask;\n"
+    )
+
+    @wp.func_native(FOR_LANES + text)
+    def block_test(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: RayState,
+        out_t: wp.ref[Lanes],
+        out_u: wp.ref[Lanes],
+        out_v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return block_test

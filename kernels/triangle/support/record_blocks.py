@@ -1,0 +1,138 @@
+"""Per-triangle data in blocks of W triangles, structure of arrays: component by component, W lanes each.
+
+A block is `components * W` floats: `records[(block * components + component) * W + lane]`. Unused lanes of a last
+block hold NaN, which every test turns into a miss, and primitive -1.
+
+The first nine components are the vertices, relative to the scene's centre: ax ay az bx by bz cx cy cz. They are there
+whatever the test: the consistency rule (`wrt.kernels.simd.boxes`) asks for the triangle's box, and packets look at them before
+they test. What a test computes beforehand follows them.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.boxes import greatest, least
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+VERTEX_COMPONENTS = 9
+
+
+@wp.struct
+class TriangleBlocks:
+    """Triangles in the order in which a tree's leaves, or brute force, test them."""
+
+    records: wp.array(dtype=float)
+    """(blocks * components * W,) the test's records."""
+    primitive: wp.array(dtype=int)
+    """(blocks * W,) primitive ids; -1 in unused lanes."""
+
+
+@wp.struct
+class Corners:
+    """A triangle's vertices, relative to the scene's centre."""
+
+    a: wp.vec3
+    b: wp.vec3
+    c: wp.vec3
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a triangle test reads of a triangle.
+
+    Attributes:
+        own: floats that the test computes beforehand; 0 for a test that reads the vertices as they are.
+        derive: `wp.func(corners, origin) -> vector of own floats`: computes them.
+        per_origin: whether they depend on `origin`, the point at which all rays start; if not, it is ignored.
+    """
+
+    own: int = 0
+    derive: wp.Function | None = None
+    per_origin: bool = False
+
+    @property
+    def components(self) -> int:
+        """Floats of a triangle in a block."""
+        return VERTEX_COMPONENTS + self.own
+
+    @property
+    def test_bytes(self) -> int:
+        """Bytes of a triangle that the test itself reads."""
+        return 4 * (self.own or VERTEX_COMPONENTS)
+
+    @property
+    def load(self) -> wp.Function:
+        """`wp.func(records, slot, width)`: what the test reads of a triangle, `Corners` or a vector of `own` floats."""
+        return load_own(self.own) if self.own else load_corners(self.components)
+
+
+VERTICES = Record()
+"""The three vertices as they are: 36 bytes a triangle, nothing computed beforehand."""
+
+
+@cache
+def load_corners(components: int) -> wp.Function:
+    """`wp.func(records, slot, width) -> Corners`, without the index checks of `records[...]`: it is in innermost loops."""
+
+    @wp.func_native(f"""
+        const float* r = &records.data[(size_t)(slot / width) * {components} * width + slot % width];
+        float* to = (float*)&corners;
+        for (int c = 0; c < {VERTEX_COMPONENTS}; ++c) to[c] = r[c * width];
+    """)
+    def load_vertices(records: wp.array(dtype=float), slot: int, width: int, corners: wp.ref[Corners]): ...
+
+    @wp.func
+    def load(records: wp.array(dtype=float), slot: int, width: int):
+        corners = Corners()
+        load_vertices(records, slot, width, corners)
+        return corners
+
+    return load
+
+
+@cache
+def load_own(own: int) -> wp.Function:
+    """`wp.func(records, slot, width) -> vector`: what the test computed beforehand, likewise without checks."""
+    Own = wp.types.vector(length=own, dtype=wp.float32)
+
+    @wp.func_native(f"""
+        constexpr int components = {VERTEX_COMPONENTS + own};
+        const float* r = &records.data[(size_t)(slot / width) * components * width + slot % width];
+        for (int c = 0; c < {own}; ++c) values.c[c] = r[({VERTEX_COMPONENTS} + c) * width];
+    """)
+    def load_values(records: wp.array(dtype=float), slot: int, width: int, values: wp.ref[Own]): ...
+
+    @wp.func
+    def load(records: wp.array(dtype=float), slot: int, width: int):
+        values = Own()
+        load_values(records, slot, width, values)
+        return values
+
+    return load
+
+
+@wp.func
+def corners_low(corners: Corners):
+    """Lower corner of a triangle's exact box."""
+    return least(corners.a, least(corners.b, corners.c))
+
+
+@wp.func
+def corners_high(corners: Corners):
+    """Upper corner of a triangle's exact box."""
+    return greatest(corners.a, greatest(corners.b, corners.c))
+
+
+def vertex_box(block: str, lane: str) -> str:
+    """C++ that sets `low[3]` and `high[3]` to a triangle's exact box; `block` points at a block, or at a triangle of one."""
+    p, q, r = (f"{block}[({3 * vertex} + a) * W + {lane}]" for vertex in range(3))
+    return f"""
+        for (int a = 0; a < 3; ++a) {{
+            const float box_p = {p}, box_q = {q}, box_r = {r};
+            const float box_least = box_q < box_r ? box_q : box_r, box_most = box_q > box_r ? box_q : box_r;
+            low[a] = box_p < box_least ? box_p : box_least; high[a] = box_p > box_most ? box_p : box_most;
+        }}
+    """

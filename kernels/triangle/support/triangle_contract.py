@@ -1,0 +1,101 @@
+"""What a ray-triangle test is to the rest of the engine."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.triangle.support.lane_form import HandWritten, LaneForm, PacketForm
+from wrt.kernels.triangle.support.record_blocks import VERTICES, Record
+
+
+@dataclass(frozen=True)
+class CrossingForms:
+    """The forms of a test by which a ray crosses a surface once at an edge or a vertex: it hits one of the triangles there.
+
+    Attributes:
+        intersect: as `TriangleTest.intersect`.
+        block_test: as `TriangleTest.block_test`.
+        line_test: as `TriangleTest.line_test`.
+    """
+
+    intersect: wp.Function
+    block_test: Callable[[int], wp.Function]
+    line_test: Callable[[int], wp.Function] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TestForm:
+    """The lane loops of a test and what they read: enough to measure it (`wrt.kernels.triangle.study.isolated_tests`), not to
+    trace with.
+
+    Attributes:
+        name: in tables.
+        record: what it reads of a triangle; `record.per_origin`: all rays of a batch must have the same origin, for which
+            records are made. Such a test sees only what lies ahead.
+        ray_state: struct that `prepare` returns.
+        prepare: `wp.func(origin, direction) -> ray`, once per ray.
+        prepare_lanes: C++ that does the same for L rays of a stream at once: from directions dx, dy, dz, origins ox, oy, oz and
+            inverses ix, iy, iz, all indexed by the ray, it fills words[14], words[15] .. with the words of the ray's state,
+            in order; empty if rays are prepared one by one.
+        candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once: from vertices corner[0] .. corner[8]
+            and the words of the rays' states, as of `prepare_lanes`, all indexed by the pair, it fills t, u and v. The block
+            test has found that each ray's line meets its triangle, and must be right: t is clamped to the triangle's box, which
+            makes a hit of a NaN. Empty if streams test their candidates one by one.
+        lanes: one ray x W triangles, and W rays x one triangle.
+    """
+
+    name: str
+    record: Record = VERTICES
+    ray_state: type
+    prepare: wp.Function
+    prepare_lanes: str = ""
+    candidate_lanes: str = ""
+    lanes: LaneForm | HandWritten
+
+    @property
+    def needs_shared_origin(self) -> bool:
+        """Whether all rays of a batch must start at the same point."""
+        return self.record.per_origin
+
+    def block_test(self, width: int) -> wp.Function:
+        """`wp.func(records, block, ray, t, u, v) -> uint32` mask of the W triangles of a block that the ray's line meets."""
+        return self.lanes.block_test(self.record, self.ray_state, width)
+
+    @property
+    def packet_form(self) -> PacketForm:
+        """W rays x one triangle."""
+        return self.lanes.packet_form
+
+
+@dataclass(frozen=True, kw_only=True)
+class TriangleTest(TestForm):
+    """A published ray-triangle test.
+
+    Attributes:
+        name: key in `TRIANGLE_TESTS`.
+        paper: authors, title, year.
+        watertight: whether no ray can pass between two triangles that share an edge or a vertex.
+        accurate: whether every hit lies within `wrt.kernels.simd.boxes.SLACK` times the ray's reach of the triangle; others may
+            report hits beside needles and beside triangles that they see edge-on.
+        two_sided: whether both sides of a triangle are hit.
+        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
+            The twin of the lane loops, in plain Warp.
+        line_test: width -> `block_test` that leaves t, u and v as they are, for streams; None where the compiler makes it of
+            `block_test`, as it leaves out what nobody reads.
+        crossing: the forms that count crossings exactly; None if it has none.
+        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
+    """
+
+    paper: str
+    watertight: bool = False
+    accurate: bool = False
+    two_sided: bool = True
+    intersect: wp.Function
+    line_test: Callable[[int], wp.Function] | None = None
+    crossing: CrossingForms | None = None
+    any_hit: str = ""
+
+    def forms(self, crossing: bool) -> CrossingForms:
+        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        return self.crossing if crossing else CrossingForms(self.intersect, self.block_test, self.line_test)

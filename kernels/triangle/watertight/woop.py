@@ -1,0 +1,351 @@
+"""Watertight test: Woop, Benthin, Wald 2013.
+
+**Problem.** A test that works with rounded edges or barycentric coordinates may miss both triangles that share an edge.
+
+**Idea.** Move the origin to 0 and shear space so that the ray becomes the unit vector along its largest axis, z. A vertex
+goes to the same place whichever triangle it belongs to. Seen along the ray, the test is: on which side of each projected
+edge is the point 0? The three signed areas U, V, W of an edge seen from its two triangles are exact negatives of each
+other, because multiplication commutes and a - b = -(b - a) in floating point (as long as no multiply-add is fused). Where
+one is zero, the ray passes the edge to the last bit, or the products underflowed: the three are then computed again in
+float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the
+sheared vertices, and a ray can slip between neighbours at no edge and no vertex; on an edge it hits both.
+
+**Where it is hit.** The areas of a hit weigh the vertices too. Those of a thin triangle are computed again for that
+(`wrt.kernels.triangle.watertight.woop_areas`), so that every hit is near its triangle.
+
+**Exactly one of them.** Whoever counts crossings needs a rule by which a ray on an edge belongs to one side of it. Rasterisers
+give pixels on an edge to the triangle whose top or left edge it is; here the point 0 is thought of as moved by (e, e^2) for
+an infinitely small e > 0 (simulation of simplicity). To first order that adds e (p.y - q.y) + e^2 (q.x - p.x) to the area
+p x q: where the exact area is 0, the edge's own direction tells the side, and its two triangles disagree about it. No three
+points and no edge hold the moved point, so what is counted is the number of projected triangles around a point in general
+position: even for every closed surface, whatever edges and vertices the ray meets. A triangle that is seen edge-on, or whose
+projected vertices coincide, surrounds nothing. This is `CROSSING`, in the same forms as the rest.
+
+**Data.** Per triangle: the three vertices. Per ray: the axis order and the shear (`ShearedRay`).
+
+**Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only asks whether the three
+signs agree. The distance is compared by the caller (see `wrt.kernels.simd.boxes`, the consistency rule).
+
+References:
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection.
+        Journal of Computer Graphics Techniques 2(1), 2013.
+    H. Edelsbrunner, E. P. Muecke: Simulation of simplicity: a technique to cope with degenerate cases in geometric algorithms.
+        ACM Transactions on Graphics 9(1), 1990.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits, lanes
+from wrt.kernels.triangle.study.operation_counts import Operations
+from wrt.kernels.triangle.support.lane_form import HandWritten
+from wrt.kernels.triangle.support.record_blocks import Corners
+from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
+from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS, area64, exact_area, precise_areas
+from wrt.kernels.triangle.watertight.woop_packets import PACKET
+from wrt.kernels.triangle.watertight.woop_streams import CANDIDATE_LANES, INCLUSIVE_SIDE, PREPARE_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+SMALL = wp.constant(1.1754944e-38)
+"""Smallest normal float32: an area below it may have lost digits, or all of them."""
+
+LIFT = wp.constant(wp.float64(2.0**200))
+"""What brings the areas of triangles too small for float32 into its range; the weights do not change by it."""
+
+
+@wp.struct
+class ShearedRay:
+    """A ray as the watertight test needs it."""
+
+    origin: wp.vec3
+    """The origin's components in the order x, y, z below."""
+    x: int
+    """Axes: z is that of the direction's largest component, x and y the next two, in cyclic order."""
+    y: int
+    z: int
+    shear: wp.vec3
+    """direction[x] / direction[z], direction[y] / direction[z], 1 / direction[z]."""
+
+
+@wp.func
+def turned(v: wp.vec3, z: int):
+    """The components along the axes x, y, z of a ray whose main axis is z; selected, as an index would go through memory."""
+    return wp.vec3(
+        wp.where(z == 2, v[0], wp.where(z == 0, v[1], v[2])),
+        wp.where(z == 2, v[1], wp.where(z == 0, v[2], v[0])),
+        wp.where(z == 2, v[2], wp.where(z == 0, v[0], v[1])),
+    )
+
+
+@wp.func
+def prepare(origin: wp.vec3, direction: wp.vec3):
+    """Axis order and shear of a ray; `direction` is finite and not zero."""
+    size = wp.abs(direction)
+    ray = ShearedRay()
+    ray.z = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
+    ray.x = wp.where(ray.z == 2, 0, ray.z + 1)
+    ray.y = wp.where(ray.x == 2, 0, ray.x + 1)
+    ray.origin = turned(origin, ray.z)
+    along = turned(direction, ray.z)
+    ray.shear = wp.vec3(along[0] / along[2], along[1] / along[2], 1.0 / along[2])
+    return ray
+
+
+@wp.func
+def sheared(ray: ShearedRay, vertex: wp.vec3):
+    """The vertex as seen along the ray: across the main axis, and its distance along that."""
+    z = vertex[ray.z] - ray.origin[2]
+    x = (vertex[ray.x] - ray.origin[0]) - ray.shear[0] * z
+    y = (vertex[ray.y] - ray.origin[1]) - ray.shear[1] * z
+    return wp.vec3(x, y, z)
+
+
+@wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
+def some_zero(a: float, b: float, c: float) -> bool:
+    """Whether one of three numbers is 0: one decision, where `or` takes three."""
+    ...
+
+
+@wp.func_native("return ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));")
+def on_one_side(a: float, b: float, c: float) -> bool:
+    """Whether three areas have no different signs. With `and` and `or` the first sign decides how to go on, and that nobody can
+    guess: from which side a ray comes."""
+    ...
+
+
+@wp.func
+def intersect(ray: ShearedRay, corners: Corners):
+    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    area_a = c[0] * b[1] - c[1] * b[0]
+    area_b = a[0] * c[1] - a[1] * c[0]
+    area_c = b[0] * a[1] - b[1] * a[0]
+    if some_zero(area_a, area_b, area_c):
+        area_a = exact_area(c, b)
+        area_b = exact_area(a, c)
+        area_c = exact_area(b, a)
+    if not on_one_side(area_a, area_b, area_c) or (area_a + area_b) + area_c == 0.0:
+        return wp.vec3(wp.nan, 0.0, 0.0)
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), precise_areas(a, b, c, wp.vec3(area_a, area_b, area_c)))
+
+
+@wp.func
+def interpolate(ray: ShearedRay, depth: wp.vec3, areas: wp.vec3):
+    """(t, u, v) from the distances of the vertices along the main axis and the areas against them.
+
+    These are multiplied before 1 / direction comes in: the product of all three may be beyond float32 where t is not."""
+    scale = 1.0 / ((areas[0] + areas[1]) + areas[2])
+    distance = ((areas[0] * depth[0] + areas[1] * depth[1]) + areas[2] * depth[2]) * scale
+    return wp.vec3(ray.shear[2] * distance, areas[1] * scale, areas[2] * scale)
+
+
+@wp.func
+def side(area: wp.float64, p: wp.vec3, q: wp.vec3):
+    """Side of the edge p q on which the moved point lies, 1 or -1; 0 if p and q coincide."""
+    tie = wp.where(p[1] > q[1], 1, wp.where(p[1] < q[1], -1, wp.where(q[0] > p[0], 1, wp.where(q[0] < p[0], -1, 0))))
+    return wp.where(area > wp.float64(0.0), 1, wp.where(area < wp.float64(0.0), -1, tie))
+
+
+@wp.func
+def intersect_crossing(ray: ShearedRay, corners: Corners):
+    """`intersect` for crossings: on an edge, one of its triangles is hit."""
+    a = sheared(ray, corners.a)
+    b = sheared(ray, corners.b)
+    c = sheared(ray, corners.c)
+    area_a = c[0] * b[1] - c[1] * b[0]
+    area_b = a[0] * c[1] - a[1] * c[0]
+    area_c = b[0] * a[1] - b[1] * a[0]
+    inside = on_one_side(area_a, area_b, area_c)
+    areas = wp.vec3(area_a, area_b, area_c)
+    if wp.abs(area_a) < SMALL or wp.abs(area_b) < SMALL or wp.abs(area_c) < SMALL:
+        exact_a = area64(c, b)
+        exact_b = area64(a, c)
+        exact_c = area64(b, a)
+        side_a = side(exact_a, c, b)
+        inside = side_a != 0 and side_a == side(exact_b, a, c) and side_a == side(exact_c, b, a)
+        small = wp.abs((exact_a + exact_b) + exact_c) < wp.float64(SMALL)
+        lift = wp.where(small, LIFT, wp.float64(1.0))
+        areas = wp.vec3(float(exact_a * lift), float(exact_b * lift), float(exact_c * lift))
+    elif inside:
+        areas = precise_areas(a, b, c, areas)
+    if not inside:
+        return wp.vec3(wp.nan, 0.0, 0.0)
+    return interpolate(ray, wp.vec3(a[2], b[2], c[2]), areas)
+
+
+_BLOCK = """
+    const float* corner = &records.data[(size_t)block * (9 * W)];
+    const float *x = corner + ray.x * W, *y = corner + ray.y * W, *z = corner + ray.z * W;
+    WRT_LANES(ax, x); WRT_LANES(ay, y); WRT_LANES(az, z);
+    WRT_LANES(bx, x + 3 * W); WRT_LANES(by, y + 3 * W); WRT_LANES(bz, z + 3 * W);
+    WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
+    const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
+    const float sx = ray.shear.c[0], sy = ray.shear.c[1], sz = ray.shear.c[2];
+    float area_a[W], area_b[W], area_c[W], depth_a[W], depth_b[W], depth_c[W], sizes[W];
+    int within[W], edge[W];
+    WRT_FOR_LANES(i) {
+        float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
+        float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
+        float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
+        float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
+        area_a[i] = a; area_b[i] = b; area_c[i] = c;
+        depth_a[i] = pz; depth_b[i] = qz; depth_c[i] = rz;
+        sizes[i] = AREAS_SIZE;
+        bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
+        bool on_edge = ON_EDGE;
+        within[i] = inside ? -1 : 0;
+        edge[i] = on_edge ? -1 : 0;
+    }
+    unsigned mask = wrt_bits(within), edges = wrt_bits(edge);
+    if (edges) {
+        for (int i = 0; i < W; ++i) {
+            if (!(edges >> i & 1u)) continue;
+            float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
+            double px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
+            double py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
+            double exact_a = rx * qy - ry * qx, exact_b = px * ry - py * rx, exact_c = qx * py - qy * px;
+            WHICH_SIDE
+            area_a[i] = a; area_b[i] = b; area_c[i] = c;
+            mask = (mask & ~(1u << i)) | (hit ? 1u << i : 0u);
+        }
+    }
+WRT_WEIGHTS
+    return mask;
+"""
+
+_PRECISE_LANE = """
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+#define WRT_APART __attribute__((noinline))
+#else
+#define WRT_APART
+#endif
+    auto wrt_precise_lane = [](const float* x, const float* y, const float* z, float ox, float oy, float oz, float sx, float sy,
+                               float* areas) WRT_APART {
+        const float pz = z[0] - oz, qz = z[3 * W] - oz, rz = z[6 * W] - oz;
+        const float px = (x[0] - ox) - sx * pz, qx = (x[3 * W] - ox) - sx * qz, rx = (x[6 * W] - ox) - sx * rz;
+        const float py = (y[0] - oy) - sy * pz, qy = (y[3 * W] - oy) - sy * qz, ry = (y[6 * W] - oy) - sy * rz;
+        WRT_PRECISE_AREAS
+        wrt_precise_areas(px, py, qx, qy, rx, ry, areas[0], areas[1], areas[2]);
+    };
+""".replace("WRT_PRECISE_AREAS", PRECISE_AREAS)
+"""Not inlined: what one hit in a hundred takes must not take registers from the others."""
+
+_WEIGHTS = """
+    if (mask) {
+        int thin[W];
+        WRT_FOR_LANES(i) {
+            float a = area_a[i], b = area_b[i], c = area_c[i], size = sizes[i];
+            thin[i] = ((IS_THIN) & (edge[i] == 0)) ? -1 : 0;
+        }
+        for (unsigned left = wrt_bits(thin) & mask; left; left &= left - 1u) {
+            const int i = wrt_lowest_bit(left);
+            float areas[3] = {area_a[i], area_b[i], area_c[i]};
+            wrt_precise_lane(x + i, y + i, z + i, ox, oy, oz, sx, sy, areas);
+            area_a[i] = areas[0]; area_b[i] = areas[1]; area_c[i] = areas[2];
+        }
+        WRT_FOR_LANES(i) {
+            float a = area_a[i], b = area_b[i], c = area_c[i];
+            float scale = 1.0f / ((a + b) + c);
+            t.c[i] = sz * (((a * depth_a[i] + b * depth_b[i]) + c * depth_c[i]) * scale);
+            u.c[i] = b * scale;
+            v.c[i] = c * scale;
+        }
+    }
+"""
+"""Where the lanes in the mask are hit."""
+
+_THIN = {"AREAS_SIZE": AREAS_SIZE, "IS_THIN": IS_THIN}
+
+_INCLUSIVE = _THIN | {
+    "ON_EDGE": "(a == 0.0f) | (b == 0.0f) | (c == 0.0f)",
+    "WHICH_SIDE": INCLUSIVE_SIDE,
+}
+
+_CROSSING = _THIN | {
+    "ON_EDGE": "(WRT_ABS(a) < SMALL) | (WRT_ABS(b) < SMALL) | (WRT_ABS(c) < SMALL)",
+    "WHICH_SIDE": f"""
+            auto side = [](double area, double px, double py, double qx, double qy) {{
+                int tie = py > qy ? 1 : py < qy ? -1 : qx > px ? 1 : qx < px ? -1 : 0;
+                return area > 0.0 ? 1 : area < 0.0 ? -1 : tie;
+            }};
+            int side_a = side(exact_a, rx, ry, qx, qy);
+            bool hit = side_a != 0 && side_a == side(exact_b, px, py, rx, ry) && side_a == side(exact_c, qx, qy, px, py);
+            double total = (exact_a + exact_b) + exact_c, lift = (total < 0.0 ? -total : total) < SMALL ? {float(LIFT)!r} : 1.0;
+            float a = (float)(exact_a * lift), b = (float)(exact_b * lift), c = (float)(exact_c * lift);
+    """,
+}
+
+
+def _block(width: int, rule: dict[str, str], weights: bool) -> str:
+    body = _BLOCK.replace("WRT_WEIGHTS", _WEIGHTS if weights else "")
+    for name, piece in rule.items():
+        body = body.replace(name, piece)
+    head = f"{FOR_LANES}    constexpr int W = {width};\n    constexpr float SMALL = {SMALL!r}f;\n"
+    return f"{head}{lane_bits()}{BITS}{_PRECISE_LANE if weights else ''}{body}"
+
+
+def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
+    """The lane form by one of the two rules for a ray on an edge; weights: whether t, u and v are worked out."""
+    Lanes = lanes(width)
+
+    @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE, weights))
+    def woop_block(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: ShearedRay,
+        t: wp.ref[Lanes],
+        u: wp.ref[Lanes],
+        v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return woop_block
+
+
+@cache
+def block_test(width: int) -> wp.Function:
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    return make_block_test(width, crossing=False)
+
+
+@cache
+def line_test(width: int) -> wp.Function:
+    """`block_test` without t, u and v."""
+    return make_block_test(width, crossing=False, weights=False)
+
+
+@cache
+def crossing_block_test(width: int) -> wp.Function:
+    """`block_test` for crossings."""
+    return make_block_test(width, crossing=True)
+
+
+@cache
+def crossing_line_test(width: int) -> wp.Function:
+    """`line_test` for crossings."""
+    return make_block_test(width, crossing=True, weights=False)
+
+
+CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
+"""The forms by which a closed surface is crossed an even number of times."""
+
+OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
+"""Of a miss, and what a hit adds; where nothing has to be computed again."""
+
+TEST = TriangleTest(
+    name="woop",
+    paper="Woop, Benthin, Wald: Watertight ray/triangle intersection (2013)",
+    watertight=True,
+    accurate=True,
+    ray_state=ShearedRay,
+    prepare=prepare,
+    prepare_lanes=PREPARE_LANES,
+    candidate_lanes=CANDIDATE_LANES,
+    intersect=intersect,
+    lanes=HandWritten(block_test, PACKET, OPERATIONS),
+    line_test=line_test,
+    crossing=CROSSING,
+)

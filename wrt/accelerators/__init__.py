@@ -1,0 +1,1 @@
+"""Descriptions of acceleration structures: what to build, not the built tree."""

@@ -1,0 +1,117 @@
+"""Description of a bounding volume hierarchy for rays whose directions are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.builders import tree as common
+    from wrt.builders.bvh.known_rays_config import ProjectedConfig
+    from wrt.builders.bvh.phases.split_axes import AxisChoice
+    from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.builders.triangle_boxes import TriangleBoxes
+
+COSTS = ("pah", "sah")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProjectedBvh:
+    """A wide bounding volume hierarchy for the rays of influence areas (Falcone 2024).
+
+    It holds all triangles and gives every ray its hits; rays of the areas find theirs with the least work, so that is what to
+    shoot at it. `ProjectedBvh.published` has the prices and thresholds of the thesis.
+
+    Attributes:
+        areas: `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`, at least one.
+        shares: of the rays, one an area; None: all alike.
+        cost: "pah", boxes are weighed by projected area; "sah", by surface area, so that the areas count in `axes` alone.
+        others: share of rays in all directions, from 0 to 1, for "pah": it decides where projected areas are 0.
+        axes: "facing", "longest", "in_turn", "all", or a `wrt.builders.bvh.phases.split_axes.AxisChoice` with thresholds of its
+            own.
+        width: children a node and triangles tested at once, 2, 4, 8 or 16; None for what suits the device.
+        traversal_cost: cost of visiting a node.
+        block_cost: cost of testing one block of `width` triangles; None for what `wrt.Bvh` has.
+        triangle_cost: cost of testing one triangle, in place of blocks; None for blocks.
+        bins: bins along an axis, 2 to 32.
+        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
+        leaf_cost, leaf_area, leaf_probability: a node that costs, covers or is hit at most that is a leaf, if it has no more
+            triangles than a leaf may have.
+        max_depth: greatest depth of the binary tree, if it can be held; None for what traversals have room for.
+        aware_depth: depth of the binary tree from which on nodes are split by surface area on the longest side; None for never.
+
+    Raises:
+        TypeError: `areas` holds something else.
+        ValueError: an unknown cost or way to choose axes, or a value out of its range.
+    """
+
+    kind: ClassVar[str] = "bvh"
+
+    areas: tuple[InfluenceArea, ...]
+    shares: tuple[float, ...] | None = None
+    cost: str = "pah"
+    others: float = 1e-3
+    axes: str | AxisChoice = "all"
+    width: int | None = None
+    traversal_cost: float = 1.0
+    block_cost: float | None = None
+    triangle_cost: float | None = None
+    bins: int = 16
+    max_leaf_triangles: int | None = None
+    leaf_cost: float = 0.0
+    leaf_area: float = 0.0
+    leaf_probability: float = 0.0
+    max_depth: int | None = None
+    aware_depth: int | None = None
+
+    def __post_init__(self) -> None:
+        from wrt.builders.influence.projected_cost import check_areas
+
+        object.__setattr__(self, "areas", check_areas(self.areas))
+        lookup(dict.fromkeys(COSTS), self.cost, "cost")
+        if self.block_cost is not None and self.triangle_cost is not None:
+            raise ValueError("block_cost and triangle_cost are both given; leave one out: a leaf is paid for in one way")
+        self.config(width=8)
+
+    @classmethod
+    def published(cls, areas: Any, **changes: Any) -> ProjectedBvh:
+        """Two children a node, 1 a box, 1.2 a triangle, two triangles a leaf, axes that face away from the rays, no other rays.
+
+        Bins are 32 along an axis in place of 40. areas: as of the class; changes: other attributes, by name.
+        """
+        prices = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
+        return cls(areas=areas, **prices | {"axes": "facing", "bins": 32, "others": 0.0} | changes)
+
+    def config(self, width: int) -> ProjectedConfig:
+        """The builder's configuration; `width` is used where the description leaves it open."""
+        from wrt.builders.bvh.bvh_config import BvhConfig
+        from wrt.builders.bvh.known_rays_config import NodeRules, ProjectedConfig
+        from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
+        from wrt.builders.cost import SurfaceAreaCost
+        from wrt.builders.influence.projected_cost import RayDistribution
+
+        width = width if self.width is None else self.width
+        block, unit = (0.5 if width >= 8 else 1.5) if self.block_cost is None else self.block_cost, None
+        if self.triangle_cost is not None:
+            block, unit = self.triangle_cost, 1
+        prices = SurfaceAreaCost(traversal=self.traversal_cost, block=block, width=width, unit=unit)
+        return ProjectedConfig(
+            bvh=BvhConfig(prices, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles),
+            rays=RayDistribution(self.areas, self.shares, self.others if self.cost == "pah" else 1.0),
+            axes=lookup(AXIS_CHOICES, self.axes, "axes") if isinstance(self.axes, str) else self.axes,
+            nodes=NodeRules(
+                leaf_cost=self.leaf_cost,
+                leaf_area=self.leaf_area,
+                leaf_probability=self.leaf_probability,
+                max_depth=self.max_depth,
+                aware_depth=self.aware_depth,
+            ),
+        )
+
+    def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
+        from wrt.builders.bvh.projected_binned import build
+
+        return build(triangles, self.config(width))

@@ -1,0 +1,1 @@
+"""From rays to answers: the plan, the prepared kernel, and the launch."""

@@ -1,0 +1,213 @@
+"""Tracing by influence areas: each ray by the tree of its area as far as that answers, the rest by the whole scene's tree.
+
+`wrt.kernels.influence.area_assignment` says why hits are those of any other tree, to the bit. Here is the way of a batch, which
+keeps the speed of the engine, as every part of it is a batch of its own, traced by the same plan:
+
+    assign   each ray finds its area and where it leaves it
+    sort     rays are counted, scanned and listed area by area (the one round trip to the host: how many each area has)
+    local    each area's rays, cut where they leave, are gathered, traced through the area's tree and scattered back
+    rest     rays without an area, and those that left theirs without a hit, are gathered and traced through the scene's
+
+A batch that is all of one area, or mostly of the only one, as the shadow rays of a light often are, or of none, is traced where
+it is: nothing is moved, and a picture stays one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import radians, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.influence.area_top_level import TopLevel, boxes_of, margin_of, region_of, renumber, touch_of, triangles_in
+from wrt.execution.executor import new_hits, trace_batch
+from wrt.execution.plan import Plan, way_of
+from wrt.kernels.influence.area_assignment import assign_rays, mark_rest
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
+from wrt.kernels.runtime.launch import launch
+from wrt.memory import empty
+
+if TYPE_CHECKING:
+    from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.builders.triangle_boxes import TriangleBoxes
+    from wrt.scene.scene import Scene
+
+
+CHUNK, CUDA_CHUNK = 4096, 64
+"""Rays whose areas an item finds."""
+
+MOST_ALONE = 0.3
+"""Share of rays without an area up to which a batch is not taken apart for the only area."""
+
+
+@dataclass(frozen=True)
+class LocalTrees:
+    """The influence areas of a scene that have triangles, and a tree for each.
+
+    Attributes:
+        areas: those of the accelerator's that some triangle touches.
+        scenes: for each, the scene with the area's tree.
+        triangles: for each, the triangles of its tree.
+        top: finds a ray's area.
+        low, high: corners, relative to the scene's centre, of the box that holds all hits of affine rays, rounding included.
+    """
+
+    areas: tuple[InfluenceArea, ...]
+    scenes: tuple[Scene, ...]
+    triangles: tuple[int, ...]
+    top: TopLevel
+    low: wp.vec3
+    high: wp.vec3
+
+    def __len__(self) -> int:
+        """Number of areas."""
+        return len(self.areas)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the areas' trees and of what finds them; the triangle records come on top (`Scene.record_bytes`)."""
+        return self.top.bytes + sum(scene.tree.bytes for scene in self.scenes)
+
+
+def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | None:
+    """The trees of the accelerator's areas; None if no triangle touches any of them.
+
+    Args:
+        scene: with the whole scene's tree.
+        triangles: on the CPU.
+    """
+    accelerator, (low, high) = scene.accelerator, scene.bounds
+    touch = touch_of(accelerator.areas, scene.center)
+    areas, regions, scenes, counts = [], [], [], []
+    for area in accelerator.areas:
+        region = region_of(area, low, high)
+        ids = triangles_in(region, touch, triangles)
+        if len(ids):
+            tree = accelerator.build_local(area, boxes_of(triangles, ids), scene.tree.width)
+            scenes.append(scene.over(renumber(tree, ids, triangles).to(scene.device)))
+            areas.append(area)
+            regions.append(region)
+            counts.append(len(ids))
+    if not areas:
+        return None
+    top = TopLevel(
+        areas, regions, touch, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device
+    )
+    margin = max(margin_of(region, touch, low, high) for region in regions)
+    corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
+    return LocalTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
+
+
+def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
+    """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
+    local, cuts = scene.local_trees, assign(scene, rays)
+    if cuts.alone == rays.count:
+        return trace_batch(scene, plan, rays, query, counters)
+    batch = Parts(plan, query, counters)
+    cut = with_range(rays, "t_max", cuts.cut)
+    order, begins = cuts.sort(len(local))
+    for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
+        batch.trace(part, cut, order, begin, end)
+    if cuts.left + cuts.alone > 0:
+        inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
+        launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
+        # the second round trip, only where a ray is left
+        order = wp.array(np.flatnonzero(cuts.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
+        batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, len(order))
+    kind = way_of(plan).counters
+    return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=kind, device=scene.device)
+
+
+@dataclass
+class Cuts:
+    """For each ray of a batch: its area, where that ceases to answer, and where the rest begins (`assign_rays`).
+
+    Attributes:
+        area, cut, rest: (rays,).
+        left: number of rays that leave their areas before they end.
+        alone: number of rays without an area.
+        least, greatest: area of all rays; the number of areas stands for none.
+    """
+
+    area: wp.array
+    cut: wp.array
+    rest: wp.array
+    left: int
+    alone: int
+    least: int
+    greatest: int
+
+    def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
+        """Rays area by area, those without one last, as `sort_buckets`; all as they are if most are of the only area.
+
+        Of the only area, rays without one are traced too: cut at -1, they miss.
+        """
+        count = len(self.area)
+        if self.least == self.greatest or (areas == 1 and self.alone <= count * MOST_ALONE):
+            return None, [0] * (self.least + 1) + [count] * (areas + 1 - self.least)
+        return sort_buckets(self.area, areas + 1)
+
+
+def assign(scene: Scene, rays: RayBatch) -> Cuts:
+    """Finds the area of each ray."""
+    device, local = scene.device, scene.local_trees
+    chunk = CUDA_CHUNK if device.is_cuda else CHUNK
+    chunks = -(-rays.count // chunk)
+    arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
+    sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
+    launch(assign_rays, chunks, [rays, chunk, local.top.struct, local.low, local.high, *arrays, sums], device=device, chunk=1)
+    left, greatest, fewest, alone = sums.numpy().reshape(-1, 4).T
+    least = len(local) - int(fewest.max(initial=0))
+    return Cuts(*arrays, int(left.sum()), int(alone.sum()), least, int(greatest.max(initial=0)))
+
+
+@dataclass
+class Parts:
+    """A batch whose rays are traced in several parts.
+
+    Attributes:
+        plan, query: how the batch is answered.
+        counters: whether work is counted.
+        hits: of all rays; None before the first part.
+        work: (rays,) structured, of all parts; None before the first one, and if none is counted.
+    """
+
+    plan: Plan
+    query: str
+    counters: bool
+    hits: HitBatch | None = None
+    work: np.ndarray | None = None
+
+    def trace(self, scene: Scene, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
+        """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
+        if begin == end:
+            return
+        if end - begin == rays.count:
+            self.hits, work = trace_batch(scene, self.plan, rays, self.query, self.counters)
+            chosen = slice(None)
+        else:
+            order = order[begin:end]
+            plan = replace(self.plan, reorder="none") if self.plan.reorder == "tiles" else self.plan
+            hits, work = trace_batch(scene, plan, sort_rays(rays, order, empty), self.query, self.counters)
+            self.hits = self.hits or new_hits(rays.count, self.query, scene.device)
+            unsort_hits(order, hits, self.hits, self.query)
+            chosen = order.numpy()
+        if work is not None:
+            values = work.numpy()
+            if self.work is None:
+                self.work = np.zeros(rays.count, dtype=values.dtype)
+            for name in values.dtype.names:
+                self.work[name][chosen] += values[name]
+
+
+def with_range(rays: RayBatch, bound: str, values: wp.array) -> RayBatch:
+    """The same rays with a `t_min` or `t_max` of their own."""
+    other = RayBatch()
+    for name in RayBatch.vars:
+        setattr(other, name, getattr(rays, name))
+    setattr(other, bound, values)
+    setattr(other, f"{bound}_stride", 1)
+    return other

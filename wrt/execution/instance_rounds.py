@@ -1,0 +1,191 @@
+"""Many rays through a scene of instances: by packets (`wrt.kernels.traversal.two_level.instance_packets`), or by streams, round
+by round (`wrt.kernels.traversal.two_level.instance_streams`).
+
+**Measured** (one thread of a Zen 5 that others used too; bunnies of 69,630 triangles in rows, seen from afar and from among
+them, random rays from within, shadow rays of what is seen; nanoseconds a ray, the last three columns in a run of their own):
+
+                                  single    packets    streams       as chosen    flattened    flattened, Open3D
+    10, 1024 x 1024     far          116         59         95              58           42                   77
+                        near         143         65        137              64           44                   93
+                        random       269      1,306        253             200          291                  313
+                        shadows      369        407        255             242          183                  309
+    100, 512 x 512      far          152        229        169             159          564                  212
+                        near         201        175        252             221          275                  194
+                        random       265      5,806        344             331          805                  648
+                        shadows      396      1,419        316             314          309                  486
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.executor import counter_rows, new_hits, no_work, run
+from wrt.execution.plan import ANY, COUNT, Plan, stack_levels, traversal_config, way_of
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
+from wrt.memory import empty, new_rays
+
+if TYPE_CHECKING:
+    from wrt.kernels.traversal.two_level.instance_streams import Sorted
+    from wrt.scene.instanced_scene import InstancedScene
+
+CHUNKS_PER_THREAD = 4
+
+LEAST_CHUNK = 1 << 12
+"""Rays that are worth a row of counts."""
+
+BLOCK = 1 << 20
+"""Rays of a block, whose lists and copies take some 150 MB."""
+
+FEW = 16
+"""A round of less than one ray in so many is not worth it: these rays go one by one, from their start."""
+
+SEGMENT = 1024
+"""Rays of a segment, the least that is shared out among threads."""
+
+
+def trace_batch(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str) -> None:
+    """Answers the query "closest", "any" or "count" for rays on the CPU.
+
+    Args:
+        scene: of instances, on BVHs.
+        plan: of packets or streams.
+        rays: the batch.
+        hits: where the answers go.
+        query: what is asked.
+    """
+    clear(hits, query)
+    if plan.traversal == "packet":
+        trace_packets(scene, plan, rays, hits, query)
+        return
+    for begin in range(0, rays.count, BLOCK):
+        rounds = Rounds(scene, plan, rays, query, begin)
+        rounds.list_instances(again=False)
+        while rounds.trace_lists(hits):
+            rounds.list_instances(again=True)
+
+
+def trace_packets(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str) -> None:
+    """The same by packets that go down both levels; `hits` are clear."""
+    from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
+    from wrt.kernels.traversal.two_level.instance_packets import make_kernel
+
+    config = traversal_config(plan, scene, query, False)
+    kernel = specialise(partial(make_kernel, levels=stack_levels(scene.tree.depth)), config)
+    grain = rays_per_item(config)
+    size = -(-min(rays.count, BLOCK) // grain) * grain
+    own, found = new_rays(size, scene.device), new_hits(size, query, scene.device)
+    work = counter_rows(no_work(way_of(plan).counters, scene.device.alias))
+    for begin in range(0, rays.count, BLOCK):
+        inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits, work]
+        items = -(-min(rays.count - begin, BLOCK) // grain)
+        launch(kernel, items, inputs, device=scene.device, chunk=max(1, 1024 // grain))
+
+
+def clear(hits: HitBatch, query: str) -> None:
+    """Answers of rays that meet nothing."""
+    if query == ANY:
+        hits.occluded.zero_()
+    elif query == COUNT:
+        hits.counts.zero_()
+    else:
+        hits.t.fill_(np.inf)
+        hits.primitive.fill_(-1)
+        hits.uv.zero_()
+
+
+class Rounds:
+    """The state of the rounds of one block of a batch, which begins at a ray."""
+
+    def __init__(self, scene: InstancedScene, plan: Plan, rays: RayBatch, query: str, begin: int) -> None:
+        from wrt.kernels.traversal.two_level.instance_streams import ROOM, Search, make_stream_kernel
+
+        self.scene, self.plan, self.rays, self.query, self.device = scene, plan, rays, query, scene.device
+        config = traversal_config(plan, scene, query, False)
+        self.kernel = specialise(make_stream_kernel, config)
+        self.segment = max(SEGMENT, plan.stream)
+        self.top, self.lower = scene.upper(), scene.lower(plan, rays)
+        self.work = counter_rows(no_work(way_of(plan).counters, self.device.alias))
+        self.count = min(BLOCK, rays.count - begin)
+        self.chunk = max(LEAST_CHUNK, -(-self.count // (CHUNKS_PER_THREAD * get_num_threads())))
+        self.search = Search()
+        self.search.begin = begin
+        self.search.bound = empty(self.count, wp.float32, self.device)
+        self.search.size = empty(self.count, wp.int32, self.device)
+        self.search.instance = empty(ROOM * self.count, wp.int32, self.device)
+        self.search.entry = empty(ROOM * self.count, wp.float32, self.device)
+
+    def list_instances(self, again: bool) -> None:
+        """Lists the first instances before each ray, or, where a list was full, the next."""
+        from wrt.kernels.traversal.two_level.instance_streams import make_list_instances
+
+        levels = 1 << (self.scene.tree.depth - 1).bit_length()  # few specialisations serve all trees
+        kernel = make_list_instances(self.scene.tree.width, levels)
+        inputs = [self.top, self.rays, again, self.search]
+        launch(kernel, self.count, inputs, device=self.device, chunk=1024)
+
+    def trace_lists(self, hits: HitBatch) -> bool:
+        """A round for each place of the lists; whether some may have been too short."""
+        from wrt.kernels.traversal.two_level.instance_streams import ROOM
+
+        return all(self.trace_round(turn, hits) for turn in range(ROOM))
+
+    def trace_round(self, turn: int, hits: HitBatch) -> bool:
+        """Traces the rays through their instances of this turn; whether there were any."""
+        from wrt.kernels.query.ray_order import scan_counts
+        from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
+
+        chunks = -(-self.count // self.chunk)
+        counts = wp.zeros((chunks, len(self.scene.instances)), dtype=int, device=self.device)
+        inputs = [self.chunk, turn, self.search, counts]
+        launch(count_instances, chunks, inputs, device=self.device, chunk=1)
+        totals = counts.numpy().sum(axis=0)
+        count = int(totals.sum())
+        if count == 0:
+            return False
+        launch(scan_counts, 1, [counts], device=self.device)
+        sorted_rays, found = new_sorted(count, self.device), new_hits(count, self.query, self.device)
+        launch(sort_by_instance, chunks, [self.top, self.rays, *inputs, sorted_rays], device=self.device, chunk=1)
+        if FEW * count < self.count:
+            self.trace_alone(sorted_rays.order, hits)
+            return False
+        segments = wp.array(cut(totals, self.segment), dtype=wp.vec3i, device=self.device)
+        work = [segments, self.top.placements, self.lower, sorted_rays.rays, found, self.work]
+        launch(self.kernel, len(segments), work, device=self.device, chunk=1)
+        work = [self.top.placements, sorted_rays, found, self.search, hits]
+        launch(MERGE[self.query], count, work, device=self.device, chunk=4096)
+        return True
+
+    def trace_alone(self, order: wp.array, hits: HitBatch) -> None:
+        """Answers the query for the rays of these numbers, whatever was found before."""
+        from wrt.kernels.query.ray_order import sort_rays, unsort_hits
+
+        rays, found = sort_rays(self.rays, order, empty), new_hits(len(order), self.query, self.device)
+        plan = replace(self.plan, traversal="single")
+        run(self.scene, plan, rays, found, self.query, no_work(way_of(plan).counters, self.device.alias), False)
+        unsort_hits(order, found, hits, self.query)
+
+
+def new_sorted(count: int, device: wp.Device) -> Sorted:
+    """Memory for the rays of a round."""
+    from wrt.kernels.traversal.two_level.instance_streams import Sorted
+
+    result = Sorted()
+    result.rays = new_rays(count, device)
+    result.order, result.instance = empty(count, wp.int32, device), empty(count, wp.int32, device)
+    return result
+
+
+def cut(totals: np.ndarray, segment: int) -> np.ndarray:
+    """(S, 3) int32: instance, first ray and end of each segment; totals: rays of each instance, which lie one after another."""
+    ends = np.cumsum(totals)
+    pieces = -(-totals // segment)
+    instance = np.repeat(np.arange(len(totals)), pieces)
+    number = np.arange(len(instance)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    begin = (ends - totals)[instance] + number * segment
+    return np.stack([instance, begin, np.minimum(begin + segment, ends[instance])], axis=1).astype(np.int32)

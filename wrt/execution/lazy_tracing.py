@@ -1,0 +1,127 @@
+"""Tracing a tree that is built while rays ask for it (`wrt.builders.kdtree.lazy.lazy_kdtree`).
+
+Rays are traced through what is built by any traversal; each then names the cells that it reaches before its hit and that still
+wait (`wrt.kernels.traversal.single.lazy_requests`). Those are built, all at once, and the rays that named any are traced again.
+A query that needs every hit asks for all cells on its rays' way before it is traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.plan import ANY, CLOSEST
+from wrt.kernels.runtime.launch import launch
+from wrt.memory import empty
+
+if TYPE_CHECKING:
+    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree, Snapshot
+    from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+
+AHEAD = 2
+"""Waiting cells that a ray asks for at a time: more of them build what is hidden behind the first, fewer take more rounds."""
+
+RUN = 64
+"""Neighbouring rays that go ahead together, a few packets."""
+
+SAMPLE = 33
+"""Of so many runs one goes ahead: it asks for most of what the others would, in rounds that cost little. (Not a power of two:
+runs of a picture's rows are not to lie below one another.)"""
+
+LEAST = 1 << 14
+"""Rays of which some go ahead."""
+
+MOST = 1 << 30
+"""More cells than a tree has."""
+
+Trace = Callable[["RayBatch", "HitBatch"], None]
+"""Traces rays through the tree as it stands, and writes their hits."""
+
+
+@dataclass
+class Growing:
+    """Rays that are traced while their tree is built.
+
+    Attributes:
+        tree: the tree.
+        rays: the batch.
+        how: up to where a ray asks for cells, see `wrt.kernels.traversal.single.lazy_requests`.
+        trace: traces a batch, or a part of it.
+        new_hits: makes memory for the results of so many rays.
+        query: what they are.
+    """
+
+    tree: LazyKdTree
+    rays: RayBatch
+    how: int
+    trace: Trace
+    new_hits: Callable[[int], HitBatch]
+    query: str
+
+    def settle(self, hits: HitBatch) -> None:
+        """Traces all rays, and those that ask for cells again, until none does."""
+        from wrt.kernels.query.ray_order import unsort_hits
+
+        snapshot = self.tree.current  # from before the rays are traced: they have met whatever it says is built
+        self.trace(self.rays, hits)
+        numbers = ask(self.tree, snapshot, self.rays, hits, self.how, AHEAD)
+        while len(numbers):
+            order, found, asking = self.trace_some(numbers)
+            unsort_hits(order, found, hits, self.query)
+            numbers = numbers[asking]
+
+    def explore(self, numbers: np.ndarray) -> None:
+        """Traces some of the rays, until none asks for cells: their hits are not wanted, only the cells."""
+        while len(numbers):
+            numbers = numbers[self.trace_some(numbers)[2]]
+
+    def trace_some(self, numbers: np.ndarray) -> tuple[wp.array, HitBatch, np.ndarray]:
+        """Traces some of the rays; returns their numbers, their hits, and which of them asked for cells."""
+        from wrt.kernels.query.ray_order import sort_rays
+
+        order = wp.array(numbers.astype(np.int32), dtype=int, device=self.tree.device)
+        few, found, snapshot = sort_rays(self.rays, order, empty), self.new_hits(len(order)), self.tree.current
+        self.trace(few, found)
+        return order, found, ask(self.tree, snapshot, few, found, self.how, AHEAD)
+
+
+def trace_growing(
+    tree: LazyKdTree, rays: RayBatch, hits: HitBatch, query: str, trace: Trace, new_hits: Callable[[int], HitBatch]
+) -> None:
+    """Traces rays and builds what they ask for, until each has its final answer; arguments as in `Growing`.
+
+    Args:
+        hits: memory for the results of all rays.
+    """
+    from wrt.kernels.traversal.single.lazy_requests import TO_ANY, TO_HIT, UNTRACED
+
+    how = {CLOSEST: TO_HIT, ANY: TO_ANY}.get(query)
+    if how is None:
+        while len(ask(tree, tree.current, rays, hits, int(UNTRACED), MOST)):
+            pass
+        trace(rays, hits)
+        return
+    growing = Growing(tree, rays, int(how), trace, new_hits, query)
+    if rays.count >= LEAST:
+        growing.explore(np.flatnonzero(np.arange(rays.count) // RUN % SAMPLE == 0))
+    growing.settle(hits)
+
+
+def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: HitBatch, how: int, most: int) -> np.ndarray:
+    """Builds up to `most` waiting cells that each ray reaches first; returns the numbers of the rays that reach any."""
+    from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
+
+    if not snapshot.waiting:
+        return np.zeros(0, dtype=int)
+    asked = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
+    unfinished = empty(rays.count, wp.bool, tree.device)
+    inputs = [snapshot.struct(), rays, hits, how, most, asked, unfinished]
+    launch(ask_for_cells, rays.count, inputs, device=tree.device, chunk=1024)
+    numbers = np.flatnonzero(unfinished.numpy())
+    if len(numbers):
+        tree.open(np.flatnonzero(asked.numpy()))
+    return numbers

@@ -1,0 +1,53 @@
+"""The triangle records of a scene: made by the first query that needs them, and kept with it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.wide_trees import walked_tree
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
+from wrt.memory import empty
+from wrt.rays.rays import shared_origin
+
+if TYPE_CHECKING:
+    from wrt.execution.plan import Plan
+    from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.scene.scene import Scene
+
+Origin = tuple[float, float, float]
+"""A point relative to the scene's centre."""
+
+KnownRecords = dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]]
+"""The blocks of a kind of tree and of record, and the origin that they were made for, where they depend on one."""
+
+
+def records_of(scene: Scene, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
+    """See `wrt.Scene.triangles`."""
+    walked = walked_tree(plan, scene)
+    known = scene.wide.records if plan.is_wide else scene._blocks
+    tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
+    origin = shared_origin(rays) if record.per_origin else None
+    made_for, blocks = known.get((tree, record), (None, None))
+    primitive, width = walked.primitive, walked.width
+    if made_for != origin:
+        blocks = None
+    if blocks is None or (tree != "none" and len(blocks.primitive) < len(primitive)):
+        if tree == "none":
+            primitive = in_order(scene.triangle_count, width, scene.device)
+        mesh = scene.device_mesh
+        point = origin or (0.0, 0.0, 0.0)
+        blocks = pack_blocks(record, mesh.vertices, mesh.faces, primitive, width, point, blocks, empty)
+        known[tree, record] = origin, blocks
+    return blocks
+
+
+def in_order(count: int, width: int, device: wp.Device) -> wp.array:
+    """Ids of so many triangles in blocks of `width`, -1 in lanes that are left over."""
+    ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
+    ids[:count] = np.arange(count)
+    return wp.array(ids, dtype=int, device=device)

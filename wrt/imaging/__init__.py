@@ -1,0 +1,1 @@
+"""Pictures: cameras, shading, and image files."""

@@ -1,0 +1,295 @@
+"""Shaded pictures: a point light with hard shadows, and the light of an even sky with ambient occlusion.
+
+The colour of a point is `albedo * (light_color * cosine, if it sees the light + ambient_color * openness)`, all linear; the
+light does not fade with distance. Both sides of every surface are lit alike. Openness is the share of the sky that reaches
+the point (`wrt.kernels.shading.ambient`). A pixel's samples are averaged, then encoded for display (sRGB).
+
+A picture is made in passes: one camera ray a pixel, tile by tile, then the next sample of all pixels. Everything between
+the camera and the film stays on the scene's device; the steps are the kernels of `wrt.kernels.shading`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import warp as wp
+
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
+from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.shading import ambient, film, normals, surface
+from wrt.rays.rays import Rays
+from wrt.scene.scene import AUTO, Scene
+
+__all__ = ["corner_normals", "default_light", "render"]
+
+Camera = PinholeCamera | OrthographicCamera
+
+TILE_PIXELS = 1 << 16
+"""Camera rays traced at once: bounds the memory, and the time between two calls of `progress`."""
+
+BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
+LIGHT_COLOR = (0.80, 0.77, 0.71)
+AMBIENT_COLOR = (0.36, 0.39, 0.43)
+
+_corner_normals: WeakKeyDictionary[Scene, tuple[SceneMesh, dict[float, wp.array]]] = WeakKeyDictionary()
+
+
+def render(
+    scene: Scene,
+    camera: Camera,
+    *,
+    samples: int = 1,
+    light: Any = None,
+    light_color: Any = LIGHT_COLOR,
+    shadows: bool = True,
+    ambient_samples: int = 16,
+    ambient_distance: float | None = None,
+    ambient_color: Any = AMBIENT_COLOR,
+    albedo: Any = 0.8,
+    background: Any = BACKGROUND,
+    smooth: bool = True,
+    crease_angle: float = 60.0,
+    seed: int = 0,
+    traversal: str = AUTO,
+    triangle_test: str = AUTO,
+    progress: Callable[[int, int], Any] | None = None,
+) -> np.ndarray:
+    """Makes a picture.
+
+    The same arguments give the same picture to the bit, whatever the number of threads.
+
+    Args:
+        scene: what to look at.
+        camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
+        samples: camera rays a pixel, >= 1.
+        light: (3,) position of the light; None for over the camera's left shoulder (`default_light`).
+        light_color, ambient_color: strength of light and sky, linear: a number or (3,), each >= 0.
+        shadows: whether the light casts shadows.
+        ambient_samples: rays into the hemisphere for each camera ray; 0 for no ambient occlusion.
+        ambient_distance: length of these rays in scene units: farther geometry does not darken; None for no limit.
+        albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the scene,
+            mesh after mesh of `scene.meshes`; instances of a mesh look alike.
+        background: colour where nothing is hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of those for the lower
+            and the upper edge of the picture.
+        smooth: whether to interpolate normals between triangles; False shows every facet.
+        crease_angle: triangles whose planes differ by more than that many degrees keep a sharp edge, in (0, 90).
+        seed: changes the pattern of the samples.
+        traversal, triangle_test: as in `Scene.intersect`.
+        progress: called as progress(done, total) in camera rays, after each tile; what it raises ends the rendering.
+
+    Returns:
+        (height, width, 3) float32 in [0, 1], encoded for display (sRGB): `wrt.save_image` writes it as it is.
+
+    Raises:
+        TypeError: `scene` or `camera` is of a wrong type.
+        ValueError: a value out of its range; unknown names.
+    """
+    _check_types(scene, camera)
+    if not 0.0 < crease_angle < 90.0:
+        raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)")
+    samples = check_whole("samples", samples, 1)
+    seed = check_whole("seed", seed, 0)
+    settings = _Settings(
+        light=default_light(camera) if light is None else check_point("light", light),
+        lighting=_lighting(light_color, ambient_color, background),
+        shadows=bool(shadows),
+        ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
+        ambient_distance=_check_distance(ambient_distance),
+        seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
+        query={"traversal": traversal, "triangle_test": triangle_test},
+    )
+    pixels = camera.width * camera.height
+    with use_threads(scene.num_threads):
+        look = _appearance(scene, albedo, crease_angle if smooth else None)
+        picture = wp.zeros((camera.height, camera.width), dtype=wp.vec3, device=scene.device)
+        for sample in range(samples):
+            offset = pixel_offset(sample, samples, seed)
+            for first in range(0, pixels, TILE_PIXELS):
+                count = min(TILE_PIXELS, pixels - first)
+                rays = camera.rays_on(scene.device, first, count, offset)
+                _Tile(scene, look, settings, first, count).expose(rays, sample, picture)
+                if progress is not None:
+                    progress(sample * pixels + first + count, samples * pixels)
+        image = wp.empty_like(picture)
+        launch(film.develop, pixels, [picture, samples, image], device=scene.device, chunk=4096)
+    return image.numpy()
+
+
+def default_light(camera: Camera) -> np.ndarray:
+    """(3,) a position over the camera's left shoulder, as far away from it as what it looks at, or nearly so."""
+    distance = float(np.linalg.norm(camera.look_at - camera.position))
+    return camera.position + 0.75 * distance * (camera.up - camera.right)
+
+
+def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
+    """(3 F,) vec3 on the scene's device: smooth unit normals of all corners, of what instances share once, in its own space.
+
+    Made once for each angle, in degrees, and again when the scene has been changed.
+    """
+    mesh, made = _corner_normals.get(scene, (None, {}))
+    if mesh is not scene.device_mesh:
+        made = {}
+        _corner_normals[scene] = scene.device_mesh, made
+    if crease_angle not in made:
+        parts = [_smooth_normals(part, crease_angle) for part in scene.parts]
+        made[crease_angle] = parts[0] if len(parts) == 1 else _joined(parts)
+    return made[crease_angle]
+
+
+def _smooth_normals(scene: Scene, crease_angle: float) -> wp.array:
+    mesh, device = scene.device_mesh, scene.device
+    count = mesh.faces.shape[0]
+    flat = wp.empty(count, dtype=wp.vec3, device=device)
+    angles = wp.empty(3 * count, dtype=float, device=device)
+    result = wp.empty(3 * count, dtype=wp.vec3, device=device)
+    launch(normals.face_normals_and_angles, count, [mesh.vertices, mesh.faces, flat, angles], device=device)
+    inputs = [_vertex_corners(scene), flat, angles, float(np.cos(np.radians(crease_angle))), result]
+    launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
+    return result
+
+
+def _joined(parts: list[wp.array]) -> wp.array:
+    joined = wp.empty(sum(map(len, parts)), dtype=wp.vec3, device=parts[0].device)
+    begin = 0
+    for part in parts:
+        wp.copy(joined, part, dest_offset=begin)
+        begin += len(part)
+    return joined
+
+
+@dataclass(frozen=True)
+class _Settings:
+    """What all tiles share."""
+
+    light: np.ndarray
+    lighting: film.Lighting
+    shadows: bool
+    ambient_samples: int
+    ambient_distance: float
+    seed: int
+    query: dict[str, str]
+
+
+class _Tile:
+    """A run of pixels: one camera ray each, and all that follows from it."""
+
+    def __init__(self, scene: Scene, look: surface.Appearance, settings: _Settings, first: int, count: int) -> None:
+        self.scene, self.look, self.settings = scene, look, settings
+        self.first, self.count = first, count
+        self.surface = surface.Surface()
+        for name in ("face_normal", "normal", "albedo", "shadow_direction"):
+            setattr(self.surface, name, self._empty(wp.vec3))
+        for name in ("origin", "shadow_origin"):
+            setattr(self.surface, name, self._empty(wp.vec3d))
+        self.surface.cosine = self._empty(float)
+
+    def expose(self, rays: Rays, sample: int, picture: wp.array) -> None:
+        """Adds the light that these rays bring to the picture."""
+        hits = self.scene.intersect(rays, **self.settings.query)
+        stride = 0 if rays.directions.size == 1 else 1
+        light = wp.vec3d(*self.settings.light)
+        self._run(surface.find_surface, self.look, light, rays.directions, stride, hits.batch.primitive, hits.uv, self.surface)
+        received = film.Received()
+        received.shadows = self.settings.shadows
+        received.ambient_samples = self.settings.ambient_samples
+        if received.shadows:
+            toward = self.surface.shadow_direction
+            received.in_shadow = self.scene.occluded(self.surface.shadow_origin, toward, 0.0, 1.0, **self.settings.query)
+        if received.ambient_samples:
+            received.open_rays = self._count_open_rays(sample)
+        self._run(film.expose, self.surface, received, self.settings.lighting, self.first, picture)
+
+    def _count_open_rays(self, sample: int) -> wp.array:
+        """(count,) int: ambient rays of each pixel that leave the scene."""
+        rays = self.settings.ambient_samples
+        open_rays = wp.zeros(self.count, dtype=int, device=self.scene.device)
+        directions = self._empty(wp.vec3)
+        for index in range(sample * rays, (sample + 1) * rays):
+            self._run(ambient.ambient_directions, self.surface, self.first, self.settings.seed, index, directions)
+            blocked = self.scene.occluded(
+                self.surface.origin, directions, 0.0, self.settings.ambient_distance, **self.settings.query
+            )
+            self._run(ambient.count_open, blocked, open_rays)
+        return open_rays
+
+    def _empty(self, dtype: type) -> wp.array:
+        return wp.empty(self.count, dtype=dtype, device=self.scene.device)
+
+    def _run(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        launch(kernel, self.count, inputs, device=self.scene.device, chunk=1024)
+
+
+def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:
+    look = surface.Appearance()
+    look.mesh = scene.device_mesh
+    look.smooth = crease_angle is not None
+    if crease_angle is not None:
+        look.corner_normals = corner_normals(scene, crease_angle)
+    colors = _colors("albedo", albedo, (1, sum(part.triangle_count for part in scene.parts)), 1.0)
+    look.albedo = wp.array(colors, dtype=wp.vec3, device=scene.device)
+    look.albedo_stride = 0 if len(colors) == 1 else 1
+    return look
+
+
+def _check_types(scene: Scene, camera: Camera) -> None:
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
+
+
+def _check_distance(ambient_distance: float | None) -> float:
+    distance = np.inf if ambient_distance is None else float(ambient_distance)
+    if not distance > 0.0:
+        raise ValueError(f"ambient_distance is {ambient_distance}; it must be above 0, or None for no limit")
+    return distance
+
+
+def _lighting(light_color: Any, ambient_color: Any, background: Any) -> film.Lighting:
+    displayed = _colors("background", background, (1, 2), 1.0).astype(np.float64)
+    linear = np.where(displayed <= 0.04045, displayed / 12.92, ((displayed + 0.055) / 1.055) ** 2.4)
+    lighting = film.Lighting()
+    lighting.light = wp.vec3(*_colors("light_color", light_color, (1,), np.inf)[0])
+    lighting.ambient = wp.vec3(*_colors("ambient_color", ambient_color, (1,), np.inf)[0])
+    lighting.background_low, lighting.background_high = wp.vec3(*linear[0]), wp.vec3(*linear[-1])
+    return lighting
+
+
+def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> np.ndarray:
+    """(N, 3) float32 for one of the allowed counts N; a number is a grey."""
+    try:
+        colors = np.array(value, dtype=np.float32)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} must be a number or an array of colours (3,), not {value!r}") from None
+    if colors.ndim == 0 or (colors.ndim == 1 and colors.shape == (2,) and 2 in counts):
+        colors = np.repeat(colors.reshape(-1, 1), 3, axis=1)
+    colors = colors.reshape(1, 3) if colors.shape == (3,) else colors
+    if colors.ndim != 2 or colors.shape[1] != 3 or len(colors) not in counts:
+        shapes = " or ".join("(3,)" if count == 1 else f"({count}, 3)" for count in counts)
+        raise ValueError(f"{name} must be a number or of shape {shapes}, not of shape {np.shape(value)}")
+    if not (np.isfinite(colors).all() and (colors >= 0.0).all() and (colors <= maximum).all()):
+        limit = f"from 0 to {maximum:g}" if np.isfinite(maximum) else "finite and not negative"
+        raise ValueError(f"{name} must be {limit}, but ranges from {colors.min():g} to {colors.max():g}")
+    return colors
+
+
+def _vertex_corners(scene: Scene) -> normals.VertexCorners:
+    """Which corners meet at each point; meshes of a scene are not joined with each other."""
+    vertex, vertices = [], 0
+    for mesh in scene.meshes:
+        welded = mesh.welded()
+        vertex.append(welded.faces.ravel() + vertices)
+        vertices += welded.vertex_count
+    joined = np.concatenate(vertex).astype(np.int32)
+    start = np.zeros(vertices + 1, dtype=np.int32)
+    np.cumsum(np.bincount(joined, minlength=vertices), out=start[1:])
+    around = normals.VertexCorners()
+    around.vertex = wp.array(joined, dtype=int, device=scene.device)
+    around.start = wp.array(start, dtype=int, device=scene.device)
+    around.corner = wp.array(np.argsort(joined, kind="stable").astype(np.int32), dtype=int, device=scene.device)
+    return around

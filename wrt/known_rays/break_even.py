@@ -1,0 +1,216 @@
+"""Whether the trees of influence areas pay for a batch of rays, by counted work, and from which share of settled rays on.
+
+    print(wrt.break_even(scene, rays.origins, rays.directions))
+
+A ray of an area costs C_local in the area's tree. Of the share that this does not settle (no hit before the ray leaves the
+area, and some way left) each ray costs another C_miss in the whole scene's tree, where without areas every ray costs C_global.
+So the area pays if it settles a share s of its rays with
+
+    C_local + (1 - s) C_miss < C_global,   that is   s > (C_local + C_miss - C_global) / C_miss
+
+(Falcone 2024, section 6.2.5; the last line there has a plus before C_global.) Rays that miss are often of a kind, so C_miss is
+not C_global: all three are counted, on a sample of the batch.
+
+**Cost** of a ray is what the scene's cost model says of the work counted for it: nodes visited, and triangles met in blocks of
+the tree's width, as single rays do. Finding the area of a ray comes on top (`FIND`).
+
+References:
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.area_trees import assign, with_range
+from wrt.execution.executor import trace_batch
+from wrt.execution.plan import ANY, AUTO, CLOSEST, Plan, make_plan, plan_for
+from wrt.imaging.cameras import check_whole
+from wrt.kernels.query.ray_order import sort_rays
+from wrt.kernels.runtime.launch import use_threads
+from wrt.memory import empty
+from wrt.query.api import as_rays
+from wrt.rays.rays import to_device
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.scene.scene import Scene
+
+FIND = 2.0
+"""Finding the area of a ray, in visits of a node: some 15 ns where packets take 7 ns a visit. (Single rays take 30.)"""
+
+SAMPLES = 1 << 14
+"""Rays whose work is counted."""
+
+
+def break_even_share(cost_local: float, cost_global: float, cost_miss: float) -> float:
+    """Share of its rays that an area's tree has to settle to pay; 0 or less: it always pays, above 1: never.
+
+    Args:
+        cost_local: mean cost of a ray in the area's tree.
+        cost_global: mean cost of the same rays in the whole scene's tree.
+        cost_miss: mean cost of the rest of the rays that the area does not settle; 0 if it settles all.
+
+    Raises:
+        ValueError: a cost is negative or not finite.
+    """
+    for name, cost in (("cost_local", cost_local), ("cost_global", cost_global), ("cost_miss", cost_miss)):
+        if not 0.0 <= cost < inf:
+            raise ValueError(f"{name} is {cost}; it must be finite and not negative")
+    if cost_miss == 0.0:
+        return 0.0 if cost_local < cost_global else inf
+    return (cost_local + cost_miss - cost_global) / cost_miss
+
+
+@dataclass(frozen=True)
+class AreaBalance:
+    """What an area's tree costs and saves.
+
+    Attributes:
+        area: the influence area.
+        share: of the batch, rays that belong to it.
+        settled: of those, rays that need no other tree.
+        cost_local, cost_global, cost_miss: mean costs of a ray, as in `break_even_share`; finding the area is in the first.
+    """
+
+    area: InfluenceArea
+    share: float
+    settled: float
+    cost_local: float
+    cost_global: float
+    cost_miss: float
+
+    @property
+    def break_even(self) -> float:
+        """Share of its rays that the area has to settle."""
+        return break_even_share(self.cost_local, self.cost_global, self.cost_miss)
+
+    @property
+    def cost(self) -> float:
+        """Mean cost of a ray with areas."""
+        return self.cost_local + (1.0 - self.settled) * self.cost_miss
+
+    @property
+    def ratio(self) -> float:
+        """Cost of the area's rays without areas, over that with: above 1 it pays."""
+        return self.cost_global / self.cost
+
+    @property
+    def pays(self) -> bool:
+        """Whether it settles more."""
+        return self.settled > self.break_even
+
+    def __str__(self) -> str:
+        needed = "any share" if self.break_even <= 0.0 else f"{self.break_even:.0%}" if self.break_even <= 1.0 else "no share"
+        verdict = "pays" if self.pays else "does not pay"
+        return (
+            f"{type(self.area).__name__} with {self.share:.1%} of the rays {verdict}: it settles {self.settled:.0%} of them, "
+            f"{needed} is enough; a ray costs {self.cost_local:.1f} here and {self.cost_miss:.1f} for the rest, "
+            f"{self.cost_global:.1f} without: {self.ratio:.2f} times"
+        )
+
+
+@dataclass(frozen=True)
+class BreakEven:
+    """The balance of all areas of a scene, for a batch of rays.
+
+    Attributes:
+        areas: those that have rays in the batch.
+        alone: share of the rays that belong to no area.
+        rays: number of rays that were looked at.
+    """
+
+    areas: tuple[AreaBalance, ...]
+    alone: float
+    rays: int
+
+    @property
+    def ratio(self) -> float:
+        """Cost of the rays of all areas without areas, over that with; 1 if there are none."""
+        if not self.areas:
+            return 1.0
+        return sum(area.share * area.cost_global for area in self.areas) / sum(area.share * area.cost for area in self.areas)
+
+    @property
+    def pays(self) -> bool:
+        """Whether areas pay for the rays that have one."""
+        return self.ratio > 1.0
+
+    def __str__(self) -> str:
+        head = f"Influence areas {'pay' if self.pays else 'do not pay'}: {self.ratio:.2f} times by the work of {self.rays} rays"
+        return "\n".join([head, *map(str, self.areas), f"{self.alone:.1%} of the rays belong to no area"])
+
+
+def break_even(
+    scene: Scene,
+    origins: Any,
+    directions: Any = None,
+    t_min: Any = 0.0,
+    t_max: Any = inf,
+    *,
+    query: str = CLOSEST,
+    samples: int = SAMPLES,
+) -> BreakEven:
+    """Whether the influence areas of a scene pay for such rays, by counting the work of evenly picked ones.
+
+    Args:
+        scene: built with a `wrt.RayAwareBvh`.
+        origins, directions, t_min, t_max: as in `Scene.intersect`.
+        query: "closest" or "any".
+        samples: rays that are traced, at most.
+
+    Raises:
+        TypeError: as `Scene.intersect`.
+        ValueError: as `Scene.intersect`; the scene has no influence areas; an unknown query.
+    """
+    if scene.local_trees is None:
+        raise ValueError(
+            "the scene has no influence areas with triangles; build it with accelerator=wrt.RayAwareBvh(areas=...)"
+        )
+    lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
+    with use_threads(scene.num_threads):
+        buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
+        plan = plan_for(make_plan(scene, buffers, "single", AUTO, query), query)
+        count = min(check_whole("samples", samples, 1), buffers.count)
+        rays = chosen_of(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
+        return balance(scene, plan, rays, query)
+
+
+def balance(scene: Scene, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
+    """Counts the work of all rays, area by area."""
+    local, cuts = scene.local_trees, assign(scene, rays)
+    area, rest, count = cuts.area.numpy(), cuts.rest.numpy(), max(rays.count, 1)
+    cut, left = with_range(rays, "t_max", cuts.cut), with_range(rays, "t_min", cuts.rest)
+    balances = []
+    for number in range(len(local)):
+        chosen = np.flatnonzero(area == number)
+        if len(chosen):
+            whole, _ = costs(scene, plan, rays, chosen, query)
+            here, hit = costs(local.scenes[number], plan, cut, chosen, query)
+            missed = chosen[~hit & np.isfinite(rest[chosen])]
+            again, _ = costs(scene, plan, left, missed, query)
+            means = (FIND + here.mean(), whole.mean(), again.mean() if len(missed) else 0.0)
+            settled = 1.0 - len(missed) / len(chosen)
+            balances.append(AreaBalance(local.areas[number], len(chosen) / count, settled, *map(float, means)))
+    return BreakEven(tuple(balances), float((area == len(local)).sum() / count), rays.count)
+
+
+def costs(scene: Scene, plan: Plan, rays: RayBatch, chosen: np.ndarray, query: str) -> tuple[np.ndarray, np.ndarray]:
+    """What some rays cost in a scene's tree, and which hit anything."""
+    hits, work = trace_batch(scene, plan, chosen_of(rays, chosen, scene.device), query, True)
+    counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
+    price = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
+    return price, hits.occluded.numpy() if query == ANY else hits.primitive.numpy() >= 0
+
+
+def chosen_of(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:
+    """Some rays of a batch."""
+    return sort_rays(rays, wp.array(chosen.astype(np.int32), dtype=int, device=device), empty)

@@ -1,0 +1,384 @@
+"""Influence areas found in rays: which share of a batch runs in parallel, or through common points, and where.
+
+    rays = ...                                    # of a renderer, a sensor, a simulation
+    found = wrt.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
+    print(found)                                  # what explains how many of the rays
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=found))
+
+**Problem.** The thesis expects influence areas to be given. A batch of rays often comes without a word on where it is from.
+
+**Method**, on a sample of the rays, taken as lines, since shadow rays run towards their light:
+
+    parallel   directions are clustered by the angle between them (DBSCAN: a cluster is where many are near each other, what is
+               alone is noise, and nobody says how many clusters there are); a cluster's axis is the median of its directions
+    radial     the lines of random pairs of rays nearly meet, if both go through one point, and seldom if not; the places where
+               they do are clustered likewise, and a cluster's point is fitted to the lines near it by least squares
+    choose     the distribution that explains most rays is taken, its rays are put aside, and the search goes on with the others
+
+A distribution explains a ray if its line through the ray's origin is within the tolerance of the ray. Parallel rays are
+explained by any point far enough away too, so a point has to explain more.
+
+**Regions.** Around the origins of the rays that are explained, and as far along them as `bounds` reaches: a cuboid of parallel
+rays; a frustum of radial ones, or one for each side of a cube around the point where they spread wider.
+
+References:
+    M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters in large spatial databases
+        with noise. KDD 1996.
+    M. A. Fischler, R. C. Bolles: Random sample consensus: a paradigm for model fitting with applications to image analysis
+        and automated cartography. Communications of the ACM 24(6), 1981.
+    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
+        2024.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
+from wrt.imaging.cameras import check_whole
+from wrt.rays.rays import Rays
+
+SAMPLES = 2000
+"""Rays that are looked at: 5 % of them are enough to be found."""
+
+PAIRS = 20_000
+"""Pairs of rays whose lines may meet."""
+
+PLACES = 2000
+"""Places where lines meet that are clustered, at most: all of them may be one point, and the time grows with the square."""
+
+LEAST_MEMBERS = 5
+"""Of a cluster."""
+
+LEAST_SINE = 1e-3
+"""Of the angle between two lines whose meeting says something."""
+
+MORE = 1.1
+"""Times as many rays a point has to explain as a direction does."""
+
+FITS = 4
+"""Rounds of fitting a point, each to the lines near the last one."""
+
+PAD = 1.05
+"""By how much regions are larger than what is around the sample."""
+
+WIDE = np.tan(np.radians(70.0))
+"""Half a window at depth 1 from which on rays are told by the sides of a cube."""
+
+
+@dataclass(frozen=True)
+class InfluenceAreas(Sequence):
+    """Influence areas and what they explain; a sequence of them.
+
+    Attributes:
+        areas: the most explaining distribution first.
+        shares: of the sampled rays, one an area: those whose line is the area's, within the tolerance, and that start in it.
+    """
+
+    areas: tuple[InfluenceArea, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def explained(self) -> float:
+        """Share of the rays that belong to some area."""
+        return sum(self.shares)
+
+    def __len__(self) -> int:
+        return len(self.areas)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self.areas[index]
+
+    def __str__(self) -> str:
+        lines = []
+        for area, share in zip(self.areas, self.shares, strict=True):
+            parallel = isinstance(area, PlaneInfluenceArea)
+            place = ", ".join(f"{x:.4g}" for x in (area.direction if parallel else area.position))
+            lines.append(f"{share:6.1%}  {'parallel rays along' if parallel else 'rays through'} ({place})")
+        return "\n".join([*lines, f"{max(0.0, 1.0 - self.explained):6.1%}  no area"])
+
+    @classmethod
+    def from_rays(
+        cls,
+        origins: Any,
+        directions: Any = None,
+        *,
+        bounds: Any = None,
+        tolerance: float = 1.0,
+        least_share: float = 0.05,
+        samples: int = SAMPLES,
+        seed: int = 0,
+    ) -> InfluenceAreas:
+        """Finds the parallel and radial distributions in a batch of rays; needs scikit-learn, `pip install scikit-learn`.
+
+        Args:
+            origins: (..., 3), or a `wrt.Rays` (then leave directions out); NumPy or what becomes it.
+            directions: (..., 3), of any length; leading shapes broadcast. Rays with NaN, infinity or no direction are left out.
+            bounds: (2, 3) lower and upper corner of what the rays may meet, such as `scene.bounds`; None for the box of the
+                origins.
+            tolerance: greatest angle between a ray and its distribution's line, in degrees, in (0, 45).
+            least_share: of the rays, that a distribution must explain, in (0, 1].
+            samples: rays that are looked at, at least 20; the time grows with its square.
+            seed: of the sample and the pairs.
+
+        Returns:
+            The areas found; none, if the rays have no such order.
+
+        Raises:
+            ImportError: scikit-learn is not there; the message says how to install it.
+            TypeError: an argument is of a wrong type.
+            ValueError: wrong shapes, a value out of its range, or no valid ray.
+        """
+        if not 0.0 < tolerance < 45.0:
+            raise ValueError(f"tolerance is {tolerance}; it must be above 0 and below 45 degrees")
+        if not 0.0 < least_share <= 1.0:
+            raise ValueError(f"least_share is {least_share}; it must be above 0 and at most 1")
+        rng = np.random.default_rng(check_whole("seed", seed, 0))
+        lines = sample_lines(origins, directions, check_whole("samples", samples, 20), rng)
+        box = _check_bounds(bounds, lines.origins)
+        least = max(LEAST_MEMBERS, int(np.ceil(least_share * len(lines))))
+        found = find_distributions(lines, float(np.sin(np.radians(tolerance))), least, rng)
+        areas, shares = [], []
+        for distribution, chosen in found:
+            for area, count in distribution.areas(lines.origins[chosen], lines.directions[chosen], box):
+                areas.append(area)
+                shares.append(count / len(lines))
+        return cls(tuple(areas), tuple(shares))
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Rays of the sample, as lines: (N, 3) origins and unit directions, float64."""
+
+    origins: np.ndarray
+    directions: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+    def __getitem__(self, chosen: np.ndarray) -> Lines:
+        return Lines(self.origins[chosen], self.directions[chosen])
+
+
+@dataclass(frozen=True)
+class Parallel:
+    """Lines along a unit axis (3,)."""
+
+    axis: np.ndarray
+
+    def explains(self, lines: Lines, sine: float) -> np.ndarray:
+        """(N,) bool: which lines run along it."""
+        return np.linalg.norm(np.cross(lines.directions, self.axis), axis=1) <= sine
+
+    def areas(self, origins: np.ndarray, directions: np.ndarray, box: np.ndarray) -> list[tuple[InfluenceArea, int]]:
+        """The area of such rays, and how many they are."""
+        forward = self.axis if (directions @ self.axis).sum() >= 0.0 else -self.axis
+        frame = frame_of(tuple(forward), None)
+        places, ends = origins @ frame.T, corners_of(box) @ frame.T
+        low = np.append(places[:, :2].min(axis=0), min(places[:, 2].min(), ends[:, 2].min()))
+        high = np.append(places[:, :2].max(axis=0), max(places[:, 2].max(), ends[:, 2].max()))
+        least = 1e-3 * np.linalg.norm(box[1] - box[0])  # of a single ray, too
+        size = np.maximum(PAD * (high - low), least).tolist()
+        middle = (low + high) / 2
+        position = np.array([middle[0], middle[1], middle[2] - size[2] / 2]) @ frame
+        area = PlaneInfluenceArea(
+            position=position, direction=forward, width=size[0], height=size[1], depth=size[2], up=frame[1]
+        )
+        return [(area, len(origins))]
+
+
+@dataclass(frozen=True)
+class Radial:
+    """Lines through a point (3,); `near` is what counts as being at it."""
+
+    point: np.ndarray
+    near: float
+
+    def explains(self, lines: Lines, sine: float) -> np.ndarray:
+        """(N,) bool: which lines go through it, as seen from their origins."""
+        ways = self.point - lines.origins
+        off = np.linalg.norm(np.cross(ways, lines.directions), axis=1)
+        return off <= sine * np.linalg.norm(ways, axis=1) + self.near
+
+    def areas(self, origins: np.ndarray, directions: np.ndarray, box: np.ndarray) -> list[tuple[InfluenceArea, int]]:
+        """The areas of such rays, and how many each has: one, or those of the sides of a cube."""
+        ways = origins - self.point
+        distance = np.linalg.norm(ways, axis=1, keepdims=True)
+        at_point = distance <= self.near
+        ways = np.where(at_point, directions, ways / np.where(at_point, 1.0, distance))
+        far = PAD * float(max(np.linalg.norm(corners_of(box) - self.point, axis=1).max(), distance.max()))
+        middle = ways.mean(axis=0)
+        length = np.linalg.norm(middle)
+        frame = frame_of(tuple(middle / length), None) if length > 0.1 else np.eye(3)
+        tangents = tangents_of(ways @ frame.T)
+        if tangents is not None and tangents.max() < WIDE:
+            return [(self._frustum(frame, np.maximum(PAD * tangents, 1e-3), far), len(ways))]
+        side = np.abs(ways).argmax(axis=1)
+        sign = np.sign(ways[np.arange(len(ways)), side])
+        sides = []
+        for axis in range(3):
+            for end in (-1.0, 1.0):
+                count = int(((side == axis) & (sign == end)).sum())
+                if count:
+                    frame = frame_of(tuple(end * np.eye(3)[axis]), None)
+                    sides.append((self._frustum(frame, np.ones(2), far), count))
+        return sides
+
+    def _frustum(self, frame: np.ndarray, tangents: np.ndarray, far: float) -> PointInfluenceArea:
+        fov = 2.0 * np.degrees(np.arctan(tangents))
+        return PointInfluenceArea(position=self.point, direction=frame[2], fov=fov, near=1e-3 * far, far=far, up=frame[1])
+
+
+Distribution = Parallel | Radial
+
+
+def tangents_of(seen: np.ndarray) -> np.ndarray | None:
+    """(2,) half sizes of the window at depth 1 that shows all of (N, 3) vectors; None if some are not ahead."""
+    if seen[:, 2].min() <= 1e-3:
+        return None
+    return np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
+
+
+def find_distributions(
+    lines: Lines, sine: float, least: int, rng: np.random.Generator
+) -> list[tuple[Distribution, np.ndarray]]:
+    """Distributions that explain at least so many lines each, with the indices of those lines; no line twice."""
+    rest = np.arange(len(lines))
+    found: list[tuple[Distribution, np.ndarray]] = []
+    while len(rest) >= least:
+        left = lines[rest]
+        best, most = None, np.zeros(len(rest), dtype=bool)
+        for candidate in [*parallel_candidates(left, sine, least), *radial_candidates(left, sine, least, rng)]:
+            explained = candidate.explains(left, sine)
+            worth = explained.sum() / (MORE if isinstance(candidate, Radial) and isinstance(best, Parallel) else 1.0)
+            if worth > most.sum():
+                best, most = candidate, explained
+        if best is None or most.sum() < least:
+            break
+        found.append((best, rest[most]))
+        rest = rest[~most]
+    return found
+
+
+def parallel_candidates(lines: Lines, sine: float, least: int) -> list[Parallel]:
+    """An axis for each cluster of directions."""
+    cosines = np.clip(lines.directions @ lines.directions.T, -1.0, 1.0)
+    sines = np.sqrt(1.0 - cosines * cosines)
+    labels = cluster(sines, sine, least, "precomputed")
+    axes = []
+    for label in range(labels.max() + 1):
+        members = lines.directions[labels == label]
+        axis = np.median(members * np.sign(members @ members[0])[:, None], axis=0)  # lines have no sign
+        axes.append(Parallel(axis / np.linalg.norm(axis)))
+    return axes
+
+
+def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Generator) -> list[Radial]:
+    """A point for each cluster of places where lines meet."""
+    one, other = rng.integers(0, len(lines), (2, PAIRS))
+    a, b = lines[one], lines[other]
+    between = b.origins - a.origins
+    cosine = (a.directions * b.directions).sum(axis=1)
+    square = 1.0 - cosine * cosine
+    meeting = square > LEAST_SINE**2
+    along_a, along_b = (between * a.directions).sum(axis=1), (between * b.directions).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        s, t = (along_a - cosine * along_b) / square, (cosine * along_a - along_b) / square
+        p, q = a.origins + s[:, None] * a.directions, b.origins + t[:, None] * b.directions
+        gap = np.linalg.norm(p - q, axis=1)
+    size = np.linalg.norm(np.ptp(lines.origins, axis=0))
+    near = max(1e-6 * (size + np.abs(lines.origins).max()), np.finfo(float).tiny)
+    meeting &= gap <= sine * np.minimum(np.abs(s), np.abs(t)) + near
+    if meeting.sum() < LEAST_MEMBERS:
+        return []
+    kept = np.flatnonzero(meeting)[:PLACES]  # of random pairs, the first are as good as any
+    places = (p[kept] + q[kept]) / 2
+    expected = PAIRS * len(kept) / meeting.sum() * (least / len(lines)) ** 2
+    labels = cluster(places, 2.0 * sine * size + near, max(LEAST_MEMBERS, int(expected / 4)))
+    centers = [np.median(places[labels == label], axis=0) for label in range(labels.max() + 1)]
+    return [fit_point(Radial(center, near), lines, sine) for center in centers]
+
+
+def fit_point(start: Radial, lines: Lines, sine: float) -> Radial:
+    """The point nearest to the lines near it, in the sense of least squares."""
+    best = start
+    for width in np.geomspace(4.0 * sine, sine, FITS):
+        near = lines[best.explains(lines, width)]
+        if len(near) < 2:
+            break
+        across = np.eye(3) - near.directions[:, :, None] * near.directions[:, None, :]
+        matrix, right = across.sum(axis=0), (across @ near.origins[:, :, None]).sum(axis=0)[:, 0]
+        best = Radial(np.linalg.lstsq(matrix, right, rcond=None)[0], start.near)
+    return best
+
+
+def cluster(points: np.ndarray, distance: float, least: int, metric: str = "euclidean") -> np.ndarray:
+    """(N,) number of each point's cluster, -1 for none, by DBSCAN.
+
+    Raises:
+        ImportError: scikit-learn is not there.
+    """
+    try:
+        from sklearn.cluster import DBSCAN
+    except ImportError as error:
+        raise ImportError(
+            "wrt.InfluenceAreas.from_rays clusters rays with scikit-learn, which is not installed; "
+            "install it with: pip install scikit-learn"
+        ) from error
+    return DBSCAN(eps=distance, min_samples=least, metric=metric).fit_predict(points)
+
+
+def sample_lines(origins: Any, directions: Any, count: int, rng: np.random.Generator) -> Lines:
+    """At most `count` of the valid rays.
+
+    Raises:
+        TypeError: directions are missing, or given twice.
+        ValueError: wrong shapes, or no valid ray.
+    """
+    if isinstance(origins, Rays):
+        if directions is not None:
+            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
+        origins, directions = origins.origins, origins.directions
+    if directions is None:
+        raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
+    o, d = (np.asarray(a.numpy() if hasattr(a, "numpy") else a) for a in (origins, directions))
+    for name, array in (("origins", o), ("directions", d)):
+        if array.ndim == 0 or array.shape[-1] != 3:
+            raise ValueError(f"{name} must have shape (..., 3), not {array.shape}")
+    try:
+        o, d = np.broadcast_arrays(o, d)
+    except ValueError:
+        raise ValueError(f"origins {o.shape} and directions {d.shape} do not broadcast") from None
+    total = o.size // 3
+    # of millions of rays, few are looked at; more than asked for, as some may be bad
+    chosen = np.unique(rng.integers(0, total, 4 * count)) if total > 4 * count else np.arange(total)
+    places = np.unravel_index(chosen, o.shape[:-1]) if o.ndim > 1 else ()
+    o, d = (np.atleast_2d(a[places].astype(np.float64)) for a in (o, d))
+    length = np.linalg.norm(d, axis=1)
+    with np.errstate(invalid="ignore"):
+        valid = np.flatnonzero(np.isfinite(o).all(axis=1) & np.isfinite(length) & (length > 0.0))
+    if not len(valid):
+        raise ValueError("no ray has a finite origin and a finite direction other than zero; pass some that do")
+    valid = rng.permutation(valid)[:count]
+    return Lines(o[valid], d[valid] / length[valid, None])
+
+
+def corners_of(box: np.ndarray) -> np.ndarray:
+    """(8, 3) corners of a box (2, 3)."""
+    return np.array([[box[k >> axis & 1, axis] for axis in range(3)] for k in range(8)])
+
+
+def _check_bounds(bounds: Any, origins: np.ndarray) -> np.ndarray:
+    if bounds is None:
+        box = np.array([origins.min(axis=0), origins.max(axis=0)])
+        if not (box[1] > box[0]).any():
+            raise ValueError("all rays start at one point, which bounds no region; pass bounds=scene.bounds")
+        return box
+    box = np.array(bounds, dtype=np.float64)
+    if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
+        raise ValueError(f"bounds must be a lower and an upper corner, (2, 3), not {bounds!r}")
+    return box

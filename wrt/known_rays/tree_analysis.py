@@ -1,0 +1,246 @@
+"""What a tree is worth to given rays: expected by the boxes' areas, and counted by tracing; as tables, JSON and CSV."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrt.execution.executor import trace
+from wrt.execution.plan import CLOSEST, COUNT, make_plan
+from wrt.kernels.runtime.launch import use_threads
+from wrt.rays.rays import Rays, to_device
+
+if TYPE_CHECKING:
+    from wrt.builders.bvh.bvh_analysis import BoxMeasures
+    from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.scene.scene import Scene
+
+__all__ = ["CountedWork", "TreeAnalysis", "analyse"]
+
+BOX_COST = 1.0
+TRIANGLE_COST = 1.2
+"""Of one test, as published."""
+
+
+@dataclass(frozen=True)
+class CountedWork:
+    """What rays did, on average over those that meet the root's box.
+
+    Attributes:
+        rays: rays that meet the root's box.
+        share: of all rays.
+        boxes, triangles: tests a ray. A node of W children is W box tests.
+        cost: of these tests.
+    """
+
+    rays: int
+    share: float
+    boxes: float
+    triangles: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class TreeAnalysis:
+    """Measures of a scene's bounding volume hierarchy.
+
+    Attributes:
+        boxes: a row a box: place, level, hit probability, cost, overlap of its children
+            (`wrt.builders.bvh.bvh_analysis.BoxMeasures`).
+        expected_cost: of a ray that meets the root's box and passes through all that it meets.
+        expected_boxes, expected_triangles: tests of such a ray.
+        passing: work counted for the rays given, each followed through all that it meets; None without rays.
+        stopping: work counted for them, each followed to its closest hit.
+        hit_share: share of the rays given that hit a triangle; None without rays.
+        build_seconds: wall time of the build by phase.
+        bytes: memory of nodes and leaf lists.
+    """
+
+    boxes: BoxMeasures
+    expected_cost: float
+    expected_boxes: float
+    expected_triangles: float
+    passing: CountedWork | None
+    stopping: CountedWork | None
+    hit_share: float | None
+    build_seconds: dict[str, float]
+    bytes: int
+
+    @property
+    def error(self) -> float | None:
+        """|counted - expected| / expected cost of rays that pass through; None without rays."""
+        return None if self.passing is None else abs(self.passing.cost - self.expected_cost) / self.expected_cost
+
+    @cached_property
+    def levels(self) -> list[dict[str, Any]]:
+        """Figures by level: nodes, leaves, triangles, cost, and the overlap of siblings, None where none has an area."""
+        boxes, overlap = self.boxes, self.boxes.overlap_by_level()
+        rows = []
+        for level in range(int(boxes.level.max()) + 1):
+            here = boxes.level == level
+            rows.append(
+                {
+                    "level": level,
+                    "nodes": int((here & ~boxes.is_leaf).sum()),
+                    "leaves": int((here & boxes.is_leaf).sum()),
+                    "triangles": int(boxes.triangles[here].sum()),
+                    "expected boxes met": float(boxes.hit_probability[here].sum()),
+                    "expected cost": float(boxes.cost[here].sum()),
+                    "sibling overlap": None if np.isnan(overlap[level]) else float(overlap[level]),
+                }
+            )
+        return rows
+
+    def summary(self) -> dict[str, Any]:
+        """Figures of the whole tree, nested plain dicts and numbers."""
+        boxes = self.boxes
+        total = boxes.smaller_area.sum()
+        result: dict[str, Any] = {
+            "nodes": int((~boxes.is_leaf).sum()),
+            "leaves": int(boxes.is_leaf.sum()),
+            "triangles": int(boxes.triangles.sum()),
+            "bytes": self.bytes,
+            "build seconds": {**self.build_seconds, "total": sum(self.build_seconds.values())},
+            "sibling overlap": float(boxes.overlap_area.sum() / total) if total > 0.0 else None,
+            "expected": {
+                "boxes": self.expected_boxes,
+                "triangles": self.expected_triangles,
+                "cost": self.expected_cost,
+            },
+        }
+        for name, work in (("passing", self.passing), ("stopping", self.stopping)):
+            if work is not None:
+                result[name] = dict(vars(work))
+        if self.passing is not None:
+            result |= {"error": self.error, "hit share": self.hit_share}
+        return result
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row a box, of plain numbers; the overlap of children is None where no two have an area."""
+        boxes, overlap = self.boxes, self.boxes.overlap
+        return [
+            {
+                "box": i,
+                "parent": int(boxes.parent[i]),
+                "level": int(boxes.level[i]),
+                "leaf": bool(boxes.is_leaf[i]),
+                "triangles": int(boxes.triangles[i]),
+                **{f"low_{a}": float(boxes.low[i, k]) for k, a in enumerate("xyz")},
+                **{f"high_{a}": float(boxes.high[i, k]) for k, a in enumerate("xyz")},
+                "area": float(boxes.area[i]),
+                "hit_probability": float(boxes.hit_probability[i]),
+                "cost": float(boxes.cost[i]),
+                "overlap": None if np.isnan(overlap[i]) else float(overlap[i]),
+            }
+            for i in range(len(boxes.level))
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything, as JSON takes it: "tree" (`summary`), "levels", "boxes" (`rows`)."""
+        return {"tree": self.summary(), "levels": self.levels, "boxes": self.rows()}
+
+    def save_json(self, path: str | Path) -> None:
+        """Writes `to_dict` to a file at `path`."""
+        Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
+
+    def save_csv(self, path: str | Path) -> None:
+        """Writes `rows` to a file at `path`, a line a box under a line of names; what is None is empty."""
+        rows = self.rows()
+        with Path(path).open("w", newline="") as file:
+            writer = csv.DictWriter(file, rows[0])
+            writer.writeheader()
+            writer.writerows(rows)
+
+
+def analyse(
+    scene: Scene,
+    area: InfluenceArea | None = None,
+    rays: Rays | None = None,
+    *,
+    box_cost: float = BOX_COST,
+    triangle_cost: float = TRIANGLE_COST,
+) -> TreeAnalysis:
+    """Measures the bounding volume hierarchy of a scene.
+
+        area = wrt.PlaneInfluenceArea(...)
+        print(wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area)), area, rays).summary())
+
+    Args:
+        scene: a scene whose tree is a bounding volume hierarchy.
+        area: whose rays are expected: boxes are met in proportion to their projected areas. None: in proportion to their
+            surface areas.
+        rays: rays to count work for; None to trace none.
+        box_cost, triangle_cost: of testing a ray against a box, and against a triangle; finite and not negative.
+
+    Raises:
+        TypeError: an argument is of a wrong type.
+        ValueError: the scene has another tree, there is no ray in `rays`, or a cost is out of its range.
+    """
+    from wrt.builders.bvh.bvh_analysis import measure_boxes
+    from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.builders.tree import Bvh
+
+    if not isinstance(scene.tree, Bvh):
+        raise ValueError(f"scene has a {scene.accelerator.kind}; analyse measures wrt.Bvh and wrt.ProjectedBvh")
+    if area is not None and not isinstance(area, InfluenceArea):
+        kind = type(area).__name__
+        raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
+    if rays is not None and not isinstance(rays, Rays):
+        raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
+    if rays is not None and not len(rays):
+        raise ValueError("rays holds none, whose work has no average; leave it out to trace none")
+    for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
+        if not 0.0 <= cost < float("inf"):
+            raise ValueError(f"{name} is {cost}; it must be finite and not negative")
+    boxes = measure_boxes(scene.tree, area, scene.center, box_cost, triangle_cost)
+    passing = stopping = hit_share = None
+    if rays is not None:
+        meets = _meets_root(scene, rays)
+        passing, _ = _count(scene, rays, COUNT, meets, (box_cost, triangle_cost))
+        stopping, hits = _count(scene, rays, CLOSEST, meets, (box_cost, triangle_cost))
+        hit_share = float((hits.primitive.numpy() >= 0).mean())
+    return TreeAnalysis(
+        boxes=boxes,
+        expected_cost=float(boxes.cost.sum()),
+        expected_boxes=float(scene.tree.width * boxes.hit_probability[~boxes.is_leaf].sum()),
+        expected_triangles=float((boxes.hit_probability * boxes.triangles).sum()),
+        passing=passing,
+        stopping=stopping,
+        hit_share=hit_share,
+        build_seconds=dict(scene.tree.stats.seconds),
+        bytes=scene.tree.bytes,
+    )
+
+
+def _count(scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]) -> tuple[CountedWork, HitBatch]:
+    """Work of the rays that meet the root's box, and the hits of all; the others' work is one look at the root."""
+    with use_threads(scene.num_threads):
+        buffers = to_device(rays, scene.device, scene.center)
+        hits, work = trace(scene, make_plan(scene, buffers, "single", "auto", query), buffers, query, counters=True)
+    counts = work.numpy()
+    boxes = scene.tree.width * float(counts["nodes"][meets].mean()) if meets.any() else 0.0
+    triangles = float(counts["triangles"][meets].mean()) if meets.any() else 0.0
+    cost = boxes * costs[0] + triangles * costs[1]
+    return CountedWork(int(meets.sum()), float(meets.mean()), boxes, triangles, cost), hits
+
+
+def _meets_root(scene: Scene, rays: Rays) -> np.ndarray:
+    """(rays,) whether each meets the box of all triangles between its ends, in float64."""
+    origins, directions, t_min, t_max = (
+        np.asarray(a.numpy() if hasattr(a, "numpy") else a, dtype=np.float64)
+        for a in (rays.origins, rays.directions, rays.t_min, rays.t_max)
+    )
+    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
+    origins, directions = (np.broadcast_to(a, (*shape, 3)) for a in (origins, directions))
+    t_min, t_max = (np.broadcast_to(a, shape).ravel() for a in (t_min, t_max))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (scene.bounds[:, None] - origins.reshape(-1, 3)) / directions.reshape(-1, 3)
+    entry, leave = np.fmin(*ends).max(axis=-1), np.fmax(*ends).min(axis=-1)
+    return np.maximum(entry, t_min) <= np.minimum(leave, t_max)

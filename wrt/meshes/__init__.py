@@ -1,0 +1,1 @@
+"""Triangle meshes, instances of them, and their placement relative to a scene's centre."""

@@ -1,0 +1,193 @@
+"""What a scene is made of: meshes as they were given, and all of them in one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.meshes.mesh import TriangleMesh
+
+MAX_EXTENT = 2.0**36
+"""Longest side of the box around a scene's triangles, 6.9e10 units of length.
+
+Triangle tests multiply three lengths in float32: an area by a distance, or two distances by an edge. Seen by rays from a
+distance D, sheared vertices are up to 2 D from the ray, so the three areas of the watertight test add up to no more than
+3 (2 (2 D)^2), and with the depths D of the vertices to 24 D^3, which float32 holds up to 2^128: D < 2^41. So there is room for
+rays that start 30 sides away, or whose directions are as long. What builders form, areas times costs times 2^31 triangles,
+stays below 2^110."""
+
+MAX_COORDINATE = 2.0**120
+"""Greatest coordinate of a triangle in any scene: positions of hits, and of instances, are finite in float32, and so are their
+sums and differences, with 2^8 to spare."""
+
+
+@dataclass(frozen=True)
+class PlacedMeshes:
+    """All meshes of a scene in one, relative to their centre.
+
+    Attributes:
+        first: (meshes + 1,) each mesh's first triangle, and their number.
+        center: (3,) float64.
+        vertices: (V,) vec3 on the CPU.
+        faces: (F,) vec3i on the CPU.
+        mesh: the same on the scene's device; its box is still to be filled in.
+    """
+
+    first: np.ndarray
+    center: np.ndarray
+    vertices: wp.array
+    faces: wp.array
+    mesh: SceneMesh
+
+    def fill_in(self, low: wp.vec3, high: wp.vec3) -> SceneMesh:
+        """The mesh with its box."""
+        self.mesh.low, self.mesh.high = wp.vec3(*low), wp.vec3(*high)
+        return self.mesh
+
+
+def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedMeshes:
+    """Joins meshes, moves them to their centre in float64, and takes them to a device in float32.
+
+    Raises:
+        ValueError: they are too large, or too far away (`find_center`).
+    """
+    center = find_center(meshes)
+    vertices, faces, first = join_meshes(meshes)
+    host_vertices = wp.array(relative_to(center, vertices), dtype=wp.vec3, device="cpu", copy=False)
+    host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
+    mesh = SceneMesh()
+    mesh.vertices, mesh.faces = host_vertices.to(device), host_faces.to(device)
+    mesh.center = wp.vec3d(*map(float, center))
+    mesh.geometry_first = wp.array(first, dtype=int, device=device)
+    return PlacedMeshes(first, center, host_vertices, host_faces, mesh)
+
+
+def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
+    """(3,) float64: the middle of the box around all triangles, which positions are relative to.
+
+    Vertices that no triangle uses do not count: one at the origin, far from all triangles, once took the digits of the others.
+
+    Raises:
+        ValueError: the box has a side longer than MAX_EXTENT, or a coordinate is beyond MAX_COORDINATE.
+    """
+    bounds = np.array([mesh.bounds for mesh in meshes])
+    low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+    if max(-low.min(), high.max()) > MAX_COORDINATE:
+        raise ValueError(f"{_outlier(meshes, np.zeros(3))} is beyond {MAX_COORDINATE:.3g}, {_REMEDY}")
+    if (high - low).max() > MAX_EXTENT:
+        raise ValueError(
+            f"the geometry is {(high - low).max():.3g} across, more than the {MAX_EXTENT:.3g} within which float32 can hold "
+            f"areas and distances: {_outlier(meshes)} is the farthest from the others, {_REMEDY}"
+        )
+    return 0.5 * low + 0.5 * high
+
+
+_REMEDY = "a coordinate that is probably an error; repair or remove it, or scale the geometry down"
+
+
+def _outlier(meshes: Sequence[TriangleMesh], middle: np.ndarray | None = None) -> str:
+    """The vertex of a triangle that is farthest from a point, in words; None: from the median of all of them."""
+    used = [np.flatnonzero(mesh.referenced) for mesh in meshes]
+    points = [mesh.vertices[own].astype(np.float64) for mesh, own in zip(meshes, used, strict=True)]
+    if middle is None:
+        middle = np.median(np.concatenate(points), axis=0)
+    far = [np.abs(own * 0.5 - middle * 0.5).max(axis=1) for own in points]  # halves: a difference may overflow
+    number = int(np.argmax([own.max() for own in far]))
+    vertex = int(used[number][far[number].argmax()])
+    mesh = meshes[number]
+    label = f" ({mesh.name!r})" if mesh.name else ""
+    return f"vertex {vertex} of mesh {number}{label}, {mesh.vertices[vertex].tolist()},"
+
+
+def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(V, 3) float32: vertices relative to a point. Those that no triangle uses may come to be infinite."""
+    with np.errstate(over="ignore"):
+        return (vertices - center).astype(np.float32)
+
+
+def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
+    """The members of a sequence and of sequences in it, or the one thing that there is.
+
+    Args:
+        geometry: that thing.
+        above: identities of the sequences that it is a member of.
+
+    Raises:
+        ValueError: a sequence contains itself.
+    """
+    if not isinstance(geometry, Sequence) or isinstance(geometry, (str, bytes)):
+        return [geometry]
+    if id(geometry) in above:
+        raise ValueError("geometry is a sequence that contains itself; pass the meshes themselves")
+    above = (*above, id(geometry))
+    return [member for item in geometry for member in members_of(item, above)]
+
+
+def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
+    """The meshes of what a scene was given, in order.
+
+    Raises:
+        TypeError: something that is no mesh.
+        ValueError: an empty sequence, or one that contains itself.
+    """
+    if isinstance(geometry, TriangleMesh):
+        return (geometry,)
+    if isinstance(geometry, Sequence) and not isinstance(geometry, (str, bytes)):
+        if not (members := members_of(geometry)):
+            raise ValueError("geometry is an empty sequence; pass at least one mesh")
+        return tuple(mesh for member in members for mesh in as_meshes(member))
+    if hasattr(geometry, "to_geometry") or hasattr(geometry, "faces"):
+        return (TriangleMesh.from_trimesh(geometry),)
+    raise TypeError(
+        f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
+        "make a mesh of a file with wrt.TriangleMesh.load(path)"
+    )
+
+
+def check_index(index: Any, count: int, what: str) -> int:
+    """An index of a mesh or instance, 0 to count - 1.
+
+    Raises:
+        TypeError: not an int.
+        ValueError: there is none of that index.
+    """
+    if isinstance(index, (bool, np.bool_)) or not isinstance(index, (int, np.integer)):
+        raise TypeError(f"index must be an int, not {type(index).__name__}")
+    if not 0 <= index < count:
+        raise ValueError(f"index is {index}, but the scene's {what} indices go from 0 to {count - 1}")
+    return int(index)
+
+
+def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
+    """The mesh with its vertices elsewhere; its faces are shared.
+
+    Raises:
+        TypeError: vertices are missing, or no real numbers.
+        ValueError: another number of vertices, NaN or infinite ones.
+    """
+    if vertices is None:
+        raise TypeError("vertices is missing; pass an array of as many points as the mesh has vertices")
+    points = np.asarray(vertices)
+    if points.ndim and len(points) != mesh.vertex_count:
+        raise ValueError(
+            f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"
+        )
+    moved = TriangleMesh(points, mesh.faces, name=mesh.name)
+    moved.__dict__["referenced"] = mesh.referenced  # the same triangles use the same vertices: not to be found again
+    return moved
+
+
+def join_meshes(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices, faces and each mesh's first triangle, of all meshes in one."""
+    counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
+    if len(meshes) == 1:
+        return meshes[0].vertices, meshes[0].faces, counts
+    offsets = np.cumsum([0] + [mesh.vertex_count for mesh in meshes])
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)])
+    return vertices, faces.astype(np.int32), counts

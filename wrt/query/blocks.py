@@ -1,0 +1,358 @@
+"""Batches of any size: rays from large arrays, memory-mapped files or iterators, and answers block by block.
+
+A block is a range of rows: of the first axis of the rays' leading shape. Only its rows are read, and what is held for it at a
+time, rays, work space and answer, keeps within a bound. A ray's answer depends on no other ray, so where the cuts lie does not
+show in it. Ctrl-C waits for the block under way: what was written is a whole number of blocks, and a second one does not wait.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.plan import AUTO, Plan
+from wrt.rays.rays import Rays, leading_shape
+
+BYTES_PER_RAY = 320
+"""What a ray takes at most: 32 bytes on the device and 46 while rays are sorted, 16 as a hit and 93 with all that is computed
+from it, and these 109 once more, because the caller still holds the block before. The rays as they are given do not count."""
+
+MAX_RAYS = 1 << 30
+"""Rays of a block at most: kernels count them in 32 bits."""
+
+UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 1 << 10, "MIB": 1 << 20, "GIB": 1 << 30}
+"""Of memory."""
+
+MEMORY = "256 MB"
+
+ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")
+"""Of hits, what can be written to arrays."""
+
+
+class Block(NamedTuple):
+    """Some of the rows of a large batch, and the answer for them.
+
+    Attributes:
+        rows: which rows of the whole batch; always with a start and a stop.
+        answer: what the query gives for these rows: a `wrt.Hits`, or an array.
+    """
+
+    rows: slice
+    answer: Any
+
+
+class Blocks:
+    """The answer to a large batch, computed block by block as it is iterated over, or written to arrays.
+
+        for rows, hits in scene.intersect_blocks(origins, directions):
+            nearest[rows] = hits.t
+
+    Attributes:
+        shape: leading shape of the batch; None if the rays come from an iterator.
+        done: rows answered by the latest iteration or `write`: after a Ctrl-C, where to go on.
+    """
+
+    def __init__(self, query: Callable[[Rays], Any], source: Rays | Iterable[Any], memory: int | str, progress: bool) -> None:
+        self.done = 0
+        self._query, self._source, self._progress = query, source, progress
+        self._bytes = parse_memory(memory)
+        self.shape: tuple[int, ...] | None = None
+        if isinstance(source, Rays):
+            self.shape = _rows_shape(source, "the rays")
+
+    def __repr__(self) -> str:
+        return f"Blocks(shape={self.shape}, memory={self._bytes} bytes)"
+
+    def __len__(self) -> int:
+        """Number of blocks.
+
+        Raises:
+            TypeError: the rays come from an iterator.
+        """
+        if self.shape is None:
+            raise TypeError("the rays come from an iterator: how many blocks they make is known at its end")
+        return len(self._ranges(self.shape))
+
+    def __iter__(self) -> Iterator[Block]:
+        return self._blocks(None)
+
+    def write(self, out: Any) -> int:
+        """Computes all blocks and writes each to its rows of `out`.
+
+            t = np.lib.format.open_memmap("t.npy", "w+", np.float32, shape=(len(origins),))
+            scene.intersect_blocks(origins, directions).write({"t": t})
+            scene.occluded_blocks(origins, directions).write(dark)
+
+        Args:
+            out: for closest hits a dict from attributes of `wrt.Hits` ("t", "primitive_id", "geometry_id", "uv", "is_hit",
+                "position", "normal") to arrays, else an array: np.ndarray, np.memmap, or anything with a shape, a dtype and
+                assignment to slices, in the shape of the whole answer; of rays from an iterator, at least as long.
+
+        Returns:
+            The number of rows written.
+
+        Raises:
+            ValueError: an unknown attribute, or an array of another shape or of a type that does not hold the answer.
+        """
+        if isinstance(self._source, Rays):
+            check_out(out, self._query(rows_of(self._source, len(self.shape), 0, 0)), self.shape[0], exact=True)
+        for _ in self._blocks(out):
+            pass
+        return self.done
+
+    def _blocks(self, out: Any) -> Iterator[Block]:
+        self.done = 0
+        with progress_bar(self._progress, None if self.shape is None else math.prod(self.shape)) as advance:
+            for rows, rays in self._pieces():
+                with finished_before_interrupt():
+                    answer = self._query(rays)
+                    if out is not None:
+                        if self.shape is None:
+                            check_out(out, answer, rows.stop, exact=False)
+                        store(out, rows, answer)
+                    self.done = rows.stop
+                advance(len(rays))
+                yield Block(rows, answer)
+                del answer  # before the next one is computed
+
+    def _pieces(self) -> Iterator[tuple[slice, Rays]]:
+        """Rays block by block, and which rows of the batch they are."""
+        first = 0
+        for rays in [self._source] if isinstance(self._source, Rays) else self._source:
+            shape = _rows_shape(rays, "an item of the iterator")
+            ranges = self._ranges(shape)
+            for begin in ranges:
+                end = min(begin + ranges.step, shape[0])
+                yield slice(first + begin, first + end), rows_of(rays, len(shape), begin, end)
+            first += shape[0]
+
+    def _ranges(self, shape: tuple[int, ...]) -> range:
+        """First row of each block of a batch; its step is the number of rows a block."""
+        a_row = max(math.prod(shape[1:]), 1)
+        rows = min(self._bytes // BYTES_PER_RAY, MAX_RAYS) // a_row
+        return range(0, shape[0], max(rows, 1))
+
+
+class BlockQueries:
+    """Queries of a `wrt.Scene` for more rays than memory holds."""
+
+    def intersect_blocks(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        memory: int | str = MEMORY,
+        progress: bool = False,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+        precise: bool = False,
+    ) -> Blocks:
+        """Closest hits of any number of rays, block by block: pairs (rows, hits) to iterate over, or to `write` to arrays.
+
+            for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
+                nearest[rows] = hits.t
+
+        The hits are those of `intersect`, whatever the size of the blocks.
+
+        Args:
+            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis; arrays may be anything with a
+                shape that gives arrays when sliced, such as a np.memmap. Only the rows of a block are read and, where needed,
+                converted at a time. Or `origins` is an iterable of pairs (origins, directions), or of `wrt.Rays`, and
+                `directions` is left out: its items are answered one after the other, and those too large for a block in parts.
+            memory: bound on what is held for a block, in bytes or as in "1.5 GB" or "512 MiB", some 320 bytes a ray. A block
+                has at least one row.
+            progress: whether to show a bar on the standard error stream.
+            traversal, triangle_test, precise: as in `intersect`.
+
+        Raises:
+            TypeError: an argument is of a wrong type.
+            ValueError: as `intersect`, or rays without a leading axis, or a bound that is no amount of memory. What depends on
+                values and types of arrays is checked block by block.
+        """
+        asked = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+
+    def occluded_blocks(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        memory: int | str = MEMORY,
+        progress: bool = False,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Blocks:
+        """Whether anything is hit, block by block: (rows, bool array), or to `write`; arguments as in `intersect_blocks`."""
+        asked = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+
+    def count_blocks(
+        self,
+        origins: Any,
+        directions: Any = None,
+        t_min: Any = 0.0,
+        t_max: Any = float("inf"),
+        *,
+        memory: int | str = MEMORY,
+        progress: bool = False,
+        traversal: str | Plan = AUTO,
+        triangle_test: str = AUTO,
+    ) -> Blocks:
+        """Numbers of hits, block by block: (rows, int32 array), or to `write`; arguments as in `intersect_blocks`."""
+        asked = partial(self.count, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+
+
+def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
+    """Rays whose arrays can be sliced, or an iterator of them."""
+    if isinstance(origins, Rays):
+        if directions is not None:
+            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
+        return Rays(*(_sliceable(a) for a in (origins.origins, origins.directions, origins.t_min, origins.t_max)))
+    if directions is not None:
+        return Rays(*(_sliceable(a) for a in (origins, directions, t_min, t_max)))
+    if hasattr(origins, "shape") or not isinstance(origins, Iterable):
+        raise TypeError("directions is missing; pass origins and directions, a wrt.Rays, or an iterator of pairs of them")
+    if np.ndim(t_min) or np.ndim(t_max):
+        raise ValueError("t_min and t_max must be numbers if the rays come from an iterator; let it give wrt.Rays instead")
+    return _items(origins, t_min, t_max)
+
+
+def _items(source: Iterable[Any], t_min: float, t_max: float) -> Iterator[Rays]:
+    for number, item in enumerate(source):
+        if isinstance(item, Rays):
+            yield as_source(item, None, 0.0, 0.0)
+        elif isinstance(item, (tuple, list)) and len(item) == 2:
+            yield as_source(*item, t_min, t_max)
+        else:
+            raise TypeError(f"item {number} of the iterator must be (origins, directions) or a wrt.Rays, not {item!r:.60}")
+
+
+def rows_of(rays: Rays, axes: int, begin: int, end: int) -> Rays:
+    """Rows begin .. end - 1 of rays with so many leading axes; what is shared among rows stays as it is."""
+
+    def cut(values: Any, shape: tuple[int, ...]) -> Any:
+        return values[begin:end] if len(shape) == axes and shape[0] != 1 else values
+
+    vectors = (cut(a, leading_shape(a)) for a in (rays.origins, rays.directions))
+    return Rays(*vectors, *(cut(a, np.shape(a)) for a in (rays.t_min, rays.t_max)))
+
+
+def store(out: Any, rows: slice, answer: Any) -> None:
+    """Writes a block's answer to its rows."""
+    for _, array, values in _outputs(out, answer):
+        array[rows] = values.numpy() if isinstance(values, wp.array) else values
+
+
+def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
+    """Refuses arrays that do not hold so many rows of answers like this one.
+
+    Raises:
+        ValueError: as `Blocks.write`.
+    """
+    for name, array, values in _outputs(out, answer):
+        values = values.numpy() if isinstance(values, wp.array) else values
+        wanted, shape = (length, *values.shape[1:]), tuple(np.shape(array))
+        if shape[1:] != wanted[1:] or shape[:1] < wanted[:1] or (exact and shape != wanted):
+            raise ValueError(f"{name} has shape {shape}; it must {'be' if exact else 'hold at least'} {wanted}")
+        casting = "same_kind" if values.dtype.kind == "f" else "safe"
+        if not np.can_cast(values.dtype, array.dtype, casting):
+            raise ValueError(f"{name} holds {array.dtype}, which does not hold the answer; make it {values.dtype}")
+
+
+def _outputs(out: Any, answer: Any) -> list[tuple[str, Any, Any]]:
+    """(name, array to write to, values) for everything to be written."""
+    if isinstance(answer, (np.ndarray, wp.array)):
+        return [("out", out, answer)]
+    if not isinstance(out, Mapping):
+        kind = type(out).__name__
+        raise ValueError(f"out must be a dict from attributes of wrt.Hits to arrays, such as {{'t': array}}, not {kind}")
+    for name in out:
+        if name not in ATTRIBUTES:
+            raise ValueError(f"out has the key {name!r}; choose from {', '.join(ATTRIBUTES)}")
+    return [(f"out[{name!r}]", array, getattr(answer, name)) for name, array in out.items()]
+
+
+def parse_memory(memory: int | str) -> int:
+    """An amount of memory in bytes, of a number or of a text such as "256 MB" or "1.5 GiB".
+
+    Raises:
+        TypeError: neither an int nor a str.
+        ValueError: not positive, or not to be understood.
+    """
+    if isinstance(memory, bool) or not isinstance(memory, (int, str)):
+        raise TypeError(f"memory must be an int, in bytes, or a text such as '256 MB', not {type(memory).__name__}")
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([KMG]?I?B|)\s*", str(memory).upper())
+    if match is None or match[2] not in UNITS or not float(match[1]) > 0:
+        raise ValueError(f"memory is {memory!r}; give a number of bytes from 1 up, or a text such as '256 MB' or '1.5 GiB'")
+    return max(1, int(float(match[1]) * UNITS[match[2]]))
+
+
+@contextmanager
+def finished_before_interrupt() -> Iterator[None]:
+    """Puts off a Ctrl-C until the end of the `with` block; a second one is not put off. In the main thread only."""
+    python_s = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not python_s or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked = False
+
+    def note(number: int, frame: Any) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if asked:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def progress_bar(shown: bool, total: int | None) -> Iterator[Callable[[int], None]]:
+    """A bar on the standard error stream, if it is to be shown; called with the number of rays that each block adds."""
+    if not shown:
+        yield lambda rays: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(), TextColumn("{task.completed:,} rays"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task, start, done = bar.add_task("", total=total), perf_counter(), 0
+
+        def advance(rays: int) -> None:
+            nonlocal done
+            done += rays
+            bar.update(task, completed=done, description=f"{done / (perf_counter() - start) / 1e6:.1f} million a second")
+
+        yield advance
+
+
+def _sliceable(values: Any) -> Any:
+    return values if hasattr(values, "shape") or np.isscalar(values) else np.asarray(values)
+
+
+def _rows_shape(rays: Rays, what: str) -> tuple[int, ...]:
+    shape = rays.shape
+    if not shape:
+        raise ValueError(f"{what} must have a leading axis to cut into blocks: pass origins or directions of shape (N, 3)")
+    return shape

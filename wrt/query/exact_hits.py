@@ -1,0 +1,107 @@
+"""Closest hits in float64: rays and vertices on the device as they were given, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.executor import new_hits
+from wrt.execution.plan import DEFAULT_TEST, EXACT, make_plan, traversal_config
+from wrt.kernels.runtime.launch import launch, specialise
+from wrt.memory import empty
+from wrt.query.hits import Hits
+from wrt.rays.rays import as_vectors, spread
+
+if TYPE_CHECKING:
+    from wrt.execution.plan import Plan
+    from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
+    from wrt.rays.rays import RayBuffers, Rays
+    from wrt.scene.scene import Scene
+
+
+class PreciseHits(Hits):
+    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the rays are."""
+
+    def __init__(self, hits: ExactHits, mesh: ExactMesh, rays: RayBuffers, scene: Scene, plan: Plan) -> None:
+        super().__init__(hits.rounded, rays, scene, plan)
+        self._exact, self._exact_mesh = hits, mesh
+
+    @cached_property
+    def t(self) -> Any:
+        return self._out(self._exact.t)
+
+    @cached_property
+    def uv(self) -> Any:
+        return self._out(self._exact.uv)
+
+    @cached_property
+    def position(self) -> Any:
+        from wrt.kernels.query.exact_closest import exact_positions
+
+        out = self._empty(wp.vec3d)
+        self._launch(exact_positions, self._exact_mesh, self.batch.primitive, self._exact.uv, out)
+        return self._out(out)
+
+    @cached_property
+    def normal(self) -> Any:
+        from wrt.kernels.query.exact_closest import exact_normals
+
+        out = self._empty(wp.vec3d)
+        self._launch(exact_normals, self._exact_mesh, self.batch.primitive, out)
+        return self._out(out)
+
+
+def find_precisely(scene: Scene, rays: Rays, buffers: RayBuffers) -> PreciseHits:
+    """Closest hits in float64; `buffers` are the same rays, for their shape. See `Queries.intersect`."""
+    from wrt.kernels.query.exact_closest import ExactHits, make_kernel
+
+    plan = replace(make_plan(scene, buffers, "single", DEFAULT_TEST), reason="in float64")
+    hits, mesh = ExactHits(), exact_mesh(scene)
+    hits.rounded = new_hits(buffers.count, EXACT, scene.device)
+    hits.t = empty(buffers.count, wp.float64, scene.device)
+    hits.uv = empty(buffers.count, wp.vec2d, scene.device)
+    center = wp.vec3d(*map(float, scene.center))
+    scene.complete()
+    inputs = [scene.tree.struct(), scene.triangles(plan, None), mesh, center, exact_rays(rays, buffers, scene.device), hits]
+    kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
+    launch(kernel, buffers.count, inputs, device=scene.device)
+    return PreciseHits(hits, mesh, buffers, scene, plan)
+
+
+def exact_mesh(scene: Scene) -> ExactMesh:
+    """The scene's triangles in float64 on its device."""
+    from wrt.kernels.query.exact_closest import ExactMesh
+
+    mesh = ExactMesh()
+    mesh.vertices, mesh.faces = scene.exact_vertices, scene.device_mesh.faces
+    return mesh
+
+
+def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
+    """Rays in float64 on the device; they have been checked on their way to `buffers`."""
+    from wrt.kernels.query.exact_closest import ExactRays
+
+    exact = ExactRays()
+    exact.origins, exact.origin_stride = _exact_array(as_vectors(rays.origins, "origins", device), buffers, (3,), device)
+    directions = as_vectors(rays.directions, "directions", device)
+    exact.directions, exact.direction_stride = _exact_array(directions, buffers, (3,), device)
+    exact.t_min, exact.t_min_stride = _exact_array(rays.t_min, buffers, (), device)
+    exact.t_max, exact.t_max_stride = _exact_array(rays.t_max, buffers, (), device)
+    return exact
+
+
+def _exact_array(values: Any, buffers: RayBuffers, trailing: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+    """(float64 array of N elements, 1), or (array of one element, 0) if all rays share it."""
+    dtype = wp.vec3d if trailing else wp.float64
+    if isinstance(values, wp.array):
+        flat = values.flatten()
+        if flat.dtype is not dtype:
+            flat, source = wp.empty(flat.shape, dtype=dtype, device=device), flat
+            wp.utils.array_cast(source, flat)
+        return flat, 0 if flat.size == 1 else 1
+    flat, stride = spread(np.asarray(values, dtype=np.float64), buffers.shape, trailing)
+    return wp.array(flat, dtype=dtype, device=device, copy=False), stride

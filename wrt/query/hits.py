@@ -1,0 +1,236 @@
+"""Closest hits: what was stored by the traversal, and what follows from it when asked for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.memory import empty
+
+if TYPE_CHECKING:
+    from wrt.execution.plan import Plan
+    from wrt.execution.recorded import HitBlock
+    from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.rays.rays import RayBuffers
+    from wrt.scene.scene import Scene
+
+
+def shaped(values: wp.array, rays: RayBuffers) -> Any:
+    """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
+    if rays.is_warp:
+        return values if values.shape == rays.shape else values.reshape(rays.shape or (1,))
+    array = values.numpy()
+    return array.reshape(rays.shape + array.shape[1:])
+
+
+class Hits:
+    """Closest hits of a batch of rays, in its leading shape (...).
+
+    NumPy arrays if the rays were, Warp arrays on the scene's device if the rays were. `t`, `primitive_id` and `uv` are
+    there from the start, everything else is computed when it is first asked for.
+
+    Attributes:
+        t: (...) float32, in units of the direction's length; inf for a miss.
+        primitive_id: (...) int32, index of the triangle within its geometry; -1 for a miss.
+        geometry_id: (...) int32, index of the mesh within the scene; -1 for a miss.
+        instance_id: (...) int32, index of the instance; of the mesh, in a scene without instances; -1 for a miss.
+        uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
+        is_hit: (...) bool.
+        position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
+        normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
+            0 for a miss and for a triangle without area.
+        plan: how the query was answered (`wrt.execution.plan.Plan`).
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work done for each ray, if it was asked for
+            (`wrt.kernels.traversal.leaf.Counters` explains each); for a packet or a stream, the work done for all of it, at
+            its first ray. Streams count the lanes of their vectors, and those in use
+            (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).
+    """
+
+    def __init__(
+        self,
+        batch: HitBatch | HitBlock,
+        rays: RayBuffers,
+        scene: Scene,
+        plan: Plan,
+        counters: wp.array | None = None,
+    ) -> None:
+        self.batch = batch
+        """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
+        self.plan = plan
+        self._mesh = scene.device_mesh
+        self._scenes = {scene.mark}
+        self._counters = counters
+        self._rays = rays
+        self._num_threads = scene.num_threads
+
+    def __repr__(self) -> str:
+        return f"Hits(shape={self.shape})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the numbers and not the triangles (`wrt.query.pickled_hits`)."""
+        from wrt.query.pickled_hits import PickledHits, keep
+
+        return PickledHits, (keep(self),)
+
+    def __copy__(self) -> Hits:
+        """Hits of the same arrays, with the triangles."""
+        other = object.__new__(type(self))
+        other.__dict__ |= self.__dict__
+        return other
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The leading shape."""
+        return self._rays.shape
+
+    def is_of(self, scene: Scene) -> bool:
+        """Whether these are hits of a scene, also before it was updated, or of another one of the same triangles."""
+        if scene.mark not in self._scenes and self.same_geometry(scene):
+            self._scenes.add(scene.mark)
+        return scene.mark in self._scenes
+
+    def same_geometry(self, scene: Scene) -> bool:
+        """Whether a scene has the same triangles in the same places; instances count as others."""
+        ours, theirs = self._mesh, scene.device_mesh
+        if ours is theirs:
+            return True
+        if any(mesh.vertices is None or mesh.vertices.device != self._device for mesh in (ours, theirs)):
+            return False
+        if tuple(ours.center) != tuple(theirs.center):
+            return False
+        pairs = ((getattr(ours, name), getattr(theirs, name)) for name in ("geometry_first", "faces", "vertices"))
+        return all(one.shape == other.shape and np.array_equal(one.numpy(), other.numpy()) for one, other in pairs)
+
+    @cached_property
+    def t(self) -> Any:
+        return self._out(self.batch.t)
+
+    @cached_property
+    def uv(self) -> Any:
+        return self._out(self.batch.uv)
+
+    @cached_property
+    def primitive_id(self) -> Any:
+        alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
+        return self._out(self.batch.primitive if alone else self._located[2])
+
+    @cached_property
+    def geometry_id(self) -> Any:
+        return self._out(self._located[1])
+
+    @cached_property
+    def instance_id(self) -> Any:
+        return self._out(self._located[0])
+
+    @cached_property
+    def is_hit(self) -> Any:
+        from wrt.kernels.query.hit_attributes import mark_hits
+
+        out = self._empty(wp.bool)
+        self._launch(mark_hits, self.batch.primitive, out)
+        return self._out(out)
+
+    @cached_property
+    def position(self) -> Any:
+        from wrt.kernels.query.hit_attributes import hit_positions
+
+        out = self._empty(wp.vec3d)
+        self._launch(hit_positions, self._mesh, self.batch.primitive, self.batch.uv, out)
+        return self._as_dtype(out)
+
+    @cached_property
+    def normal(self) -> Any:
+        from wrt.kernels.query.hit_attributes import hit_normals
+
+        out = self._empty(wp.vec3)
+        self._launch(hit_normals, self._mesh, self.batch.primitive, out)
+        return self._as_dtype(out)
+
+    def spawn(self, directions: Any) -> Any:
+        """Origins of rays that leave the hits: near them, off the surface to the side that the direction points to.
+
+        The distance is bound by rounding (`wrt.kernels.query.spawn`): some 5e-7 of the point's reach in the scene, more on
+        slivers. A ray from there meets its own triangle no more, at whatever angle, if that is not a needle of a length of a
+        thousand heights; in the corner of two walls it starts on this side of both. A direction in the triangle's plane goes
+        with the front.
+
+            d = ...  # (N, 3), or (samples, N, 3)
+            dark = scene.occluded(hits.spawn(d), d)
+
+        Args:
+            directions: (..., 3), of any length; their leading shape broadcasts against that of the hits, or ends with it.
+
+        Returns:
+            (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. NumPy if hits and directions
+            are, else Warp. Rounded to float32, far from the scene's centre, they would not keep their distance.
+
+        Raises:
+            TypeError: directions are no array of real numbers.
+            ValueError: wrong shapes, an array on another device.
+        """
+        from wrt.kernels.query.spawn import spawn_origins
+        from wrt.rays.rays import Rays, to_device
+
+        if isinstance(directions, wp.array):
+            rays = to_device(Rays(np.zeros(3, dtype=np.float32), directions), self._device, np.zeros(3))
+            shape = rays.shape if rays.batch.direction_stride else self.shape
+        else:
+            origins = np.broadcast_to(np.float32(0.0), (*self.shape, 3))
+            rays = to_device(Rays(origins, directions), self._device, np.zeros(3))
+            shape = rays.shape
+        if shape[len(shape) - len(self.shape) :] != self.shape:
+            raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
+        count = int(np.prod(shape))
+        out = empty(count, wp.vec3d, self._device)
+        inputs = [self._mesh, self.batch.primitive, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
+        with use_threads(self._num_threads):
+            launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
+        return shaped(out, replace(rays, shape=shape, is_warp=rays.is_warp or self._rays.is_warp))
+
+    @property
+    def has_counters(self) -> bool:
+        """Whether work was counted."""
+        return "counters" in self.__dict__ or getattr(self, "_counters", None) is not None
+
+    @cached_property
+    def counters(self) -> dict[str, Any]:
+        if self._counters is None:
+            raise ValueError("no work was counted; call scene.intersect(..., counters=True)")
+        work = self._counters.numpy()
+        return {name: np.ascontiguousarray(work[name]).reshape(self.shape) for name in work.dtype.names}
+
+    @cached_property
+    def _located(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Instance, geometry and triangle within it."""
+        from wrt.kernels.query.hit_attributes import locate_geometry
+
+        found = tuple(self._empty(wp.int32) for _ in range(3))
+        self._launch(locate_geometry, self._mesh, self.batch.primitive, *found)
+        return found
+
+    @property
+    def _device(self) -> wp.Device:
+        return self.batch.t.device
+
+    def _empty(self, dtype: type) -> wp.array:
+        return empty(len(self.batch.t), dtype, self._device)
+
+    def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        with use_threads(self._num_threads):
+            launch(kernel, len(self.batch.t), inputs, device=self._device, chunk=4096)
+
+    def _out(self, values: wp.array) -> Any:
+        return shaped(values, self._rays)
+
+    def _as_dtype(self, values: wp.array) -> Any:
+        wanted = wp.vec3d if self._rays.dtype is np.float64 else wp.vec3f
+        if values.dtype is not wanted:
+            converted = self._empty(wanted)
+            wp.utils.array_cast(values, converted)
+            values = converted
+        return self._out(values)

@@ -1,0 +1,53 @@
+"""The next frame's tree is built while rays meet this one's.
+
+Yang et al. (2008) dedicate some threads to building and let the others trace the previous tree until the new one is finished,
+and hand it over between two frames. Here the new scene is made from a copy, in a thread of its own; what the copy has become is
+taken over in one step, by the thread that traces.
+
+References:
+    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
+        Conference on Computer Science and Software Engineering 2008 (as the survey tells it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from copy import copy
+from threading import Thread
+from typing import TYPE_CHECKING, Any
+
+from wrt.kernels.runtime.launch import check_num_threads, get_num_threads
+
+if TYPE_CHECKING:
+    from wrt.scene.scene import Scene
+
+
+@contextmanager
+def updating(scene: Scene, threads: int, args: tuple[Any, ...], options: dict[str, Any]) -> Iterator[None]:
+    """See `Scene.updating`."""
+    own = scene.num_threads
+    total = get_num_threads() if own is None else own
+    building = min(check_num_threads(threads, "threads"), max(total - 1, 1))
+    following = copy(scene)
+    following.num_threads = building
+    problems: list[BaseException] = []
+
+    def build() -> None:
+        try:
+            following.update(*args, **options)
+        except BaseException as problem:
+            problems.append(problem)
+
+    builder = Thread(target=build, name="wrt-update")
+    builder.start()
+    scene.num_threads = max(total - building, 1)
+    try:
+        yield
+    finally:
+        builder.join()
+        scene.num_threads = own
+    if problems:
+        raise problems[0]
+    following.num_threads = own
+    scene.__dict__ = following.__dict__

@@ -1,0 +1,307 @@
+"""Animations that are known in advance: a tree of fuzzy boxes for all frames
+(`wrt.kernels.traversal.two_level.fuzzy_boxes`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.accelerators.accelerator import Bvh
+from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.simd.lanes import native_width
+from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes, relative_to
+from wrt.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from wrt.builders import tree as common
+    from wrt.builders.motion_clusters import Decomposition
+    from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
+    from wrt.scene.scene_statistics import SceneStatistics
+
+ENOUGH = 1e-3
+"""Share of the animation's extent: no more clusters once no triangle needs larger boxes for what is left of its motion."""
+
+
+class FuzzyScene(Scene):
+    """A mesh whose motion is known: one tree, built once, for all frames.
+
+        scene = wrt.FuzzyScene(frames, faces)
+        for number in range(len(frames)):
+            scene.show(number)
+            image = wrt.render(scene, camera)
+
+    Triangles that move nearly as one are put into a cluster; its tree is over boxes that hold its triangles in all frames, in a
+    space that moves along. To show a frame takes a map for each cluster and the triangles' records, no build. Hits are those of
+    a `wrt.Scene` of the frame's triangles, to the bit. Rays go one by one. (Guenther et al. 2006.)
+
+    Args:
+        frames: (F, V, 3) vertices in each frame.
+        faces: (T, 3) vertex indices, the same in all frames.
+        clusters: how many to look for, at most.
+        transforms: (F, B, 4, 4) affine maps that move parts of the mesh, such as the bones of a skinned mesh from their rest
+            pose to each frame; then these are the clusters, nothing is looked for, and a triangle goes with the bone in whose
+            space it moves least.
+        rest: the frame from which motion is measured, for `clusters`.
+        accelerator: a `wrt.Bvh`: how the trees of clusters are built.
+        device, num_threads: as in `wrt.Scene`.
+
+    Attributes:
+        frame: int, the one that is shown; 0 at first.
+        labels: (T,) int, the cluster of each triangle.
+
+    Raises:
+        TypeError, ValueError: bad frames, faces, numbers or maps.
+    """
+
+    only_single = True
+
+    def __init__(
+        self,
+        frames: Any,
+        faces: Any,
+        *,
+        clusters: int = 16,
+        transforms: Any = None,
+        rest: int = 0,
+        accelerator: Bvh | None = None,
+        device: str | wp.Device | None = None,
+        num_threads: int | None = None,
+    ) -> None:
+        self._clusters, self._transforms, self._rest = clusters, transforms, rest
+        super().__init__((frames, faces), accelerator or Bvh(), device=device, num_threads=num_threads)
+
+    def _make(self, geometry: Any, cache: Any) -> None:
+        from wrt.builders.motion_clusters import assigned, decompose
+
+        if not isinstance(self.accelerator, Bvh):
+            raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: fuzzy boxes overlap")
+        self._meshes = as_frames(*geometry)
+        self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
+        frames = np.array([mesh.vertices for mesh in self._meshes], dtype=np.float64)
+        faces = self._meshes[0].faces
+        if self._transforms is None:
+            if not (isinstance(self._clusters, (int, np.integer)) and self._clusters >= 1):
+                raise ValueError(f"clusters is {self._clusters!r}; it must be a whole number of at least 1")
+            if not (isinstance(self._rest, (int, np.integer)) and 0 <= self._rest < len(frames)):
+                raise ValueError(f"rest is {self._rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
+            bounds = np.array([mesh.bounds for mesh in self._meshes])
+            extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
+            motion = decompose(frames, faces, self._clusters, ENOUGH * extent, self._rest)
+        else:
+            motion = assigned(frames, faces, *as_maps(self._transforms, len(frames)))
+        self.labels = motion.labels
+        self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, self.accelerator, self.device)
+        self.show(0)
+
+    def show(self, frame: int) -> None:
+        """Goes to another frame: rays then meet the triangles as they are there.
+
+        Raises:
+            TypeError: not an int.
+            ValueError: no such frame.
+        """
+        frame = check_index(frame, len(self._meshes), "frame")
+        with use_threads(self.num_threads):
+            placed, shown = place_meshes((self._meshes[frame],), self.device), self._fuzzy.at(frame)
+        self.frame = frame
+        self._take_over((self._meshes[frame],), placed.center, shown, placed.fill_in(shown.low, shown.high))
+
+    def __repr__(self) -> str:
+        counts = f"{len(self._meshes)} frames of {self.triangle_count} triangles in {self.labels.max() + 1} clusters"
+        return f"FuzzyScene({counts}, device={str(self.device)!r})"
+
+    def update(self, *args: Any, **options: Any) -> None:
+        """Not of what is known in advance: see `show`.
+
+        Raises:
+            ValueError: always; the message says what to do instead.
+        """
+        raise ValueError("the frames of this scene are known; go to one with show(frame), or make a wrt.Scene to update")
+
+    def statistics(self) -> SceneStatistics:
+        """Not of many trees at once.
+
+        Raises:
+            ValueError: always; the message says what to ask instead.
+        """
+        raise ValueError("a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one")
+
+    @property
+    def exact_vertices(self) -> wp.array:
+        """Not here: precise=True and gradients walk one tree.
+
+        Raises:
+            ValueError: always; the message says what to do instead.
+        """
+        raise ValueError("precise=True and gradients take a scene of one tree; ask wrt.Scene(scene.meshes)")
+
+    def save(self, path: str | Path) -> None:
+        """Not of many trees, wherever `path` may be.
+
+        Raises:
+            ValueError: always; the message says what to do instead.
+        """
+        raise ValueError("trees of fuzzy boxes are not kept in files; save the frames, and make the scene again")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Not of many trees.
+
+        Raises:
+            ValueError: always; the message says what to do instead.
+        """
+        raise ValueError("trees of fuzzy boxes are not pickled; pickle the frames, and make the scene again")
+
+    def handle(self) -> Any:
+        """Not of many trees.
+
+        Raises:
+            ValueError: always; the message says what to do instead.
+        """
+        raise ValueError("kernels get a handle of one tree; ask for wrt.Scene(scene.meshes).handle()")
+
+
+@dataclass(frozen=True)
+class ShownTree:
+    """The trees as they are in a frame: what a scene wants of a tree.
+
+    Attributes:
+        top: over the boxes of clusters in the scene.
+        parts: all clusters' trees, in their own spaces.
+        clusters: (C,) `wrt.kernels.traversal.two_level.fuzzy_boxes.Cluster`.
+        depth: most inner nodes on a path of any of the trees.
+    """
+
+    top: common.Bvh
+    parts: common.Bvh
+    clusters: wp.array
+    depth: int
+
+    @property
+    def primitive(self) -> wp.array:
+        """Triangle ids, leaf after leaf."""
+        return self.parts.primitive
+
+    @property
+    def width(self) -> int:
+        """Triangles a block and children a node."""
+        return self.parts.width
+
+    @property
+    def low(self) -> wp.vec3:
+        """Lower corner of all triangles."""
+        return self.top.low
+
+    @property
+    def high(self) -> wp.vec3:
+        """Upper corner of all triangles."""
+        return self.top.high
+
+    @property
+    def bytes(self) -> int:
+        """Memory of nodes, leaf lists and maps."""
+        return self.top.bytes + self.parts.bytes + self.clusters.capacity
+
+    def struct(self) -> FuzzyNodes:
+        """The trees for a traversal kernel."""
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
+
+        tree = FuzzyNodes()
+        tree.top, tree.order, tree.parts = self.top.struct(), self.top.primitive, self.parts.struct()
+        tree.clusters = self.clusters
+        return tree
+
+
+@dataclass(frozen=True)
+class FuzzyTree:
+    """What is built once.
+
+    Attributes:
+        parts: all clusters' trees, in their own spaces.
+        depth: most inner nodes on a path there.
+        table: (F, C) `Cluster`, origins relative to the scene's centre in each frame.
+        boxes: (F, 2, C, 3) float32 lower and upper corners of the clusters, relative to the centre in each frame.
+    """
+
+    parts: common.Bvh
+    depth: int
+    table: np.ndarray
+    boxes: np.ndarray
+
+    @classmethod
+    def build(
+        cls, meshes: list[TriangleMesh], centers: np.ndarray, motion: Decomposition, accelerator: Bvh, device: wp.Device
+    ) -> FuzzyTree:
+        """Trees over the fuzzy boxes of each cluster's triangles."""
+        from wrt.builders.bvh.update.bvh_grafting import join
+        from wrt.builders.motion_clusters import fuzzy_boxes
+        from wrt.builders.triangle_boxes import boxes_of
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
+
+        width, count = native_width(device), motion.matrices.shape[1]
+        origins = motion.origins - centers[:, None]
+        table = np.zeros((len(meshes), count), dtype=Cluster.numpy_dtype())
+        inverse = np.linalg.inv(motion.matrices)
+        table["to_own"], table["origin"] = inverse, origins
+        table["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
+        boxes, trees, members = np.empty((len(meshes), 2, count, 3), dtype=np.float32), [], []
+        corners = np.array([triangle_corners(mesh, center) for mesh, center in zip(meshes, centers, strict=True)])
+        for c in range(count):
+            own = np.flatnonzero(motion.labels == c)
+            boxes[:, 0, c], boxes[:, 1, c] = corners[:, 0, own].min(axis=1), corners[:, 1, own].max(axis=1)
+            low, high = fuzzy_boxes(corners[:, :, own].astype(np.float64), motion.matrices[:, c], origins[:, c])
+            trees.append(accelerator.build(boxes_of(low, high), width))
+            table["low"][:, c], table["high"][:, c] = low.min(axis=0), high.max(axis=0)
+            members.append(own)
+        parts, roots = join(trees, members)
+        table["root"] = roots
+        return cls(parts.to(device), max(tree.depth for tree in trees), table, boxes)
+
+    def at(self, frame: int) -> ShownTree:
+        """The trees of a frame: only the upper one is built."""
+        from wrt.builders.triangle_boxes import boxes_of
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
+
+        device, width = self.parts.bounds.device, self.parts.width
+        top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(*self.boxes[frame]), width).to(device)
+        clusters = wp.array(self.table[frame], dtype=Cluster, device=device)
+        return ShownTree(top, self.parts, clusters, max(top.depth, self.depth))
+
+
+def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
+    """A mesh for each frame; all share their faces.
+
+    Raises:
+        TypeError, ValueError: as of `TriangleMesh`; no (F, V, 3) array, or no frame.
+    """
+    frames = np.asarray(frames)
+    if frames.ndim != 3 or not len(frames):
+        raise ValueError(f"frames must be of shape (F, V, 3) with at least one frame, not {frames.shape}")
+    first = TriangleMesh(frames[0], faces)
+    return [first, *(moved_mesh(first, vertices) for vertices in frames[1:])]
+
+
+def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """(F, B, 3, 3) and (F, B, 3) from matrices as `FuzzyScene` takes them.
+
+    Raises:
+        ValueError: a wrong shape, or maps as `wrt.Instance` refuses them.
+    """
+    from wrt.meshes.instance import check_transform
+
+    maps = np.asarray(transforms, dtype=np.float64)
+    if maps.ndim != 4 or maps.shape[0] != frames or not maps.shape[1] or maps.shape[2:] != (4, 4):
+        raise ValueError(f"transforms must be of shape ({frames}, B, 4, 4) for {frames} frames and B bones, not {maps.shape}")
+    maps = np.array([check_transform(one, "transforms") for one in maps.reshape(-1, 4, 4)]).reshape(maps.shape)
+    return maps[..., :3, :3], maps[..., :3, 3]
+
+
+def triangle_corners(mesh: TriangleMesh, center: np.ndarray) -> np.ndarray:
+    """(2, T, 3) float32: the corners of the triangles' boxes as a `Scene` holds them."""
+    points = relative_to(center, mesh.vertices)[mesh.faces]
+    return np.array([points.min(axis=1), points.max(axis=1)])

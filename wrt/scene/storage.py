@@ -1,0 +1,269 @@
+"""Scenes in files and between processes: the meshes, the description of the tree, and the tree, so that it need not be built.
+
+A tree belongs to its **key**: a hash of the vertices and faces that it was built over, of the description (`wrt.Bvh`,
+`wrt.KdTree`) with the width that it got on the device, and of the version of wrt. Whoever takes a tree from somewhere compares
+keys first: after any change it is built, not taken. So a scene's answers never depend on where its tree comes from.
+
+A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would), and whose checksum tells
+damage (`wrt.scene.archives`). It is no signature: boxes that somebody has forged on purpose, with a checksum to match, give
+wrong answers. Kernels trust the indices in a tree; those of a tree from outside are checked first: every child, leaf and
+triangle is there, children come after their parents, and no way down is longer than the traversals' stacks.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import warp as wp
+
+from wrt.accelerators import accelerator as descriptions
+from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
+from wrt.builders.tree import BuildStats, Bvh, KdTree
+from wrt.builders.tree_check import check_tree
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.archives import read_archive, write_archive
+
+if TYPE_CHECKING:
+    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
+    from wrt.builders.triangle_boxes import TriangleBoxes
+    from wrt.meshes.instance import Instance
+    from wrt.meshes.placement import PlacedMeshes
+    from wrt.scene.scene import Scene
+    from wrt.scene.updates import TreeRecipe
+
+FORMAT = 2
+"""Of the files; one more whenever their contents change."""
+
+TREES = {"bvh": Bvh, "kdtree": KdTree}
+
+UNREADABLE = (ValueError, TypeError, KeyError, RuntimeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged archive may raise."""
+
+
+class TreeSource(Protocol):
+    """Where a scene gets its tree from."""
+
+    def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
+        """The tree with this key over so many triangles, on the CPU; `build` makes it where it is not at hand."""
+        ...
+
+
+@dataclass(frozen=True)
+class KnownTree:
+    """A tree that came along with a scene."""
+
+    key: str
+    known: Bvh | KdTree
+
+    def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
+        """The tree, if it is the one that is wanted."""
+        return self.known if key == self.key else build()
+
+
+@dataclass(frozen=True)
+class TreeFolder:
+    """Trees in files of a folder, each named by its key."""
+
+    folder: Path
+
+    def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
+        """The tree from its file; one that is missing or damaged is written anew."""
+        path = self.folder / f"{key}.npz"
+        with suppress(*UNREADABLE):
+            return unpack_tree(read_archive(path), triangles)
+        self.folder.mkdir(parents=True, exist_ok=True)  # before the work of building
+        tree = build()
+        try:
+            write_archive(path, pack_tree(tree))
+        except (OSError, ValueError) as error:
+            warnings.warn(f"the tree is not kept: cannot write to the cache folder '{self.folder}' ({error})", stacklevel=2)
+        return tree
+
+
+def as_source(cache: str | Path | TreeSource | None) -> TreeSource | None:
+    """Where to look for trees: a path is that of a folder.
+
+    Raises:
+        TypeError: neither a path nor a source.
+        ValueError: the path is that of a file, or below one.
+    """
+    if cache is None or hasattr(cache, "tree"):
+        return cache
+    if not isinstance(cache, (str, Path)):
+        raise TypeError(f"cache must be the path of a folder, not {type(cache).__name__}")
+    folder = Path(cache)
+    nearest = next((path for path in (folder, *folder.absolute().parents) if path.exists()), None)
+    if nearest is not None and not nearest.is_dir():
+        raise ValueError(f"cache must be the path of a folder, and '{nearest}' is a file; choose another path")
+    return TreeFolder(folder)
+
+
+def is_kept(accelerator: Accelerator) -> bool:
+    """Whether trees of a description are kept: not those of influence areas, nor those that grow."""
+    if isinstance(accelerator, descriptions.KdTree):
+        return not accelerator.is_lazy
+    return isinstance(accelerator, descriptions.Bvh)
+
+
+def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, width: int) -> str:
+    """What tells trees apart: 64 hexadecimal digits.
+
+    Args:
+        vertices: (V, 3) float32, relative to the scene's centre.
+        faces: (F, 3) int32.
+        accelerator: what is built.
+        width: what the device suits; used where the description leaves it open.
+    """
+    from wrt import __version__
+
+    state = hashlib.sha256(f"{FORMAT} {__version__} {accelerator!r} {accelerator.config(width)!r}".encode())
+    for array in (vertices, faces):
+        state.update(f"{array.shape} {array.dtype.str}".encode())
+        state.update(np.ascontiguousarray(array))
+    return state.hexdigest()
+
+
+def find_tree(
+    recipe: TreeRecipe, boxes: TriangleBoxes, placed: PlacedMeshes, cache: str | Path | TreeSource | None
+) -> tuple[Bvh | KdTree, LazyKdTree | None]:
+    """The tree of some triangles, from where trees are kept, or built; or what there is of one that grows, and that."""
+    accelerator, source = recipe.accelerator, as_source(cache)
+    if isinstance(accelerator, descriptions.KdTree) and accelerator.is_lazy:
+        growing = accelerator.start(boxes, recipe.width, recipe.device)
+        return growing.current.tree, growing
+
+    def build() -> Bvh | KdTree:
+        return accelerator.build(boxes, recipe.width)
+
+    if source is None or not is_kept(accelerator):
+        return build().to(recipe.device), None
+    key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), accelerator, recipe.width)
+    return source.tree(key, boxes.count, build).to(recipe.device), None
+
+
+def kept_fields(cls: type) -> list[str]:
+    """Names of what is kept of a tree: not what updates note beside it, which they can measure again."""
+    return [field.name for field in fields(cls) if field.name != "built_costs"]
+
+
+def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:
+    """The tree's fields as arrays, and its kind."""
+    values = {name: getattr(tree, name) for name in kept_fields(type(tree))}
+    values["kind"] = next(kind for kind, cls in TREES.items() if isinstance(tree, cls))
+    values["stats"] = json.dumps(asdict(tree.stats))
+    return {name: value.numpy() if isinstance(value, wp.array) else np.array(value) for name, value in values.items()}
+
+
+def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTree:
+    """The tree of these arrays on the CPU.
+
+    Raises:
+        ValueError, KeyError, TypeError, RuntimeError: it is none over so many triangles.
+    """
+    cls = TREES[str(arrays["kind"])]
+    values: dict[str, Any] = {name: np.array(arrays[name]) for name in kept_fields(cls)}
+    values["stats"] = BuildStats(**json.loads(str(values["stats"])))
+    values["width"] = int(values["width"])
+    for corner in ("low", "high"):
+        values[corner] = wp.vec3(*values[corner].astype(np.float32).tolist())
+    if "level_first" in values:
+        values["level_first"] = tuple(values["level_first"].tolist())
+    for name, dtype in (("nodes", wp.vec2i), ("bounds", wp.float32), ("child", wp.int32), ("primitive", wp.int32)):
+        if name in values:
+            wanted = np.float32 if name == "bounds" else np.int32
+            if values[name].dtype != wanted:
+                raise ValueError(f"{name} holds {values[name].dtype}, not {np.dtype(wanted)}")
+            values[name] = wp.array(values[name], dtype=dtype, device="cpu", copy=False)
+    tree = cls(**values)
+    check_tree(tree, triangles)
+    return tree
+
+
+def save_scene(scene: Scene, path: str | Path) -> None:
+    """Writes a scene to a file; see `wrt.Scene.save`."""
+    if scene.instances:
+        raise ValueError("a scene of instances cannot be saved; save one for each of its meshes, or pickle it")
+    if not is_kept(scene.accelerator):
+        kept = "a wrt.Bvh or a wrt.KdTree that is not lazy"
+        raise ValueError(
+            f"a scene with {scene.accelerator} cannot be saved; make one with {kept}, or pickle it without its tree"
+        )
+    header = {
+        "format": FORMAT,
+        "key": key_of(scene),
+        "accelerator": asdict(scene.accelerator),
+        "triangle_test": scene.triangle_test,
+        "names": [mesh.name for mesh in scene.meshes],
+    }
+    arrays = {"wrt": np.array(json.dumps(header))}
+    for number, mesh in enumerate(scene.meshes):
+        arrays |= {f"vertices.{number}": mesh.vertices, f"faces.{number}": mesh.faces}
+    arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
+    write_archive(Path(path), arrays)
+
+
+def load_scene(path: str | Path, device: Any, num_threads: int | None) -> Scene:
+    """Reads a scene from a file; see `wrt.Scene.load`."""
+    from wrt.scene.scene import Scene
+
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no scene file at '{path}': check the path (now in '{Path.cwd()}')")
+    try:
+        arrays = read_archive(path)
+        header = json.loads(str(arrays.pop("wrt")))
+        if header["format"] != FORMAT:
+            raise ValueError(f"it has format {header['format']}, this version of wrt reads format {FORMAT}")
+        names = header["names"]
+        meshes = [TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name) for i, name in enumerate(names)]
+        tree = {name.removeprefix("tree."): array for name, array in arrays.items() if name.startswith("tree.")}
+        accelerator = ACCELERATORS[str(tree["kind"])](**header["accelerator"])
+        known = KnownTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
+        triangle_test = header["triangle_test"]
+    except PermissionError:
+        raise
+    except UNREADABLE as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"'{path}' is no scene that wrt saved, or it is damaged ({reason}); save it again") from error
+    return Scene(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
+
+
+def key_of(scene: Scene) -> str:
+    """The key of a scene's tree."""
+    mesh = scene.device_mesh
+    return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), scene.accelerator, scene.tree.width)
+
+
+def reduce_scene(scene: Scene) -> tuple[Callable[..., Scene], tuple[Any, ...], dict[str, Any]]:
+    """What a pickle of a scene holds: its tree too, if that is one and is kept."""
+    options = {"triangle_test": scene.triangle_test, "device": str(scene.device), "num_threads": scene.num_threads}
+    if scene.instances or not is_kept(scene.accelerator):
+        return revive_scene, (scene.instances or scene.meshes, scene.accelerator, options, None), {"mark": scene.mark}
+    kept = key_of(scene), pack_tree(scene.tree)
+    return revive_scene, (scene.meshes, scene.accelerator, options, kept), {"mark": scene.mark}
+
+
+def revive_scene(
+    geometry: tuple[TriangleMesh | Instance, ...],
+    accelerator: Accelerator,
+    options: dict[str, Any],
+    kept: tuple[str, dict[str, np.ndarray]] | None,
+) -> Scene:
+    """The scene of a pickle. kept: the tree's key and arrays."""
+    from wrt.scene.scene import Scene
+
+    if kept is None:
+        return Scene(geometry, accelerator, **options)
+    key, arrays = kept
+    tree = unpack_tree(arrays, sum(mesh.triangle_count for mesh in geometry))
+    return Scene(geometry, accelerator, **options, cache=KnownTree(key, tree))

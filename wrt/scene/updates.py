@@ -1,0 +1,245 @@
+"""What becomes of a tree when its triangles move: kept as it is, built again in parts, or built again.
+
+A BVH is kept by refitting its boxes, a kd-tree by filling the leaves between its old planes anew. Either is correct for any
+motion, and the more so slower to trace the further triangles have moved. `wrt.builders.rebuild_heuristic` tells which parts
+have worn off, after Yang et al. (2008).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.accelerators.accelerator import Accelerator
+    from wrt.builders.bvh.update.bvh_update import MovedBvh
+    from wrt.builders.kdtree.update.kdtree_update import MovedKdTree
+    from wrt.builders.tree import Bvh, KdTree
+    from wrt.builders.triangle_boxes import TriangleBoxes
+    from wrt.meshes.mesh import TriangleMesh
+    from wrt.meshes.placement import PlacedMeshes
+
+NAN = float("nan")
+AUTO, ALWAYS, NEVER = "auto", "always", "never"
+
+SAMPLES = 4096
+"""Triangles by which it is told how much all of them have moved."""
+
+LARGE_PART = 0.5
+"""Share of all triangles from which on worn subtrees are built together, as a new tree."""
+
+LEAST_PART = 256
+"""Triangles of a subtree that is worth a build of its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpdatePolicy:
+    """When `Scene.update` builds a tree again; its argument `rebuild` takes one, or just a name for `when`.
+
+    Attributes:
+        when: "auto": if the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; "never" (kd-trees are built
+            again even so where the old planes would cut triangles into more than 64 pieces on average).
+        tolerance: for "auto", how many times its cost when it was built a tree or subtree may come to, by the surface area
+            heuristic; at least 1.
+        subtrees: for "auto", whether a part of the tree may be built again alone.
+
+    Raises:
+        ValueError: unknown name, or a tolerance below 1.
+    """
+
+    when: str = AUTO
+    tolerance: float = 1.3
+    subtrees: bool = True
+
+    def __post_init__(self) -> None:
+        lookup(dict.fromkeys((AUTO, ALWAYS, NEVER)), self.when, "rebuild")
+        if not self.tolerance >= 1.0:
+            raise ValueError(f"tolerance is {self.tolerance}; it must be at least 1")
+
+
+@dataclass(frozen=True)
+class UpdateReport:
+    """What an update did to a tree (`Scene.last_update`).
+
+    Attributes:
+        action: "kept": the same nodes round the moved triangles; "subtrees": the same, and parts of it built again; "built".
+        cost_built: expected cost of a ray when the tree was built; NaN where nobody had to know.
+        cost_kept: the same with the old nodes round the moved triangles; NaN likewise.
+        cost: the same as the tree is now; NaN likewise.
+        rebuilt_triangles: how many were in what was built again.
+        seconds: wall time, building and measuring included.
+    """
+
+    action: str
+    cost_built: float
+    cost_kept: float
+    cost: float
+    rebuilt_triangles: int
+    seconds: float
+
+
+def as_policy(rebuild: Any) -> UpdatePolicy:
+    """The policy of that name, or the one that was given.
+
+    Raises:
+        TypeError: neither.
+        ValueError: an unknown name.
+    """
+    if isinstance(rebuild, UpdatePolicy):
+        return rebuild
+    if not isinstance(rebuild, str):
+        raise TypeError(f"rebuild must be 'auto', 'always', 'never' or a wrt.UpdatePolicy, not {type(rebuild).__name__}")
+    return UpdatePolicy(when=rebuild)
+
+
+@dataclass(frozen=True)
+class MovedTriangles:
+    """Triangles where they are now.
+
+    Attributes:
+        vertices, faces: on the scene's device.
+        host_vertices, host_faces: on the CPU.
+        center: (3,) float64, the point that vertices are relative to.
+        shift: (3,) float64, by how much most of them have moved, relative to it.
+    """
+
+    vertices: wp.array
+    faces: wp.array
+    host_vertices: wp.array
+    host_faces: wp.array
+    center: np.ndarray
+    shift: np.ndarray
+
+    @classmethod
+    def of(cls, placed: PlacedMeshes, shift: np.ndarray, first: int = 0, end: int | None = None) -> MovedTriangles:
+        """The triangles first to end - 1 of a scene; shift: as of the class."""
+        own = slice(first, end)
+        mesh = placed.mesh
+        return cls(mesh.vertices, mesh.faces[own], placed.vertices, placed.faces[own], placed.center, shift)
+
+    def boxes(self) -> TriangleBoxes:
+        """Their boxes, on the CPU."""
+        from wrt.builders.triangle_boxes import triangle_boxes
+
+        return triangle_boxes(self.host_vertices, self.host_faces, self.center)
+
+
+def can_move(accelerator: Accelerator) -> bool:
+    """Whether a tree can be kept: not one that grows, or whose leaves list less than what the boxes of triangles tell."""
+    from wrt.accelerators.accelerator import Bvh, KdTree
+    from wrt.accelerators.projected_bvh import ProjectedBvh
+
+    if isinstance(accelerator, KdTree):
+        return not (accelerator.is_lazy or accelerator.split_clipping)
+    return isinstance(accelerator, Bvh | ProjectedBvh)
+
+
+def typical_motion(before: Sequence[TriangleMesh], after: Sequence[TriangleMesh]) -> np.ndarray:
+    """(3,) float64: the median way of some triangles' corners. Planes of a kd-tree go along: as a figure walks, or a scene
+    stays."""
+    step, ways = -(-sum(mesh.triangle_count for mesh in after) // SAMPLES), []
+    for old, new in zip(before, after, strict=True):
+        corners = new.faces[::step, 0]
+        ways.append(new.vertices[corners].astype(np.float64) - old.vertices[corners])
+    return np.median(np.concatenate(ways), axis=0)
+
+
+@dataclass(frozen=True)
+class TreeRecipe:
+    """How the tree of a scene is made.
+
+    Attributes:
+        accelerator: what to build.
+        width: where the description leaves it open.
+        device: where the tree goes.
+    """
+
+    accelerator: Accelerator
+    width: int
+    device: wp.Device
+
+    @property
+    def only_refits(self) -> bool:
+        """Whether the surface area heuristic does not tell what the tree costs its rays."""
+        from wrt.accelerators.projected_bvh import ProjectedBvh
+
+        return isinstance(self.accelerator, ProjectedBvh)
+
+    def build(self, triangles: MovedTriangles) -> KdTree | Bvh:
+        """A new tree. Subtrees are built by one thread each, which suits cores: it is built on the CPU and copied."""
+        return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
+
+    def costs(self, tree: KdTree | Bvh) -> np.ndarray:
+        """(nodes,) what its subtrees cost."""
+        from wrt.builders.bvh.update.node_costs import node_costs
+        from wrt.builders.kdtree import kdtree_statistics as statistics
+        from wrt.builders.kdtree.update import refill
+
+        cost = self.accelerator.config(self.width).cost
+        is_bvh = self.accelerator.kind == "bvh"
+        return node_costs(tree, cost) if is_bvh else refill.node_costs(statistics.unpack(tree), cost)
+
+    def keep(self, old: KdTree | Bvh, triangles: MovedTriangles) -> MovedBvh | MovedKdTree:
+        """The old nodes round the triangles as they are now."""
+        from wrt.builders.bvh.update.bvh_update import MovedBvh
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+        from wrt.builders.kdtree.update.kdtree_update import MovedKdTree
+
+        config = self.accelerator.config(self.width)
+        if self.accelerator.kind == "bvh":
+            cost = None if self.only_refits else config.cost
+            build = partial(self.accelerator.build, width=self.width)
+            return MovedBvh(old, triangles.vertices, triangles.faces, triangles.boxes, cost, build)
+        host, build = old.to(wp.get_device("cpu")), KDTREE_BUILDERS[self.accelerator.builder].build
+        return MovedKdTree(host, triangles.boxes(), triangles.shift, config, build)
+
+
+def move_tree(
+    recipe: TreeRecipe, old: KdTree | Bvh, triangles: MovedTriangles, policy: UpdatePolicy
+) -> tuple[KdTree | Bvh, UpdateReport]:
+    """A tree of the triangles as they are now, and what was done."""
+    start = perf_counter()
+    moved = recipe.keep(old, triangles) if policy.when != ALWAYS else None
+    if moved is None or moved.tree is None:
+        tree, action, costs, count = recipe.build(triangles), "built", (NAN, NAN, NAN), len(triangles.faces)
+    elif policy.when == NEVER or recipe.only_refits:
+        tree, action, costs, count = replace(moved.tree, built_costs=old.built_costs), "kept", (NAN, NAN, NAN), 0
+    else:
+        tree, action, costs, count = _mend(recipe, old, moved, triangles, policy)
+    return tree.to(recipe.device), UpdateReport(action, *costs, count, perf_counter() - start)
+
+
+def _mend(
+    recipe: TreeRecipe,
+    old: KdTree | Bvh,
+    moved: MovedBvh | MovedKdTree,
+    triangles: MovedTriangles,
+    policy: UpdatePolicy,
+) -> tuple[KdTree | Bvh, str, tuple[float, float, float], int]:
+    """Builds again what has worn off; the tree, what was done, costs as in `UpdateReport`, and triangles built again."""
+    built = recipe.costs(old) if old.built_costs is None else old.built_costs
+    before = float(built[0]), float(moved.costs[0])
+    chosen = moved.parts(built, policy.tolerance)
+    parts = {} if chosen == [(0,)] or not policy.subtrees else {part: moved.triangles(part) for part in chosen}
+    parts = {part: ids for part, ids in parts.items() if len(ids) >= LEAST_PART}
+    count = sum(map(len, parts.values()))
+    if not parts and before[1] <= policy.tolerance * before[0]:
+        return replace(moved.tree, built_costs=built), "kept", (*before, before[1]), 0
+    large = count > LARGE_PART * len(triangles.faces)
+    grafted = moved.with_rebuilt([*parts], [*parts.values()]) if parts and not large else None
+    if grafted is None:
+        tree = recipe.build(triangles)
+        costs = recipe.costs(tree)
+        return replace(tree, built_costs=costs), "built", (*before, float(costs[0])), len(triangles.faces)
+    tree, origin = grafted
+    costs = recipe.costs(tree)
+    built = np.where(origin >= 0, built[origin], costs)
+    return replace(tree, built_costs=built), "subtrees", (*before, float(costs[0])), count
