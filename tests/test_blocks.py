@@ -13,7 +13,8 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.query.blocks import BYTES_PER_RAY, parse_memory
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 COUNT = 3000
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")

@@ -16,7 +16,7 @@ from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.rays.rays import to_device
+from wrt.rays.ray_buffers import to_device
 
 pytestmark = pytest.mark.width
 

@@ -1,4 +1,4 @@
-"""Few rays, for which everything is kept ready: what many would get, to the bit, from memory that is the caller's own."""
+"""Few rays in NumPy arrays, staged by prepared queries: what many rays would get, to the bit, in memory of the caller's own."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution.few_rays import FewHits, trace_few
-from wrt.execution.plan import CLOSEST, FEW_RAYS
+from wrt.execution.executor import may_stage
+from wrt.execution.query_kinds import CLOSEST, FEW_RAYS, Query
 
 pytestmark = pytest.mark.width
 
@@ -25,11 +25,16 @@ def scene(request) -> wrt.Scene:
     return wrt.Scene(meshes, request.param, device="cpu")
 
 
+def was_staged(hits: wrt.Hits) -> bool:
+    """Whether hits are in NumPy arrays, as prepared queries leave those of staged rays."""
+    return bool(hits.batch._host)
+
+
 def assert_as_many(scene: wrt.Scene, *rays) -> None:
     """The same as by the way of many rays, which a traversal by name takes."""
     few, many = scene.intersect(*rays), scene.intersect(*rays, traversal="single")
-    assert isinstance(few, FewHits)
-    assert not isinstance(many, FewHits)
+    assert was_staged(few)
+    assert not was_staged(many)
     assert few.shape == many.shape
     assert few.plan.traversal == "single"
     assert_same_hits(few, many)
@@ -72,12 +77,14 @@ def test_shapes_and_ranges(scene):
 def test_only_few(scene):
     """Many rays, Warp's and a way that is asked for go as ever; none at all too."""
     origins, directions = mixed_rays(scene.meshes[0], FEW_RAYS + 1)
-    assert isinstance(scene.intersect(origins[1:], directions[1:]), FewHits)
-    assert trace_few(scene, wrt.Rays(origins, directions), CLOSEST) is None
+    assert was_staged(scene.intersect(origins[1:], directions[1:]))
+    assert not was_staged(scene.intersect(origins, directions))
+    assert may_stage(scene.state, Query(CLOSEST))
+    assert not may_stage(scene.state, Query(CLOSEST, "single"))
     assert scene.explain(origins[1:], directions[1:]).traversal == "single" != scene.explain(origins, directions).traversal
     on_device = [wp.array(a[:5], dtype=wp.vec3, device="cpu") for a in (origins, directions)]
     assert isinstance(scene.intersect(*on_device).t, wp.array)
-    assert not isinstance(scene.intersect(origins[:5], directions[:5], precise=True), FewHits)
+    assert not was_staged(scene.intersect(origins[:5], directions[:5], precise=True))
     assert scene.intersect(origins[:0], directions[:0]).t.shape == (0,)
 
 
@@ -103,7 +110,7 @@ def test_nothing_stale():
     scene, moved = (wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu") for scale in (1.0, 0.5))
     origins, directions = mixed_rays(mesh, 50)
     scene.intersect(origins, directions)
-    scene.tree, scene.device_mesh, scene.center, scene._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    scene.state = moved.state
     assert_same_hits(scene.intersect(origins, directions), moved.intersect(origins, directions))
 
 
@@ -131,7 +138,7 @@ def test_refused(scene):
 
 
 def test_rays_after_an_update():
-    """Desks are made for a tree and its records: those of before are not asked again."""
+    """Prepared queries belong to a state: an update leaves them behind."""
     mesh = wrt.scenes.build("teapot", level=2, ground=False)
     scene = wrt.Scene(mesh, device="cpu")
     down = ((0.2, 0.1, 9.0), (0.0, 0.0, -1.0))

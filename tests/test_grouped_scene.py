@@ -49,14 +49,14 @@ def test_as_one_tree(count):
 def test_only_what_moved_is_touched():
     """Unless the scene's centre moves: then boxes are fitted again, and nodes stay."""
     scene = wrt.GroupedScene(groups(6), device="cpu")
-    trees = scene._trees
+    trees = scene.state.trees
     scene.move({1: scene.meshes[1].vertices * 0.9, 2: np.random.default_rng(0).permutation(scene.meshes[2].vertices)})
     assert {number: report.action for number, report in scene.group_updates.items()} == {1: "kept", 2: "built"}
-    assert [one is other for one, other in zip(scene._trees, trees, strict=True)] == [True, False, False, True, True, True]
+    assert [one is other for one, other in zip(scene.state.trees, trees, strict=True)] == [True, False, False, True, True, True]
     assert_as_one_tree(scene)
-    trees = scene._trees
+    trees = scene.state.trees
     scene.move({0: scene.meshes[0].vertices - [30.0, 0.0, 0.0]})
-    assert all(one is not other and one.child is other.child for one, other in zip(scene._trees, trees, strict=True))
+    assert all(one is not other and one.child is other.child for one, other in zip(scene.state.trees, trees, strict=True))
     assert list(scene.group_updates) == [0]
     assert_as_one_tree(scene)
 
@@ -93,7 +93,7 @@ def test_a_deep_group(tmp_path):
     chain = wrt.TriangleMesh(corners.reshape(-1, 3), np.arange(360).reshape(-1, 3))
     across = wrt.TriangleMesh(-corners[-1], [[0, 1, 2]])  # the scene's centre is where the chain begins
     scene = wrt.GroupedScene([chain, across], wrt.Bvh(width=2, max_leaf_triangles=1, bins=2), device="cpu")
-    assert scene._trees[0].depth == MAX_WIDE_DEPTH
+    assert scene.state.trees[0].depth == MAX_WIDE_DEPTH
     assert scene.tree.depth <= MAX_WIDE_DEPTH
     scene.move({1: across.vertices[::-1]})
     rays = mixed_rays(scene.flattened(), 300)

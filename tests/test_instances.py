@@ -14,11 +14,12 @@ from test_cuda_compiles import compile_to_ptx
 
 import wrt
 from wrt.execution.executor import trace
-from wrt.execution.plan import make_plan
+from wrt.execution.planner import make_plan
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import make_kernel
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 BOX = wrt.TriangleMesh.from_trimesh(trimesh.creation.box())
@@ -45,7 +46,7 @@ def random_instances(count: int = 24, seed: int = 0) -> list[wrt.Instance]:
 
 
 @pytest.fixture(scope="module", params=["bvh", "kdtree"])
-def scene(request: pytest.FixtureRequest) -> wrt.InstancedScene:
+def scene(request: pytest.FixtureRequest) -> wrt.Scene:
     return wrt.Scene(random_instances(), request.param, device="cpu")
 
 
@@ -55,7 +56,7 @@ def rays(scene) -> tuple[np.ndarray, np.ndarray]:
     return mixed_rays(scene.flattened(), 6000)
 
 
-def asked_alone(scene: wrt.InstancedScene, origins: np.ndarray, directions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
+def asked_alone(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarray) -> list[tuple[np.ndarray, ...]]:
     """(t, triangle, uv, count) of every instance, by brute force on the rays as its map takes them, rounded at the end."""
     answers = []
     for instance, number in zip(scene.instances, scene.geometry_ids, strict=True):
@@ -382,7 +383,7 @@ def test_pickles_and_files(tmp_path):
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, move(5.0), mask=2)], device="cpu")
     revived = pickle.loads(pickle.dumps(scene))
-    assert isinstance(revived, wrt.InstancedScene)
+    assert revived.instances
     assert len(revived.parts) == 1
     down = np.array([[0.2, 0.1, 9.0], [5.2, 0.1, 9.0]]), (0.0, 0.0, -1.0)
     for mask in (None, 1, 2):

@@ -10,7 +10,8 @@ import wrt
 from wrt.bench.layouts import compare_layouts, trace_pairs
 from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
 from wrt.builders.kdtree.kdtree_statistics import unpack
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 
 @pytest.fixture(scope="module")

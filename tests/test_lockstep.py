@@ -65,7 +65,8 @@ def test_deepest_tree_fills_the_log():
     nodes[leaves, 1] = 1 << 2 | LEAF
     primitive = np.full((count, WIDTH), -1, dtype=np.int32)
     primitive[:, 0] = np.arange(count)
-    scene.tree = replace(scene.tree, nodes=wp.array(nodes, dtype=wp.vec2i), primitive=wp.array(primitive.ravel(), dtype=int))
+    tree = replace(scene.tree, nodes=wp.array(nodes, dtype=wp.vec2i), primitive=wp.array(primitive.ravel(), dtype=int))
+    scene.state = scene.state.over(tree)
     rng = np.random.default_rng(0)
     ends = rng.uniform([[-1, 0, 0], [count, 0, 0]], [[0, 1, 1], [count + 1, 1, 1]], (3000, 2, 3))
     ends[::5] = ends[::5, ::-1]

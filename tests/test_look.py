@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 
@@ -12,8 +11,7 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution.launch_cache import MOST_KEYS
-from wrt.execution.ready import ReadyKernel
+from wrt.execution.query_cache import MOST_PLANS
 from wrt.rays.coherence import look_at
 
 PAIRS = 64
@@ -110,7 +108,7 @@ def test_answers_by_what_is_ready_are_the_calls_own(scene):
         known = expected[number % len(batches)]
         assert_same_hits(hits, known)
         np.testing.assert_array_equal(dark, known.is_hit)
-    kept = [ready for waiting in scene.desks.values() for ready in waiting if isinstance(ready, ReadyKernel)]
+    kept = [prepared for chosen in scene.state.cache.plans for prepared in chosen.waiting()]
     assert 4 <= len(kept) < 40
 
 
@@ -128,11 +126,13 @@ def test_so_many_kinds_of_queries_are_kept(scene):
     """The one after the last that there is room for begins anew, and the answers stay."""
     rays, own = rays_of(scene, 0), wrt.Scene(scene.meshes, device="cpu")
     expected = own.intersect(*rays, traversal="single")
-    own.desks.update((number, deque()) for number in range(MOST_KEYS - len(own.desks)))
+    cache = own.state.cache
+    for number in range(MOST_PLANS - len(cache.plans)):
+        cache.keep_plan(number, None)
     assert_same_hits(own.intersect(*rays, traversal="single"), expected)
-    assert len(own.desks) == MOST_KEYS
+    assert len(cache.plans) == MOST_PLANS
     np.testing.assert_array_equal(own.occluded(*rays, traversal="single"), expected.is_hit)
-    assert len(own.desks) == 1
+    assert len(cache.plans) == 1
 
 
 def test_nothing_stale(scene):
@@ -140,5 +140,5 @@ def test_nothing_stale(scene):
     one, moved = (wrt.Scene(scene.meshes[0].transformed(np.diag([s, s, s, 1.0])), device="cpu") for s in (1.0, 0.5))
     rays = rays_of(one, 0)
     one.intersect(*rays, traversal="single")
-    one.tree, one.device_mesh, one.center, one._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    one.state = moved.state
     assert_same_hits(one.intersect(*rays, traversal="single"), moved.intersect(*rays, traversal="single"))

@@ -16,8 +16,8 @@ import pytest
 import warp as wp
 
 import wrt
+from wrt.query.verification import FALSE_HIT, Fault
 from wrt.scene.archives import CHECKSUM, checksum
-from wrt.verification import FALSE_HIT, Fault
 
 TEAPOT = wrt.scenes.build("teapot", level=2)
 

@@ -336,7 +336,7 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     origins, directions = rng.normal(size=(2, 70_000, 3)).astype(np.float32)
     assert scene.explain(origins, directions).reorder == "none"
     monkeypatch.setattr(wrt.execution.plan, "CACHED_BYTES", 1)
-    scene.plans.clear()  # which rays like these have
+    scene.state.cache.clear()  # which rays like these have
     assert scene.explain(origins, directions).reorder == "cells"
     assert scene.explain(origins[:1], directions).reorder == "none"
 

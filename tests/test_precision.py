@@ -11,7 +11,7 @@ from test_cuda_compiles import compile_to_ptx
 import wrt
 from wrt.kernels.query.exact_closest import make_kernel
 from wrt.kernels.traversal.traversal_config import EXACT, TraversalConfig
-from wrt.verification import nearest64
+from wrt.query.verification import nearest64
 
 TREES = ("bvh", "kdtree")
 

@@ -14,7 +14,8 @@ from wrt.builders.influence.regions import classify_boxes, contain_points
 from wrt.execution.area_trees import assign
 from wrt.kernels.influence.region_tests import APART
 from wrt.kernels.influence.region_tests import Region as RegionStruct
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 MESHES = ("teapot", "random_triangles", "grid", "degenerate")
 
@@ -137,19 +138,19 @@ def test_areas_of_rays(device, top_level):
     mesh = SCENES["teapot"]()
     areas = areas_of(mesh)
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, tolerance=2.0, top_level=top_level, local=wrt.Bvh()), device=device)
-    assert scene.local_trees.areas == (areas[0], areas[1], areas[3])
-    assert all(0 < count <= mesh.triangle_count for count in scene.local_trees.triangles)
-    assert scene.local_trees.bytes > sum(local.tree.bytes for local in scene.local_trees.scenes) > 0
+    assert scene.area_trees.areas == (areas[0], areas[1], areas[3])
+    assert all(0 < count <= mesh.triangle_count for count in scene.area_trees.triangles)
+    assert scene.area_trees.bytes > sum(local.tree.bytes for local in scene.area_trees.scenes) > 0
     origins, directions = (np.concatenate(pair) for pair in zip(affine_rays(mesh, 3000), mixed_rays(mesh, 3000), strict=True))
     with np.errstate(all="ignore"):
         directions[::7] += np.float32(0.05) * np.abs(directions[::7]).max(axis=1, keepdims=True)  # some beyond the tolerance
     found = assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).area.numpy()
-    regions = [region_of(area, *mesh.bounds) for area in scene.local_trees.areas]
+    regions = [region_of(area, *mesh.bounds) for area in scene.area_trees.areas]
     inside = contain_points(regions, origins)
     expected, clear = np.full(len(origins), len(regions)), np.ones(len(origins), dtype=bool)
     with np.errstate(all="ignore"):
         for number in reversed(range(len(regions))):
-            area = scene.local_trees.areas[number]
+            area = scene.area_trees.areas[number]
             line = np.array(area.direction) if number == 0 else origins - np.array(area.position)
             cosine = (
                 np.abs((line * directions).sum(axis=1)) / np.linalg.norm(line, axis=-1) / np.linalg.norm(directions, axis=1)
@@ -219,7 +220,7 @@ def test_a_picture_within_one_area_stays_one(device):
         assert np.isinf(cuts.rest.numpy()).all() == complete
         hits = scene.intersect(rays, traversal="packet", counters=True)
         assert hits.plan.reorder == "tiles"
-        local = scene.local_trees.scenes[0]
+        local = wrt.Scene.of_state(scene.area_trees.scenes[0])
         assert (local.tree.low, local.tree.high) == (scene.tree.low, scene.tree.high)  # or rounding would show
         assert_same_hits(hits, expected)
         area_alone = local.intersect(
@@ -241,9 +242,9 @@ def test_trees_have_what_rays_of_their_regions_can_meet():
     mesh = wrt.TriangleMesh(near.vertices.astype(np.float64) + np.array([3e4, -7e4, 100.0]), near.faces)
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
     low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
-    structs = [region_struct(row) for row in scene.local_trees.top.struct.regions.numpy()]
+    structs = [region_struct(row) for row in scene.area_trees.top.struct.regions.numpy()]
     met = classify_boxes(structs, low, high) != APART
-    for number, local in enumerate(scene.local_trees.scenes):
+    for number, local in enumerate(scene.area_trees.scenes):
         assert set(np.flatnonzero(met[:, number])) <= set(local.tree.primitive.numpy().tolist())
     assert 0.05 < met.mean() < 0.95
     plain = wrt.Scene(mesh, "bvh", device="cpu")
@@ -268,7 +269,7 @@ def test_rays_among_those_of_an_only_area(share):
         position=[*(low + high)[:2] / 2, high[2] + 1], direction=(0, 0, -1), width=9, height=9, depth=9
     )
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[sun], local=wrt.Bvh()), device="cpu")
-    whole, local = scene.tree, scene.local_trees.scenes[0].tree
+    whole, local = scene.tree, scene.area_trees.scenes[0].tree
     for name in ("bounds", "child", "primitive"):  # the area has all triangles: its tree is the scene's
         np.testing.assert_array_equal(getattr(local, name).numpy(), getattr(whole, name).numpy())
     rng = np.random.default_rng(0)
@@ -285,7 +286,7 @@ def test_rays_among_those_of_an_only_area(share):
 def test_areas_without_triangles_are_left_out():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)[2:3]), device="cpu")
-    assert scene.local_trees is None
+    assert scene.area_trees is None
     assert_same_hits(scene.intersect(*mixed_rays(mesh, 100)), wrt.Scene(mesh, device="cpu").intersect(*mixed_rays(mesh, 100)))
 
 

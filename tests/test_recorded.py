@@ -1,4 +1,4 @@
-"""Rays in arrays on the device, answered by recorded launches: what the ordinary way gives, to the bit, and in graphs."""
+"""Rays in arrays on the device, answered by prepared queries: what batches give, to the bit, and in graphs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import gc
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +13,12 @@ import warp as wp
 from conftest import mixed_rays
 
 import wrt
-from wrt.execution import plan as planning
-from wrt.execution.plan import FEW_RAYS
-from wrt.execution.recorded import Recording, trace_recorded
+from wrt.execution.prepared import PreparedQuery
+from wrt.execution.query_cache import MOST_PLANS, QueryCache
+from wrt.execution.query_kinds import FEW_RAYS
 from wrt.kernels.runtime.launch import use_threads
-from wrt.rays.rays import Rays, lay_out
+from wrt.rays.ray_arrays import lay_out
+from wrt.rays.rays import Rays
 
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "instance_id", "is_hit", "position", "normal")
 COUNT = 60
@@ -88,7 +88,7 @@ LAYOUTS = list(layouts(scene_of("meshes", "cpu")))
 def test_as_the_ordinary_way(scene, name):
     rays = layouts(scene)[name]
     recorded, ordinary = scene.intersect(*rays), scene.intersect(*rays, traversal="single")
-    assert ("closest", lay_out(Rays(*rays), scene.device, scene.center).layout) in scene.desks
+    assert lay_out(Rays(*rays), scene.device, scene.center).layout in layouts_of(scene)
     assert recorded.shape == ordinary.shape
     assert str(recorded.plan).split(":")[0] == str(ordinary.plan).split(":")[0]
     assert_same(recorded, ordinary)
@@ -98,24 +98,27 @@ def test_as_the_ordinary_way(scene, name):
         np.testing.assert_array_equal(one.numpy(), other.numpy())
 
 
-def recordings_of(scene: wrt.Scene) -> list[Recording]:
-    """Those that the scene keeps and nobody uses now."""
-    return [one for waiting in scene.desks.values() for one in waiting if isinstance(one, Recording)]
+def prepared_by(scene: wrt.Scene) -> list[PreparedQuery]:
+    """The prepared queries of a scene that no caller holds."""
+    return [one for chosen in scene.state.cache.plans for one in chosen.waiting()]
+
+
+def layouts_of(scene: wrt.Scene) -> set:
+    """Layouts of rays that queries are prepared for."""
+    return {layout for chosen in scene.state.cache.plans for layout in chosen._free}
 
 
 def test_who_comes_here(scene):
-    """Few rays in Warp arrays whose plan is left to the scene; a launch is made for each query and layout, and used again."""
-    scene.desks.clear()
+    """A query is prepared for each kind and layout, and used again; not where it counts work, nor for no rays."""
+    scene.state.cache.clear()
     own, toward = device_rays(scene, FEW_RAYS + 1)
-    assert trace_recorded(scene, Rays(own, toward), "closest") is None
-    scene.intersect(own[:9], toward[:9], traversal="single")
-    scene.occluded(own[:9], toward[:9], triangle_test="woop")
+    scene.intersect(own[:9], toward[:9], traversal="single", counters=True)
     scene.intersect(own[:0], toward[:0])
-    assert not recordings_of(scene)
+    assert not prepared_by(scene)
     for count in (7, 9, FEW_RAYS, 7):
         scene.intersect(own[:count], toward[:count])
         scene.occluded(own[:count], toward[:count])
-    assert len(recordings_of(scene)) == 2
+    assert len(prepared_by(scene)) == 2
 
 
 def test_answers_are_the_callers_own(scene):
@@ -138,7 +141,7 @@ def test_after_an_update(kind, device):
     scene = scene_of(kind, device)
     own, toward = device_rays(scene)
     before = scene.intersect(own, toward)
-    assert len(scene.desks) == 1
+    assert len(prepared_by(scene)) == 1
     if kind == "instances":
         scene.update(0, transform=np.diag([2.0, 2.0, 2.0, 1.0]))
     else:
@@ -154,7 +157,7 @@ def test_nothing_stale():
     scene, moved = (wrt.Scene(wrt.TriangleMesh(mesh.vertices * scale, mesh.faces), device="cpu") for scale in (1.0, 0.5))
     own, toward = device_rays(scene)
     scene.intersect(own, toward)
-    scene.tree, scene.device_mesh, scene.center, scene._blocks = moved.tree, moved.device_mesh, moved.center, {}
+    scene.state = moved.state
     np.testing.assert_array_equal(scene.intersect(own, toward).t.numpy(), moved.intersect(own, toward).t.numpy())
 
 
@@ -164,7 +167,7 @@ def test_nothing_outlives_its_owner():
     own, toward = device_rays(scene)
     hits, dark = scene.intersect(own, toward), scene.occluded(own, toward)
     kept = [weakref.ref(array) for array in (own, toward)]
-    recording = weakref.ref(next(iter(scene.desks.values()))[0])
+    recording = weakref.ref(prepared_by(scene)[0])
     del own, toward
     gc.collect()
     assert [ref() for ref in kept] == [None, None]
@@ -269,19 +272,11 @@ def test_layout(scene):
     np.testing.assert_array_equal(arrays.origins.numpy(), [[0.0, 0.0, 0.0]])
 
 
-def test_plans_that_another_thread_clears(monkeypatch):
-    """The plans of a scene may go between any two steps of a thread that looks for its own: once a KeyError."""
-
-    class Cleared(dict):
-        def __contains__(self, key: object) -> bool:
-            found = super().__contains__(key)
-            self.clear()
-            return found
-
-    monkeypatch.setattr(planning, "choose_plan", lambda *args: "chosen")
-    scene = SimpleNamespace(device=SimpleNamespace(is_cuda=True), plans=Cleared())
-    for shape in [(n,) for n in range(2 * planning.MOST_PLANS)] * 2:
-        found = {"coherent": True, "scattered": False, "columns": 0}
-        rays = SimpleNamespace(shape=shape, laid_out=SimpleNamespace(origin_stride=1), **found)
-        assert planning.make_plan(scene, rays, "auto", "auto") == "chosen"
-        assert len(scene.plans) <= planning.MOST_PLANS
+def test_plans_are_bounded():
+    """A cache holds so many plans and no more: with one more it begins anew, and a caller keeps what it looked up."""
+    cache = QueryCache()
+    for number in range(2 * MOST_PLANS):
+        assert cache.plan(number) is None
+        assert cache.keep_plan(number, f"plan {number}") == f"plan {number}"
+        assert cache.plan(number) == f"plan {number}"
+        assert len(cache.plans) <= MOST_PLANS

@@ -175,7 +175,7 @@ def test_another_version_builds_again(built, tmp_path, monkeypatch):
     assert_same_tree(scene, pickle.loads(pickled))
     assert built == ["bvh"] * 3
     monkeypatch.undo()
-    monkeypatch.setattr("wrt.kernels.simd.lanes.native_width", lambda device: 2)
+    monkeypatch.setattr("wrt.scene.mesh_state.native_width", lambda device: 2)
     assert wrt.Scene.load(tmp_path / "scene", device="cpu").tree.width == 2
 
 

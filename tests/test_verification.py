@@ -13,7 +13,7 @@ from test_spawn import PLACES, placed
 from test_watertight import BODIES
 
 import wrt
-from wrt import verification
+from wrt.query import verification
 from wrt.cli import main
 
 TEAPOT = wrt.scenes.build("teapot", level=4, ground=False)
@@ -75,7 +75,7 @@ def test_finds_records_that_are_wrong():
     """Triangles that the records place a little beside where the mesh has them: false hits, and misses beside."""
     scene = wrt.Scene(TEAPOT, device="cpu")
     scene.verify(4)  # makes the records
-    for _, blocks in scene._blocks.values():
+    for _, blocks in scene.state.cache.records.values():
         records = blocks.records.numpy().copy()
         records += np.float32(0.01)
         blocks.records.assign(records)
@@ -88,7 +88,7 @@ def test_finds_a_single_wrong_record():
     """One triangle of a box is moved away: rays through it miss, and hit it where it is not."""
     scene = wrt.Scene(BODIES["box"], device="cpu")
     scene.verify(4)
-    for _, blocks in scene._blocks.values():
+    for _, blocks in scene.state.cache.records.values():
         width = scene.tree.width
         records = blocks.records.numpy().reshape(-1, 9, width).copy()
         lane = int(np.flatnonzero(blocks.primitive.numpy()[:width] == 3)[0])
@@ -103,10 +103,10 @@ def test_finds_a_single_wrong_record():
 def test_finds_a_test_that_leaks(monkeypatch):
     """Rays at vertices are lost: as by a test that is not watertight."""
     scene = wrt.Scene(BODIES["icosphere"], device="cpu")
-    intersect = scene.intersect
+    truth = verification.closest_hits
 
-    def leaky(origins, directions):
-        hits = intersect(origins, directions)
+    def leaky(state, rays, query):
+        hits, directions = truth(state, rays, query), rays.directions
         weights = np.column_stack([1 - hits.uv.sum(axis=1), hits.uv])
         lost = (weights > 0.99999).any(axis=1) & hits.is_hit
         assert lost.any()
@@ -114,7 +114,7 @@ def test_finds_a_test_that_leaks(monkeypatch):
         hits.t[lost] = np.inf
         return hits
 
-    monkeypatch.setattr(scene, "intersect", leaky)
+    monkeypatch.setattr(verification, "closest_hits", leaky)
     report = scene.verify(400)
     assert report.misses["vertices"] > 10
     assert report.misses["random"] == report.misses["edges"] == 0
@@ -131,10 +131,10 @@ def test_finds_that_moeller_and_trumbore_leak():
 
 def test_finds_occlusion_that_disagrees(monkeypatch):
     scene = wrt.Scene(BODIES["icosphere"], device="cpu")
-    truth = scene.occluded
-    monkeypatch.setattr(scene, "occluded", lambda *rays: np.zeros_like(truth(*rays)))
+    truth = verification.ray_values
+    monkeypatch.setattr(verification, "ray_values", lambda *asked: np.zeros_like(truth(*asked)))
     assert scene.verify(40).misses["random"] > 3
-    monkeypatch.setattr(scene, "occluded", lambda *rays: np.ones_like(truth(*rays)))
+    monkeypatch.setattr(verification, "ray_values", lambda *asked: np.ones_like(truth(*asked)))
     assert scene.verify(400).false_hits["random"] > 3
 
 
@@ -164,7 +164,7 @@ def test_reports_say_what_explains_faults():
     scene = wrt.Scene(wrt.TriangleMesh(mesh.vertices, mesh.faces[1:]), device="cpu")
     scene.verify(4)
     rim = int(np.flatnonzero(np.isin(mesh.faces[1:], mesh.faces[0]).sum(axis=1) == 2)[0])
-    for _, blocks in scene._blocks.values():
+    for _, blocks in scene.state.cache.records.values():
         records = blocks.records.numpy().reshape(-1, 9, scene.tree.width).copy()
         block, lane = divmod(int(np.flatnonzero(blocks.primitive.numpy() == rim)[0]), scene.tree.width)
         records[block, :, lane] = np.nan
@@ -209,7 +209,7 @@ def test_command(tmp_path, monkeypatch):
     as_json = json.loads(CliRunner().invoke(main, ["verify", str(path), "--samples", "40", "--json"]).stdout)
     assert as_json["ok"]
     assert as_json["rays"] == dict.fromkeys(verification.KINDS, 10)
-    monkeypatch.setattr(wrt.Scene, "occluded", lambda scene, *rays: np.zeros(len(rays[0]), dtype=bool))
+    monkeypatch.setattr(verification, "ray_values", lambda scene, rays, *asked: np.zeros(len(rays), dtype=bool))
     bad = CliRunner().invoke(main, ["verify", str(path), "--samples", "40"])
     assert bad.exit_code == 1
     assert "WRONG" in bad.stdout

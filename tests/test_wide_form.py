@@ -153,7 +153,7 @@ def test_lists_of_clipped_triangles(teapot):
 def test_nodes_have_two_children_at_least(teapot):
     scene = wrt.Scene(teapot, TREES["width 1"], device="cpu")
     plan = scene.explain(*mixed_rays(teapot, 3000), traversal="wide_packet")
-    assert (scene.width, plan.width, plan.packet, wide_tree(scene).width) == (1, 2, 4, 2)
+    assert (scene.width, plan.width, plan.packet, wide_tree(scene.state).width) == (1, 2, 4, 2)
 
 
 def test_when_there_is_one():
@@ -164,7 +164,7 @@ def test_when_there_is_one():
     many, some = wrt.Rays(origins, directions), wrt.Rays(origins[:1200], directions[:1200])
     scene, lazy = (wrt.Scene(mesh, wrt.KdTree(builder=builder), device="cpu") for builder in ("binned", "lazy"))
     assert [scene.explain(rays).traversal for rays in (some, many)] == ["lockstep", "wide_stream"]
-    assert scene.wide is None
+    assert scene.state.cache.wide is None
     by_and_by = wrt.Scene(mesh, BINNED, device="cpu")
     for traversal in ("lockstep", "lockstep", "wide_stream"):
         assert by_and_by.explain(some).traversal == traversal
@@ -186,15 +186,15 @@ def test_moved_triangles_have_another(teapot):
     scene = wrt.Scene(teapot, BINNED, device="cpu")
     origins, directions = mixed_rays(teapot, 3000)
     scene.intersect(origins, directions, traversal="wide_stream")
-    form = wide_tree(scene)
-    assert wide_tree(scene) is form
+    form = wide_tree(scene.state)
+    assert wide_tree(scene.state) is form
     scene.update(0, vertices=teapot.vertices * [1.0, 1.3, 0.8])
-    assert scene.wide is None
+    assert scene.state.cache.wide is None
     hits = scene.intersect(origins, directions, traversal="wide_stream")
-    assert wide_tree(scene) is not form
+    assert wide_tree(scene.state) is not form
     assert_same_hits(hits, scene.intersect(origins, directions, traversal="brute"))
     records = scene.record_bytes
-    scene.tree = wrt.Scene(scene.meshes, BINNED, device="cpu").tree
+    scene.state = scene.state.over(wrt.Scene(scene.meshes, BINNED, device="cpu").tree)
     assert_same_hits(scene.intersect(origins, directions, traversal="wide_stream"), hits)
     assert 0 < scene.record_bytes < 1.3 * records  # those of the form before are let go
-    assert wp.get_device("cpu") == wide_tree(scene).child.device
+    assert wp.get_device("cpu") == wide_tree(scene.state).child.device

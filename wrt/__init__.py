@@ -56,7 +56,7 @@ _HOME = {
     "TreeAnalysis": "wrt.known_rays.tree_analysis",
     "TriangleMesh": "wrt.meshes.mesh",
     "UpdatePolicy": "wrt.scene.updates",
-    "Verification": "wrt.verification",
+    "Verification": "wrt.query.verification",
     "analyse": "wrt.known_rays.tree_analysis",
     "break_even": "wrt.known_rays.break_even",
     "device": "wrt",

@@ -41,6 +41,7 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from wrt.execution.plan import Plan, stack_levels
+from wrt.execution.triangle_records import records_of
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
     Hit,
@@ -60,7 +61,7 @@ from wrt.kernels.runtime import launch as launching
 from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
 
 __all__ = [
     "Hit",
@@ -146,8 +147,9 @@ def has_backward(kernel: wp.Kernel) -> bool:
     return bool(kernel.module.options["enable_backward"] if own is None else own)
 
 
-def handle_of(scene: Scene) -> Any:
+def handle_of(scene: SceneState) -> Any:
     """What kernels get of a scene: `Scene.handle`."""
+    scene.require("handle")
     scene.complete()
     plan = Plan(
         accelerator=scene.accelerator.kind,
@@ -161,7 +163,7 @@ def handle_of(scene: Scene) -> Any:
     levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" else 0
     handle = launching.specialise(partial(handle_type, plan.accelerator, plan.width), levels)()
     handle.tree = scene.tree.struct()
-    handle.triangles = scene.triangles(plan, None)
+    handle.triangles = records_of(scene, plan, None)
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)
     return handle

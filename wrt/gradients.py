@@ -68,7 +68,7 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
     device, count, shape = scene.device, len(hits.batch.t), hits.shape or (1,)
     if hits.batch.t.device != device:
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
-    if not hits.is_of(scene):
+    if not hits.is_of(scene.state):
         raise ValueError("hits are of another scene; pass hits of this scene")
     points = scene.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
     if points.shape != scene.exact_vertices.shape:

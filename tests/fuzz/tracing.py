@@ -1,6 +1,7 @@
 """Scenes of any finite mesh: refused with a clear error, or every tree answers as brute force does, to the bit.
 
-Meshes smaller than `wrt.verification.LEAST_EXTENT` become scenes, but answers are not compared: products of float32 underflow,
+Meshes smaller than `wrt.query.verification.LEAST_EXTENT` become scenes, but answers are not compared: products of
+float32 underflow,
 and the forms of the triangle test may then differ. `Scene.verify` names that.
 """
 
@@ -12,7 +13,7 @@ import numpy as np
 
 import wrt
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
-from wrt.verification import LEAST_EXTENT
+from wrt.query.verification import LEAST_EXTENT
 
 from . import floats
 from .building import KDTREES

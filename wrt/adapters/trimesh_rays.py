@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
-from wrt.execution.plan import AUTO
+from wrt.execution.query_kinds import AUTO
 from wrt.kernels.runtime.launch import launch, use_threads
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from wrt.bench.peers import Open3D
 from wrt.bench.results import Question, Row
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.execution.plan import AUTO
+from wrt.execution.query_kinds import AUTO
 from wrt.meshes.mesh import TriangleMesh
 
 BUDGET = 10.0

@@ -15,10 +15,12 @@ import warp as wp
 from wrt.bench.pichler import SCENES, ratios, timed
 from wrt.bench.workloads import WorkloadMaker
 from wrt.builders.triangle_fans import TriangleFans, build_fans
-from wrt.execution.executor import BRUTE_FORCE_TESTS, new_hits
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.traversal_launch import BRUTE_FORCE_TESTS
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import FanSet, make_kernel
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 TESTS = ("moeller_trumbore", "moeller_trumbore_precomputed", "baldwin_weber")
@@ -60,9 +62,16 @@ def closest(scene: Scene, fans: FanSet, rays: Rays, edges: bool) -> tuple[np.nda
         t (N,) float32, inf for a miss; triangle (N,) int32, -1 for a miss; uv (N, 2) float32.
     """
     buffers = to_device(rays, scene.device, scene.center)
-    hits = new_hits(buffers.batch.count, "closest", scene.device)
+    hits = DeviceHits.new("closest", buffers.batch.count, scene.device)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count)
-    launch(make_kernel(edges), buffers.batch.count, [fans, buffers.batch, hits], device=scene.device, chunk=64, longest=longest)
+    launch(
+        make_kernel(edges),
+        buffers.batch.count,
+        [fans, buffers.batch, hits.struct()],
+        device=scene.device,
+        chunk=64,
+        longest=longest,
+    )
     return hits.t.numpy(), hits.primitive.numpy(), hits.uv.numpy()
 
 

@@ -33,7 +33,7 @@ from wrt.bench.measure import Contender, Timing, take_turns
 from wrt.bench.workloads import Workload, WorkloadMaker
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli.arguments import target_options
-from wrt.execution.plan import AUTO
+from wrt.execution.query_kinds import AUTO
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene

@@ -20,16 +20,18 @@ from wrt.bench.workloads import WorkloadMaker
 from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.cli.arguments import target_options
-from wrt.execution.plan import CLOSEST, make_plan
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import CLOSEST
 from wrt.kernels.runtime.launch import get_num_threads, launch, use_threads
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
-    from wrt.kernels.layout.ray_batch import HitBatch
-    from wrt.rays.rays import RayBuffers
+    from wrt.execution.device_hits import DeviceHits
+    from wrt.rays.ray_buffers import RayBuffers
 
 REFERENCE = "random"
 """The layout that all figures refer to."""
@@ -58,17 +60,19 @@ class LayoutFigures:
     ratios: dict[str, float | None]
 
 
-def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> HitBatch:
+def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHits:
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
-    from wrt.execution.executor import counter_rows, new_hits, no_work, traversal_config
+    from wrt.execution.device_hits import DeviceHits
+    from wrt.execution.plan import traversal_config
+    from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_kernel
 
-    plan = make_plan(scene, rays, "single", "auto")
-    config = replace(traversal_config(plan, scene, CLOSEST, False), pairs=True)
-    hits = new_hits(rays.count, CLOSEST, scene.device)
+    plan = make_plan(scene.state, rays, "single", "auto")
+    config = replace(traversal_config(plan, scene.state, CLOSEST, False), pairs=True)
+    hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
-    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits, counters]
+    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits.struct(), counters]
     launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
     return hits
 

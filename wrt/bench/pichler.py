@@ -37,7 +37,8 @@ from wrt.kernels.triangle.ferko.variant import Variant
 from wrt.kernels.triangle.study.pruning_counts import Pruned, make_kernel
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes import build
 

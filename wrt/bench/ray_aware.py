@@ -31,7 +31,8 @@ from wrt.bench.builds import BUDGET, SETTLE
 from wrt.bench.measure import Contender, take_turns
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.execution.executor import trace
-from wrt.execution.plan import ANY, CLOSEST, make_plan
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import ANY, CLOSEST
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads
 from wrt.known_rays.influence_areas import corners_of
@@ -43,7 +44,8 @@ from wrt.known_rays.ray_casters import (
     point_shadow_rays,
 )
 from wrt.meshes.mesh import TriangleMesh
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 
 REFERENCE = "Bvh"
@@ -282,7 +284,9 @@ def work_of(scene: Scene, known: KnownRays) -> float:
     with use_threads(scene.num_threads):
         rays = thinned(known.rays, COUNTED)
         buffers = to_device(rays, scene.device, scene.center)
-        _, work = trace(scene, make_plan(scene, buffers, "single", "auto", known.query), buffers, known.query, counters=True)
+        _, work = trace(
+            scene.state, make_plan(scene.state, buffers, "single", "auto", known.query), buffers, known.query, counters=True
+        )
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
     nodes, triangles = (float(counted[name].sum(dtype=np.float64)) for name in ("nodes", "triangles"))
     return cost.traversal * nodes + cost.block * triangles / scene.tree.width

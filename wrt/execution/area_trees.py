@@ -22,10 +22,11 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.influence.area_top_level import TopLevel, boxes_of, margin_of, region_of, renumber, touch_of, triangles_in
-from wrt.execution.executor import new_hits, trace_batch
+from wrt.execution.batch import trace_batch
+from wrt.execution.device_hits import DeviceHits
 from wrt.execution.plan import Plan, way_of
 from wrt.kernels.influence.area_assignment import assign_rays, mark_rest
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
@@ -33,7 +34,7 @@ from wrt.memory import empty
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.triangle_boxes import TriangleBoxes
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
 
 
 CHUNK, CUDA_CHUNK = 4096, 64
@@ -44,7 +45,7 @@ MOST_ALONE = 0.3
 
 
 @dataclass(frozen=True)
-class LocalTrees:
+class AreaTrees:
     """The influence areas of a scene that have triangles, and a tree for each.
 
     Attributes:
@@ -56,7 +57,7 @@ class LocalTrees:
     """
 
     areas: tuple[InfluenceArea, ...]
-    scenes: tuple[Scene, ...]
+    scenes: tuple[SceneState, ...]
     triangles: tuple[int, ...]
     top: TopLevel
     low: wp.vec3
@@ -72,7 +73,7 @@ class LocalTrees:
         return self.top.bytes + sum(scene.tree.bytes for scene in self.scenes)
 
 
-def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | None:
+def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees | None:
     """The trees of the accelerator's areas; None if no triangle touches any of them.
 
     Args:
@@ -98,12 +99,14 @@ def build_local_trees(scene: Scene, triangles: TriangleBoxes) -> LocalTrees | No
     )
     margin = max(margin_of(region, touch, low, high) for region in regions)
     corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
-    return LocalTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
+    return AreaTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
 
 
-def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters: bool) -> tuple[HitBatch, wp.array | None]:
+def trace_by_area(
+    scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool
+) -> tuple[DeviceHits, wp.array | None]:
     """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
-    local, cuts = scene.local_trees, assign(scene, rays)
+    local, cuts = scene.area_trees, assign(scene, rays)
     if cuts.alone == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
     batch = Parts(plan, query, counters)
@@ -112,7 +115,8 @@ def trace_by_area(scene: Scene, plan: Plan, rays: RayBatch, query: str, counters
     for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
         batch.trace(part, cut, order, begin, end)
     if cuts.left + cuts.alone > 0:
-        inputs = [len(local), cuts.area, cuts.rest, batch.hits.primitive, batch.hits.occluded, cuts.area]
+        found = batch.hits.struct()
+        inputs = [len(local), cuts.area, cuts.rest, found.primitive, found.occluded, cuts.area]
         launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
         # the second round trip, only where a ray is left
         order = wp.array(np.flatnonzero(cuts.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
@@ -151,9 +155,9 @@ class Cuts:
         return sort_buckets(self.area, areas + 1)
 
 
-def assign(scene: Scene, rays: RayBatch) -> Cuts:
+def assign(scene: SceneState, rays: RayBatch) -> Cuts:
     """Finds the area of each ray."""
-    device, local = scene.device, scene.local_trees
+    device, local = scene.device, scene.area_trees
     chunk = CUDA_CHUNK if device.is_cuda else CHUNK
     chunks = -(-rays.count // chunk)
     arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
@@ -178,10 +182,10 @@ class Parts:
     plan: Plan
     query: str
     counters: bool
-    hits: HitBatch | None = None
+    hits: DeviceHits | None = None
     work: np.ndarray | None = None
 
-    def trace(self, scene: Scene, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
+    def trace(self, scene: SceneState, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
         """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
         if begin == end:
             return
@@ -192,8 +196,8 @@ class Parts:
             order = order[begin:end]
             plan = replace(self.plan, reorder="none") if self.plan.reorder == "tiles" else self.plan
             hits, work = trace_batch(scene, plan, sort_rays(rays, order, empty), self.query, self.counters)
-            self.hits = self.hits or new_hits(rays.count, self.query, scene.device)
-            unsort_hits(order, hits, self.hits, self.query)
+            self.hits = self.hits or DeviceHits.new(self.query, rays.count, scene.device)
+            unsort_hits(order, hits.struct(), self.hits.struct(), self.query)
             chosen = order.numpy()
         if work is not None:
             values = work.numpy()

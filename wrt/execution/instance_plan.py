@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from wrt.execution.plan import ALIKE, ALL, ANY, CLOSEST
+from wrt.execution.query_kinds import ALIKE, ALL, ANY, CLOSEST
 
 if TYPE_CHECKING:
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.triangle import TriangleTest
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
+    from wrt.rays.ray_buffers import RayBuffers
 
 TRIANGLES_PER_RAY = 8
 """Triangles of all instances a ray up to which packets go through two levels: measured on views of 10 and 100 bunnies, they are
@@ -21,7 +21,7 @@ RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 (1.2 to 1.4 times as fast as single rays), and others (1.05 times, with a mesh of 70,000 triangles)."""
 
 
-def choose_for_instances(scene: Scene, rays: RayBuffers, query: str, cull_backfaces: bool) -> tuple[str, str]:
+def choose_for_instances(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool) -> tuple[str, str]:
     """Name of the traversal, and the reason: `wrt.execution.plan.choose_traversal` for many rays on the CPU."""
     alone = "two levels, a ray at a time"
     if scene.accelerator.kind != "bvh" or query == ALL:
@@ -33,7 +33,7 @@ def choose_for_instances(scene: Scene, rays: RayBuffers, query: str, cull_backfa
     return ("stream", "two levels, rays sorted by instance") if rays.count >= least else ("single", alone)
 
 
-def check_instances(scene: Scene, query: str, way: Traversal, test: TriangleTest) -> None:
+def check_instances(scene: SceneState, query: str, way: Traversal, test: TriangleTest) -> None:
     """Refuses what does not go with a scene of instances.
 
     Raises:

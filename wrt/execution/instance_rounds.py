@@ -24,15 +24,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import counter_rows, new_hits, no_work, run
-from wrt.execution.plan import ANY, COUNT, Plan, stack_levels, traversal_config, way_of
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.plan import Plan, stack_levels, traversal_config, way_of
+from wrt.execution.query_kinds import ANY, COUNT
+from wrt.execution.traversal_launch import counter_rows, no_work, run_kernel
+from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
 from wrt.memory import empty, new_rays
 
 if TYPE_CHECKING:
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal.two_level.instance_streams import Sorted
-    from wrt.scene.instanced_scene import InstancedScene
 
 CHUNKS_PER_THREAD = 4
 
@@ -49,7 +51,7 @@ SEGMENT = 1024
 """Rays of a segment, the least that is shared out among threads."""
 
 
-def trace_batch(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str) -> None:
+def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
     """Answers the query "closest", "any" or "count" for rays on the CPU.
 
     Args:
@@ -70,7 +72,7 @@ def trace_batch(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBatc
             rounds.list_instances(again=True)
 
 
-def trace_packets(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBatch, query: str) -> None:
+def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
     """The same by packets that go down both levels; `hits` are clear."""
     from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
     from wrt.kernels.traversal.two_level.instance_packets import make_kernel
@@ -79,15 +81,15 @@ def trace_packets(scene: InstancedScene, plan: Plan, rays: RayBatch, hits: HitBa
     kernel = specialise(partial(make_kernel, levels=stack_levels(scene.tree.depth)), config)
     grain = rays_per_item(config)
     size = -(-min(rays.count, BLOCK) // grain) * grain
-    own, found = new_rays(size, scene.device), new_hits(size, query, scene.device)
+    own, found = new_rays(size, scene.device), DeviceHits.new(query, size, scene.device).struct()
     work = counter_rows(no_work(way_of(plan).counters, scene.device.alias))
     for begin in range(0, rays.count, BLOCK):
-        inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits, work]
+        inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits.struct(), work]
         items = -(-min(rays.count - begin, BLOCK) // grain)
         launch(kernel, items, inputs, device=scene.device, chunk=max(1, 1024 // grain))
 
 
-def clear(hits: HitBatch, query: str) -> None:
+def clear(hits: DeviceHits, query: str) -> None:
     """Answers of rays that meet nothing."""
     if query == ANY:
         hits.occluded.zero_()
@@ -102,7 +104,7 @@ def clear(hits: HitBatch, query: str) -> None:
 class Rounds:
     """The state of the rounds of one block of a batch, which begins at a ray."""
 
-    def __init__(self, scene: InstancedScene, plan: Plan, rays: RayBatch, query: str, begin: int) -> None:
+    def __init__(self, scene: SceneState, plan: Plan, rays: RayBatch, query: str, begin: int) -> None:
         from wrt.kernels.traversal.two_level.instance_streams import ROOM, Search, make_stream_kernel
 
         self.scene, self.plan, self.rays, self.query, self.device = scene, plan, rays, query, scene.device
@@ -129,13 +131,13 @@ class Rounds:
         inputs = [self.top, self.rays, again, self.search]
         launch(kernel, self.count, inputs, device=self.device, chunk=1024)
 
-    def trace_lists(self, hits: HitBatch) -> bool:
+    def trace_lists(self, hits: DeviceHits) -> bool:
         """A round for each place of the lists; whether some may have been too short."""
         from wrt.kernels.traversal.two_level.instance_streams import ROOM
 
         return all(self.trace_round(turn, hits) for turn in range(ROOM))
 
-    def trace_round(self, turn: int, hits: HitBatch) -> bool:
+    def trace_round(self, turn: int, hits: DeviceHits) -> bool:
         """Traces the rays through their instances of this turn; whether there were any."""
         from wrt.kernels.query.ray_order import scan_counts
         from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
@@ -149,7 +151,7 @@ class Rounds:
         if count == 0:
             return False
         launch(scan_counts, 1, [counts], device=self.device)
-        sorted_rays, found = new_sorted(count, self.device), new_hits(count, self.query, self.device)
+        sorted_rays, found = new_sorted(count, self.device), DeviceHits.new(self.query, count, self.device).struct()
         launch(sort_by_instance, chunks, [self.top, self.rays, *inputs, sorted_rays], device=self.device, chunk=1)
         if FEW * count < self.count:
             self.trace_alone(sorted_rays.order, hits)
@@ -157,18 +159,19 @@ class Rounds:
         segments = wp.array(cut(totals, self.segment), dtype=wp.vec3i, device=self.device)
         work = [segments, self.top.placements, self.lower, sorted_rays.rays, found, self.work]
         launch(self.kernel, len(segments), work, device=self.device, chunk=1)
-        work = [self.top.placements, sorted_rays, found, self.search, hits]
+        work = [self.top.placements, sorted_rays, found, self.search, hits.struct()]
         launch(MERGE[self.query], count, work, device=self.device, chunk=4096)
         return True
 
-    def trace_alone(self, order: wp.array, hits: HitBatch) -> None:
+    def trace_alone(self, order: wp.array, hits: DeviceHits) -> None:
         """Answers the query for the rays of these numbers, whatever was found before."""
         from wrt.kernels.query.ray_order import sort_rays, unsort_hits
 
-        rays, found = sort_rays(self.rays, order, empty), new_hits(len(order), self.query, self.device)
+        rays, found = sort_rays(self.rays, order, empty), DeviceHits.new(self.query, len(order), self.device)
         plan = replace(self.plan, traversal="single")
-        run(self.scene, plan, rays, found, self.query, no_work(way_of(plan).counters, self.device.alias), False)
-        unsort_hits(order, found, hits, self.query)
+        idle = no_work(way_of(plan).counters, self.device.alias)
+        run_kernel(self.scene, plan, rays, found, self.query, idle, False)
+        unsort_hits(order, found.struct(), hits.struct(), self.query)
 
 
 def new_sorted(count: int, device: wp.Device) -> Sorted:

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.plan import ANY, CLOSEST
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.query_kinds import ANY, CLOSEST
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
 
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree, Snapshot
-    from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+    from wrt.kernels.layout.ray_batch import RayBatch
 
 AHEAD = 2
 """Waiting cells that a ray asks for at a time: more of them build what is hidden behind the first, fewer take more rounds."""
@@ -38,12 +39,12 @@ LEAST = 1 << 14
 MOST = 1 << 30
 """More cells than a tree has."""
 
-Trace = Callable[["RayBatch", "HitBatch"], None]
+Trace = Callable[["RayBatch", DeviceHits], None]
 """Traces rays through the tree as it stands, and writes their hits."""
 
 
 @dataclass
-class Growing:
+class LazyQuery:
     """Rays that are traced while their tree is built.
 
     Attributes:
@@ -51,7 +52,6 @@ class Growing:
         rays: the batch.
         how: up to where a ray asks for cells, see `wrt.kernels.traversal.single.lazy_requests`.
         trace: traces a batch, or a part of it.
-        new_hits: makes memory for the results of so many rays.
         query: what they are.
     """
 
@@ -59,10 +59,9 @@ class Growing:
     rays: RayBatch
     how: int
     trace: Trace
-    new_hits: Callable[[int], HitBatch]
     query: str
 
-    def settle(self, hits: HitBatch) -> None:
+    def settle(self, hits: DeviceHits) -> None:
         """Traces all rays, and those that ask for cells again, until none does."""
         from wrt.kernels.query.ray_order import unsort_hits
 
@@ -71,7 +70,7 @@ class Growing:
         numbers = ask(self.tree, snapshot, self.rays, hits, self.how, AHEAD)
         while len(numbers):
             order, found, asking = self.trace_some(numbers)
-            unsort_hits(order, found, hits, self.query)
+            unsort_hits(order, found.struct(), hits.struct(), self.query)
             numbers = numbers[asking]
 
     def explore(self, numbers: np.ndarray) -> None:
@@ -79,20 +78,22 @@ class Growing:
         while len(numbers):
             numbers = numbers[self.trace_some(numbers)[2]]
 
-    def trace_some(self, numbers: np.ndarray) -> tuple[wp.array, HitBatch, np.ndarray]:
+    def trace_some(self, numbers: np.ndarray) -> tuple[wp.array, DeviceHits, np.ndarray]:
         """Traces some of the rays; returns their numbers, their hits, and which of them asked for cells."""
         from wrt.kernels.query.ray_order import sort_rays
 
         order = wp.array(numbers.astype(np.int32), dtype=int, device=self.tree.device)
-        few, found, snapshot = sort_rays(self.rays, order, empty), self.new_hits(len(order)), self.tree.current
+        few, found, snapshot = (
+            sort_rays(self.rays, order, empty),
+            DeviceHits.new(self.query, len(order), self.tree.device),
+            self.tree.current,
+        )
         self.trace(few, found)
         return order, found, ask(self.tree, snapshot, few, found, self.how, AHEAD)
 
 
-def trace_growing(
-    tree: LazyKdTree, rays: RayBatch, hits: HitBatch, query: str, trace: Trace, new_hits: Callable[[int], HitBatch]
-) -> None:
-    """Traces rays and builds what they ask for, until each has its final answer; arguments as in `Growing`.
+def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str, trace: Trace) -> None:
+    """Traces rays and builds what they ask for, until each has its final answer; arguments as in `LazyQuery`.
 
     Args:
         hits: memory for the results of all rays.
@@ -105,13 +106,13 @@ def trace_growing(
             pass
         trace(rays, hits)
         return
-    growing = Growing(tree, rays, int(how), trace, new_hits, query)
+    asked = LazyQuery(tree, rays, int(how), trace, query)
     if rays.count >= LEAST:
-        growing.explore(np.flatnonzero(np.arange(rays.count) // RUN % SAMPLE == 0))
-    growing.settle(hits)
+        asked.explore(np.flatnonzero(np.arange(rays.count) // RUN % SAMPLE == 0))
+    asked.settle(hits)
 
 
-def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: HitBatch, how: int, most: int) -> np.ndarray:
+def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, how: int, most: int) -> np.ndarray:
     """Builds up to `most` waiting cells that each ray reaches first; returns the numbers of the rays that reach any."""
     from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
 
@@ -119,7 +120,7 @@ def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: HitBatch, ho
         return np.zeros(0, dtype=int)
     asked = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
     unfinished = empty(rays.count, wp.bool, tree.device)
-    inputs = [snapshot.struct(), rays, hits, how, most, asked, unfinished]
+    inputs = [snapshot.struct(), rays, hits.struct(), how, most, asked, unfinished]
     launch(ask_for_cells, rays.count, inputs, device=tree.device, chunk=1024)
     numbers = np.flatnonzero(unfinished.numpy())
     if len(numbers):

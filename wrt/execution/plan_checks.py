@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.execution.instance_plan import check_instances
+from wrt.execution.query_kinds import ALL, COUNT
 from wrt.execution.wide_trees import can_be_wide, wide_width
-from wrt.rays.rays import shares_origin
+from wrt.rays.ray_buffers import shares_origin
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.execution.plan import Plan
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.packet import Culling
     from wrt.kernels.triangle import TriangleTest
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
-
-COUNT, ALL = "count", "all"
+    from wrt.rays.ray_buffers import RayBuffers
 
 MAX_PACKET = 256
 """Rays of a packet at most: 16 x 16."""
@@ -33,7 +33,7 @@ TILED = ("packet", "wide_packet")
 """Traversals that take the pixels of a picture tile by tile."""
 
 
-def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
+def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> Plan:
     """Returns a plan that suits the scene and the rays.
 
     Raises:
@@ -54,8 +54,6 @@ def check_plan(plan: Plan, scene: Scene, rays: RayBuffers, query: str) -> Plan:
     check_query(query, way, plan.accelerator, test)
     check_culling(plan.cull_backfaces, way, plan.accelerator)
     if scene.instances:
-        from wrt.execution.instance_plan import check_instances
-
         check_instances(scene, query, way, test)
     check_spaces(scene, way)
     check_wide(scene, way)
@@ -104,7 +102,7 @@ def fits(culling: Culling, way: Traversal, tree: str) -> bool:
     return way.wide or tree == "bvh" or not culling.needs_boxes
 
 
-def check_wide(scene: Scene, way: Traversal) -> None:
+def check_wide(scene: SceneState, way: Traversal) -> None:
     """Refuses a traversal of wide forms where there is none.
 
     Raises:
@@ -117,7 +115,7 @@ def check_wide(scene: Scene, way: Traversal) -> None:
         )
 
 
-def check_spaces(scene: Scene, way: Traversal) -> None:
+def check_spaces(scene: SceneState, way: Traversal) -> None:
     """Refuses a traversal that does not walk trees in spaces of their own.
 
     Raises:

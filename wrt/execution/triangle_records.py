@@ -7,29 +7,27 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.wide_trees import walked_tree
+from wrt.execution.plan import walked_tree
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
-from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.memory import empty
-from wrt.rays.rays import shared_origin
+from wrt.rays.ray_buffers import shared_origin
 
 if TYPE_CHECKING:
     from wrt.execution.plan import Plan
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
-    from wrt.scene.scene import Scene
-
-Origin = tuple[float, float, float]
-"""A point relative to the scene's centre."""
-
-KnownRecords = dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]]
-"""The blocks of a kind of tree and of record, and the origin that they were made for, where they depend on one."""
 
 
-def records_of(scene: Scene, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
-    """See `wrt.Scene.triangles`."""
+def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
+    """The triangles in the order of the tree's leaves ("none": of their ids), as the plan's triangle test stores them.
+
+    Made once; records that depend on the rays' shared origin are made again when it has changed. Others need no rays. Those of
+    a lazily built tree are extended by what is new.
+    """
     walked = walked_tree(plan, scene)
-    known = scene.wide.records if plan.is_wide else scene._blocks
+    known = scene.cache.wide.records if plan.is_wide else scene.cache.records
     tree, record = plan.accelerator, TRIANGLE_TESTS[plan.triangle_test].record
     origin = shared_origin(rays) if record.per_origin else None
     made_for, blocks = known.get((tree, record), (None, None))

@@ -14,12 +14,10 @@ import warp as wp
 from wrt.kernels.runtime.launch import use_threads
 
 if TYPE_CHECKING:
-    from wrt.builders.tree import Bvh, KdTree
-    from wrt.execution.plan import Plan
-    from wrt.execution.triangle_records import Origin
-    from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
+    from wrt.builders.tree import Bvh
+    from wrt.execution.query_cache import KnownRecords
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.ray_buffers import RayBuffers
 
 LEAST_WIDTH = 2
 """Children of a wide node at least, whatever the width of the kd-tree's blocks."""
@@ -31,33 +29,27 @@ alike. (Bunny, one thread: 0.19 us a triangle; random rays 0.20 us, ambient occl
 
 @dataclass(frozen=True)
 class WideForm:
-    """A kd-tree, its wide form on the scene's device, and the triangle records in the order of that (`Scene.triangles`)."""
+    """The wide form of a kd-tree on the scene's device, and the triangle records in its order (`records_of`)."""
 
-    source: KdTree
     tree: Bvh
-    records: dict[tuple[str, Record], tuple[Origin | None, TriangleBlocks]] = field(default_factory=dict)
+    records: KnownRecords = field(default_factory=dict)
 
 
-def wide_width(scene: Scene) -> int:
+def wide_width(scene: SceneState) -> int:
     """Children of a wide node, and triangles of its blocks."""
     return max(scene.width, LEAST_WIDTH)
 
 
-def wide_tree(scene: Scene) -> Bvh:
+def wide_tree(scene: SceneState) -> Bvh:
     """The wide form of a scene's kd-tree, which does not grow; made on the CPU if the scene has none of this tree."""
-    form = _known(scene)
-    if form is None:
+    cache = scene.cache
+    if cache.wide is None:
         with use_threads(scene.num_threads):
-            form = scene.wide = WideForm(scene.tree, _make(scene))
-    return form.tree
+            cache.wide = WideForm(_make(scene))
+    return cache.wide.tree
 
 
-def _known(scene: Scene) -> WideForm | None:
-    """The form, if it is of the tree that the scene has now."""
-    return scene.wide if scene.wide is not None and scene.wide.source is scene.tree else None
-
-
-def _make(scene: Scene) -> Bvh:
+def _make(scene: SceneState) -> Bvh:
     from wrt.accelerators.accelerator import Bvh as Description
     from wrt.builders.convert.wide_kdtree import wide_form
     from wrt.builders.triangle_boxes import triangle_boxes
@@ -68,23 +60,18 @@ def _make(scene: Scene) -> Bvh:
     return wide_form(scene.tree.to(host), triangles, config).to(scene.device)
 
 
-def can_be_wide(scene: Scene) -> bool:
+def can_be_wide(scene: SceneState) -> bool:
     """Whether the scene has one kd-tree, all of it."""
-    return scene.accelerator.kind == "kdtree" and scene.growing is None and not scene.instances and not scene.only_single
+    return scene.accelerator.kind == "kdtree" and scene.lazy_tree is None and not scene.instances and not scene.only_single
 
 
-def pays(scene: Scene, rays: RayBuffers) -> bool:
+def pays(scene: SceneState, rays: RayBuffers) -> bool:
     """Whether rays are traced through the wide form: it is there, or they and those before them pay for it."""
     if not can_be_wide(scene):
         return False
-    return _known(scene) is not None or scene.missed + saved(rays.count, rays.coherent) >= scene.triangle_count
+    return scene.cache.wide is not None or scene.cache.missed + saved(rays.count, rays.coherent) >= scene.triangle_count
 
 
 def saved(count: int, coherent: bool) -> float:
     """What the form would save rays, in triangles that it could be made of."""
     return count * (SAVED_TOGETHER if coherent else SAVED_ALONE)
-
-
-def walked_tree(plan: Plan, scene: Scene) -> KdTree | Bvh:
-    """What a plan's kernel walks: the scene's tree, or its wide form."""
-    return wide_tree(scene) if plan.is_wide else scene.tree

@@ -29,18 +29,21 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.area_trees import assign, with_range
-from wrt.execution.executor import trace_batch
-from wrt.execution.plan import ANY, AUTO, CLOSEST, Plan, make_plan, plan_for
+from wrt.execution.batch import trace_batch
+from wrt.execution.plan import Plan, plan_for
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import ANY, AUTO, CLOSEST
 from wrt.imaging.cameras import check_whole
 from wrt.kernels.query.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.memory import empty
-from wrt.query.api import as_rays
-from wrt.rays.rays import to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import as_rays
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.scene.scene import Scene
 
@@ -171,22 +174,22 @@ def break_even(
         TypeError: as `Scene.intersect`.
         ValueError: as `Scene.intersect`; the scene has no influence areas; an unknown query.
     """
-    if scene.local_trees is None:
+    if scene.area_trees is None:
         raise ValueError(
             "the scene has no influence areas with triangles; build it with accelerator=wrt.RayAwareBvh(areas=...)"
         )
     lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
-        plan = plan_for(make_plan(scene, buffers, "single", AUTO, query), query)
+        plan = plan_for(make_plan(scene.state, buffers, "single", AUTO, query), query)
         count = min(check_whole("samples", samples, 1), buffers.count)
         rays = chosen_of(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
-        return balance(scene, plan, rays, query)
+        return balance(scene.state, plan, rays, query)
 
 
-def balance(scene: Scene, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
+def balance(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
     """Counts the work of all rays, area by area."""
-    local, cuts = scene.local_trees, assign(scene, rays)
+    local, cuts = scene.area_trees, assign(scene, rays)
     area, rest, count = cuts.area.numpy(), cuts.rest.numpy(), max(rays.count, 1)
     cut, left = with_range(rays, "t_max", cuts.cut), with_range(rays, "t_min", cuts.rest)
     balances = []
@@ -203,7 +206,7 @@ def balance(scene: Scene, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
     return BreakEven(tuple(balances), float((area == len(local)).sum() / count), rays.count)
 
 
-def costs(scene: Scene, plan: Plan, rays: RayBatch, chosen: np.ndarray, query: str) -> tuple[np.ndarray, np.ndarray]:
+def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, query: str) -> tuple[np.ndarray, np.ndarray]:
     """What some rays cost in a scene's tree, and which hit anything."""
     hits, work = trace_batch(scene, plan, chosen_of(rays, chosen, scene.device), query, True)
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost

@@ -12,14 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.execution.executor import trace
-from wrt.execution.plan import CLOSEST, COUNT, make_plan
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import CLOSEST, COUNT
 from wrt.kernels.runtime.launch import use_threads
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
     from wrt.builders.bvh.bvh_analysis import BoxMeasures
     from wrt.builders.influence.influence_area import InfluenceArea
-    from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.execution.device_hits import DeviceHits
     from wrt.scene.scene import Scene
 
 __all__ = ["CountedWork", "TreeAnalysis", "analyse"]
@@ -219,11 +221,13 @@ def analyse(
     )
 
 
-def _count(scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]) -> tuple[CountedWork, HitBatch]:
+def _count(
+    scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]
+) -> tuple[CountedWork, DeviceHits]:
     """Work of the rays that meet the root's box, and the hits of all; the others' work is one look at the root."""
     with use_threads(scene.num_threads):
         buffers = to_device(rays, scene.device, scene.center)
-        hits, work = trace(scene, make_plan(scene, buffers, "single", "auto", query), buffers, query, counters=True)
+        hits, work = trace(scene.state, make_plan(scene.state, buffers, "single", "auto", query), buffers, query, counters=True)
     counts = work.numpy()
     boxes = scene.tree.width * float(counts["nodes"][meets].mean()) if meets.any() else 0.0
     triangles = float(counts["triangles"][meets].mean()) if meets.any() else 0.0

@@ -19,23 +19,27 @@ instead of 262,144 are 5 % faster and take 128 MB instead of 32.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import new_lists, no_work, run
-from wrt.execution.plan import ALL, COUNT, Plan
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.execution.batch import run
+from wrt.execution.device_hits import DeviceHits, shaped
+from wrt.execution.executor import on_device
+from wrt.execution.plan import Plan, way_of
+from wrt.execution.planner import find_plan
+from wrt.execution.query_kinds import ALL, COUNT, Query
+from wrt.execution.traversal_launch import no_work
+from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
-from wrt.query.hits import Hits, shaped
+from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.rays import Rays, ResultForm
 
 ROOM = 8
 """Hits of a ray for which there is room at first, 16 bytes each."""
@@ -70,45 +74,39 @@ class AllHits:
 
     def __init__(
         self,
-        batch: HitBatch,
+        batch: DeviceHits,
         offsets: wp.array,
-        rays: RayBuffers,
-        scene: Scene,
+        form: ResultForm,
+        scene: SceneState,
         plan: Plan,
     ) -> None:
         self.plan = plan
-        self._offsets, self._rays, self._num_threads = offsets, rays, scene.num_threads
-        self._flat = Hits(batch, replace(rays, shape=(len(batch.t),)), scene, plan)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles hold the numbers and not the triangles (`wrt.query.pickled_hits`)."""
-        from wrt.query.pickled_hits import keep, revive_lists
-
-        return revive_lists, (keep(self._flat), self._offsets.numpy(), self.shape)
+        self._offsets, self._form, self._num_threads = offsets, form, scene.num_threads
+        self._flat = Hits(batch, form._replace(shape=(batch.count,)), scene, plan)
 
     def __repr__(self) -> str:
         return f"AllHits({len(self)} hits of rays of shape {self.shape})"
 
     def __len__(self) -> int:
         """M, the number of hits of all rays."""
-        return len(self._flat.batch.t)
+        return self._flat.batch.count
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The rays' leading shape."""
-        return self._rays.shape
+        return self._form.shape
 
     @property
     def offsets(self) -> Any:
-        return self._offsets if self._rays.is_warp else self._offsets.numpy()
+        return self._offsets if self._form.is_warp else self._offsets.numpy()
 
     @cached_property
     def count(self) -> Any:
         from wrt.kernels.query.hit_lists import count_listed
 
-        counts = empty(self._rays.count, wp.int32, self._offsets.device)
+        counts = empty(self._offsets.size - 1, wp.int32, self._offsets.device)
         self._for_each_ray(count_listed, counts)
-        return shaped(counts, self._rays)
+        return shaped(counts, self._form)
 
     @cached_property
     def ray_id(self) -> Any:
@@ -116,7 +114,7 @@ class AllHits:
 
         numbers = empty(len(self), wp.int32, self._offsets.device)
         self._for_each_ray(number_rays, numbers)
-        return numbers if self._rays.is_warp else numbers.numpy()
+        return numbers if self._form.is_warp else numbers.numpy()
 
     @property
     def t(self) -> Any:
@@ -148,7 +146,7 @@ class AllHits:
 
     def _for_each_ray(self, kernel: wp.Kernel, out: wp.array) -> None:
         with use_threads(self._num_threads):
-            launch(kernel, self._rays.count, [self._offsets, out], device=self._offsets.device, chunk=4096)
+            launch(kernel, self._offsets.size - 1, [self._offsets, out], device=self._offsets.device, chunk=4096)
 
 
 def check_max_hits(max_hits: int | None) -> int:
@@ -167,7 +165,17 @@ def check_max_hits(max_hits: int | None) -> int:
     return min(int(max_hits), MAX_TOTAL)
 
 
-def find_all(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[HitBatch, wp.array]:
+def list_hits(scene: SceneState, rays: Rays, query: Query, mask: Any, max_hits: int | None) -> AllHits:
+    """All hits of rays; see `wrt.Scene.intersect_all`."""
+    bound = check_max_hits(max_hits)
+    with use_threads(scene.num_threads):
+        buffers = on_device(scene, rays, mask)
+        plan = find_plan(scene, buffers, query).plan
+        hits, offsets = find_all(scene, plan, buffers.batch, bound)
+    return AllHits(hits, offsets, buffers.form, scene, plan)
+
+
+def find_all(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[DeviceHits, wp.array]:
     """All hits of the rays, at most so many of the nearest of each: (hits, (N + 1,) int64 offsets).
 
     Raises:
@@ -181,7 +189,7 @@ def find_all(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[H
     return join_blocks(blocks, scene.device)
 
 
-def find_block(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[HitBatch, np.ndarray]:
+def find_block(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[DeviceHits, np.ndarray]:
     """All hits of the rays of a block, and their offsets."""
     from wrt.kernels.query.hit_lists import gather_hits
     from wrt.kernels.query.ray_order import find_order, sort_rays, unsort_hits
@@ -189,38 +197,35 @@ def find_block(scene: Scene, plan: Plan, rays: RayBatch, max_hits: int) -> tuple
     device = scene.device
     order = wp.empty(0, dtype=int, device=device)
     room = 0 if scene.instances else ROOM  # of instances, hits are counted before they are listed
-    found = new_lists(rays.count, rays.count * room, device)
-    found.room = room
+    found = DeviceHits.lists(rays.count, rays.count * room, room, device)
     counts = found.counts
     if plan.reorder == "cells":
         order = find_order(rays, scene.tree.low, scene.tree.high, device)
         trace_lists(scene, plan, sort_rays(rays, order, empty), found)
-        in_order = new_lists(rays.count, 0, device)
-        unsort_hits(order, found, in_order, ALL)
+        in_order = DeviceHits.lists(rays.count, 0, 0, device)
+        unsort_hits(order, found.struct(), in_order.struct(), ALL)
         counts = in_order.counts
     else:
         trace_lists(scene, plan, rays, found)
     numbers = counts.numpy()  # the host must know how much memory to take
     offsets = sum_up(np.minimum(numbers, max_hits))
-    hits = new_lists(0, int(offsets[-1]), device)
+    hits = DeviceHits.lists(0, int(offsets[-1]), 0, device)
     device_offsets = wp.array(offsets, dtype=wp.int64, device=device, copy=False)
     if room:
-        launch(gather_hits, rays.count, [found, order, device_offsets, hits], device=device, chunk=1024)
+        launch(gather_hits, rays.count, [found.struct(), order, device_offsets, hits.struct()], device=device, chunk=1024)
     crowded = np.flatnonzero(numbers > room).astype(np.int32)
     if len(crowded):
         begins = sum_up(numbers[crowded])
         order = wp.array(crowded, dtype=int, device=device)
-        found = new_lists(len(crowded), int(begins[-1]), device)
+        found = DeviceHits.lists(len(crowded), int(begins[-1]), 0, device)
         found.begins = wp.array(begins[:-1].astype(np.int32), dtype=int, device=device)
         trace_lists(scene, plan, sort_rays(rays, order, empty), found)
-        launch(gather_hits, len(crowded), [found, order, device_offsets, hits], device=device, chunk=64)
+        launch(gather_hits, len(crowded), [found.struct(), order, device_offsets, hits.struct()], device=device, chunk=64)
     return hits, offsets
 
 
-def trace_lists(scene: Scene, plan: Plan, rays: RayBatch, found: HitBatch) -> None:
+def trace_lists(scene: SceneState, plan: Plan, rays: RayBatch, found: DeviceHits) -> None:
     """Traces the rays in the order given; where there is neither room nor a place for lists, hits are counted."""
-    from wrt.execution.plan import way_of
-
     query = ALL if found.room or found.begins is not None else COUNT
     run(scene, plan, rays, found, query, no_work(way_of(plan).counters, scene.device.alias), False)
 
@@ -241,13 +246,13 @@ def sum_up(counts: np.ndarray) -> np.ndarray:
     return offsets
 
 
-def join_blocks(blocks: list[tuple[HitBatch, np.ndarray]], device: wp.Device) -> tuple[HitBatch, wp.array]:
+def join_blocks(blocks: list[tuple[DeviceHits, np.ndarray]], device: wp.Device) -> tuple[DeviceHits, wp.array]:
     """The lists of several blocks as one."""
     starts = sum_up(np.array([offsets[-1] for _, offsets in blocks]))
-    hits = new_lists(0, int(starts[-1]), device)
+    hits = DeviceHits.lists(0, int(starts[-1]), 0, device)
     for (part, _), start in zip(blocks, starts[:-1], strict=True):
         for name in ("t", "primitive", "uv"):
-            if len(part.t):
+            if part.count:
                 wp.copy(getattr(hits, name), getattr(part, name), dest_offset=int(start))
     offsets = np.concatenate([[0], *(own[1:] + start for (_, own), start in zip(blocks, starts[:-1], strict=True))])
     return hits, wp.array(offsets, dtype=wp.int64, device=device, copy=False)

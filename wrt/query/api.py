@@ -1,30 +1,35 @@
-"""What can be asked of a scene: closest hits, occlusion, all hits, counts, inside tests, visibility, a check of itself."""
+"""The queries of a scene: closest hits, occlusion, all hits, counts, inside tests, visibility, and a check of itself."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from wrt.execution.executor import trace
-from wrt.execution.few_rays import trace_few
-from wrt.execution.plan import ALL, ANY, AUTO, CLOSEST, COUNT, Plan, make_plan
-from wrt.execution.recorded import trace_recorded
+from wrt.execution.executor import on_device
+from wrt.execution.planner import find_plan
+from wrt.execution.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
 from wrt.kernels.runtime.launch import use_threads
+from wrt.query.answers import closest_hits, ray_values
 from wrt.query.blocks import BlockQueries
-from wrt.query.exact_hits import find_precisely
-from wrt.query.hits import Hits, shaped
-from wrt.query.skip import trace_skipping
-from wrt.rays.rays import RayBuffers, Rays, set_mask, to_device
+from wrt.rays.rays import as_rays
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
-    from wrt.kernels.layout.ray_batch import HitBatch
+    from wrt.execution.plan import Plan
+    from wrt.execution.scene_state import SceneState
     from wrt.query.all_hits import AllHits
-    from wrt.verification import Verification
+    from wrt.query.hits import Hits
+    from wrt.query.verification import Verification
 
 
 class Queries(BlockQueries):
-    """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it."""
+    """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it.
+
+    Attributes:
+        state: what a query reads of the scene, once, at its beginning.
+    """
+
+    state: SceneState
 
     def intersect(
         self,
@@ -81,26 +86,8 @@ class Queries(BlockQueries):
         """
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect", (rays.origins, rays.directions))
-        ours = mask is None and skip is None and not (cull_backfaces or counters or precise)
-        if ours and (ready := self._trace_ready(rays, CLOSEST, traversal, triangle_test)) is not None:
-            return ready
-        if counters and self.instances and traversal == AUTO and not precise:
-            traversal = "single"  # what is counted there
-        with use_threads(self.num_threads):
-            buffers = self._on_device(rays, mask)
-            if skip is not None:
-                others = {"traversal": traversal, "triangle_test": triangle_test, "counters": counters, "precise": precise}
-                batch, plan = trace_skipping(self, buffers, skip, CLOSEST, cull_backfaces, **others)
-                return Hits(batch, buffers, self, plan)
-            if precise:
-                if (traversal, triangle_test, counters, cull_backfaces) != (AUTO, AUTO, False, False):
-                    raise ValueError(
-                        "precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out"
-                    )
-                return find_precisely(self, rays, buffers)
-            plan = make_plan(self, buffers, traversal, triangle_test, CLOSEST, cull_backfaces)
-            batch, work = trace(self, plan, buffers, CLOSEST, counters)
-        return Hits(batch, buffers, self, plan, work)
+        query = Query(CLOSEST, traversal, triangle_test, cull_backfaces, counters)
+        return closest_hits(self.state, rays, query, mask, skip, precise)
 
     def occluded(
         self,
@@ -120,13 +107,8 @@ class Queries(BlockQueries):
         Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        ours = mask is None and skip is None and not cull_backfaces
-        if ours and (ready := self._trace_ready(rays, ANY, traversal, triangle_test)) is not None:
-            return ready
-        with use_threads(self.num_threads):
-            buffers = self._on_device(rays, mask)
-            batch = self._trace(buffers, ANY, cull_backfaces, skip, traversal, triangle_test)
-        return shaped(batch.occluded, buffers)
+        query = Query(ANY, traversal, triangle_test, cull_backfaces)
+        return ray_values(self.state, rays, query, "occluded", mask, skip)
 
     def intersect_all(
         self,
@@ -157,15 +139,12 @@ class Queries(BlockQueries):
             TypeError: an argument is of a wrong type.
             ValueError: as `intersect`; a traversal or triangle test that does not answer this; more than 2^31 - 1 hits.
         """
-        from wrt.query.all_hits import AllHits, check_max_hits, find_all
+        from wrt.query.all_hits import list_hits
 
-        bound, rays = check_max_hits(max_hits), as_rays(origins, directions, t_min, t_max)
+        rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect_all", (rays.origins, rays.directions))
-        with use_threads(self.num_threads):
-            buffers = self._on_device(rays, mask)
-            plan = make_plan(self, buffers, traversal, triangle_test, ALL, cull_backfaces)
-            batch, offsets = find_all(self, plan, buffers.batch, bound)
-        return AllHits(batch, offsets, buffers, self, plan)
+        query = Query(ALL, traversal, triangle_test, cull_backfaces)
+        return list_hits(self.state, rays, query, mask, max_hits)
 
     def count(
         self,
@@ -185,13 +164,8 @@ class Queries(BlockQueries):
         What `intersect_all` would list, counted; arguments and errors as there, and `skip` as in `intersect`.
         """
         rays = as_rays(origins, directions, t_min, t_max)
-        ours = mask is None and skip is None and not cull_backfaces
-        if ours and (ready := self._trace_ready(rays, COUNT, traversal, triangle_test)) is not None:
-            return ready
-        with use_threads(self.num_threads):
-            buffers = self._on_device(rays, mask)
-            batch = self._trace(buffers, COUNT, cull_backfaces, skip, traversal, triangle_test)
-        return shaped(batch.counts, buffers)
+        query = Query(COUNT, traversal, triangle_test, cull_backfaces)
+        return ray_values(self.state, rays, query, "counts", mask, skip)
 
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
         """Which points are inside: (...) bool, a NumPy array if the points were, else a Warp array.
@@ -212,7 +186,7 @@ class Queries(BlockQueries):
         """
         from wrt.query.inside import contains
 
-        return contains(self, points, traversal)
+        return contains(self.state, points, traversal)
 
     def visible(self, points_a: Any, points_b: Any) -> Any:
         """Which pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
@@ -234,7 +208,7 @@ class Queries(BlockQueries):
         """
         from wrt.query.visibility import visible
 
-        return visible(self, points_a, points_b)
+        return visible(self.state, points_a, points_b)
 
     def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
         """Checks `intersect` and `occluded` against brute force in float64, on this mesh and this machine.
@@ -256,9 +230,9 @@ class Queries(BlockQueries):
             TypeError: samples or seed is no int.
             ValueError: it is too small, or the scene's triangle test needs rays that share their origin.
         """
-        from wrt.verification import verify
+        from wrt.query.verification import verify
 
-        return verify(self, samples, seed)
+        return verify(self.state, samples, seed)
 
     def explain(
         self,
@@ -280,52 +254,7 @@ class Queries(BlockQueries):
         """
         rays = as_rays(origins, directions, t_min, t_max)
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
-        with use_threads(self.num_threads):
-            return make_plan(self, self._on_device(rays, None), traversal, triangle_test, query, cull_backfaces)
-
-    def _on_device(self, rays: Rays, mask: Any) -> RayBuffers:
-        """The rays on the scene's device, with their masks.
-
-        Raises:
-            ValueError: masks in a scene whose geometries have none.
-        """
-        if mask is not None and not self.instances:
-            raise ValueError("mask goes with instances, and this scene has none; give masks by wrt.Instance(mesh, mask=...)")
-        buffers = to_device(rays, self.device, self.center)
-        if mask is not None:
-            set_mask(buffers, mask, self.device)
-        return buffers
-
-    def _trace(
-        self, buffers: RayBuffers, query: str, cull_backfaces: bool, skip: Any, traversal: str | Plan, triangle_test: str
-    ) -> HitBatch:
-        """The answer to a query that gives a number for each ray."""
-        if skip is not None:
-            others = {"traversal": traversal, "triangle_test": triangle_test}
-            return trace_skipping(self, buffers, skip, query, cull_backfaces, **others)[0]
-        plan = make_plan(self, buffers, traversal, triangle_test, query, cull_backfaces)
-        return trace(self, plan, buffers, query)[0]
-
-    def _trace_ready(self, rays: Rays, query: str, traversal: str | Plan, triangle_test: str) -> Any:
-        """The answer by what is kept ready, if the choice is ours and the tree is all there; else, and for graphs, None."""
-        if self.growing is not None or not (traversal == AUTO == triangle_test == self.triangle_test):
-            return None
-        if self.device.is_capturing:
-            return None
-        few = None if self.instances else trace_few(self, rays, query)
-        return trace_recorded(self, rays, query) if few is None else few
-
-
-def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
-    """The rays that a caller passed.
-
-    Raises:
-        TypeError: directions are missing, or given twice.
-    """
-    if isinstance(origins, Rays):
-        if directions is not None:
-            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
-        return origins
-    if directions is None:
-        raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
-    return Rays(origins, directions, t_min, t_max)
+        scene = self.state
+        with use_threads(scene.num_threads):
+            buffers = on_device(scene, rays, None)
+            return find_plan(scene, buffers, Query(query, traversal, triangle_test, cull_backfaces)).plan

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.plan import AUTO, Plan
+from wrt.execution.plan import Plan
+from wrt.execution.query_kinds import AUTO
 from wrt.rays.rays import Rays, leading_shape
 
 BYTES_PER_RAY = 320

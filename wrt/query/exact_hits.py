@@ -9,25 +9,33 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import new_hits
-from wrt.execution.plan import DEFAULT_TEST, EXACT, make_plan, traversal_config
-from wrt.kernels.runtime.launch import launch, specialise
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.executor import on_device
+from wrt.execution.plan import traversal_config
+from wrt.execution.planner import DEFAULT_TEST, find_plan
+from wrt.execution.query_kinds import AUTO, CLOSEST, EXACT, Query
+from wrt.execution.triangle_records import records_of
+from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.memory import empty
 from wrt.query.hits import Hits
-from wrt.rays.rays import as_vectors, spread
+from wrt.rays.ray_arrays import spread
+from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
     from wrt.execution.plan import Plan
+    from wrt.execution.scene_state import SceneState
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
-    from wrt.rays.rays import RayBuffers, Rays
-    from wrt.scene.scene import Scene
+    from wrt.rays.ray_buffers import RayBuffers
+    from wrt.rays.rays import Rays, ResultForm
 
 
 class PreciseHits(Hits):
     """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the rays are."""
 
-    def __init__(self, hits: ExactHits, mesh: ExactMesh, rays: RayBuffers, scene: Scene, plan: Plan) -> None:
-        super().__init__(hits.rounded, rays, scene, plan)
+    def __init__(
+        self, hits: ExactHits, rounded: DeviceHits, mesh: ExactMesh, form: ResultForm, scene: SceneState, plan: Plan
+    ) -> None:
+        super().__init__(rounded, form, scene, plan)
         self._exact, self._exact_mesh = hits, mesh
 
     @cached_property
@@ -55,24 +63,34 @@ class PreciseHits(Hits):
         return self._out(out)
 
 
-def find_precisely(scene: Scene, rays: Rays, buffers: RayBuffers) -> PreciseHits:
-    """Closest hits in float64; `buffers` are the same rays, for their shape. See `Queries.intersect`."""
+def find_precisely(scene: SceneState, rays: Rays, query: Query, mask: Any) -> PreciseHits:
+    """Closest hits in float64; see `wrt.Scene.intersect`.
+
+    Raises:
+        ValueError: a choice that does not go with `precise`, or a scene without float64 vertices.
+    """
     from wrt.kernels.query.exact_closest import ExactHits, make_kernel
 
-    plan = replace(make_plan(scene, buffers, "single", DEFAULT_TEST), reason="in float64")
-    hits, mesh = ExactHits(), exact_mesh(scene)
-    hits.rounded = new_hits(buffers.count, EXACT, scene.device)
-    hits.t = empty(buffers.count, wp.float64, scene.device)
-    hits.uv = empty(buffers.count, wp.vec2d, scene.device)
-    center = wp.vec3d(*map(float, scene.center))
-    scene.complete()
-    inputs = [scene.tree.struct(), scene.triangles(plan, None), mesh, center, exact_rays(rays, buffers, scene.device), hits]
-    kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
-    launch(kernel, buffers.count, inputs, device=scene.device)
-    return PreciseHits(hits, mesh, buffers, scene, plan)
+    if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
+        raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
+    with use_threads(scene.num_threads):
+        buffers, device = on_device(scene, rays, mask), scene.device
+        plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
+        hits, mesh = ExactHits(), exact_mesh(scene)
+        rounded = DeviceHits.new(EXACT, buffers.count, device)
+        hits.rounded = rounded.struct()
+        hits.t = empty(buffers.count, wp.float64, device)
+        hits.uv = empty(buffers.count, wp.vec2d, device)
+        center = wp.vec3d(*map(float, scene.center))
+        scene.complete()
+        triangles = records_of(scene, plan, None)
+        inputs = [scene.tree.struct(), triangles, mesh, center, exact_rays(rays, buffers, device), hits]
+        kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
+        launch(kernel, buffers.count, inputs, device=device)
+    return PreciseHits(hits, rounded, mesh, buffers.form, scene, plan)
 
 
-def exact_mesh(scene: Scene) -> ExactMesh:
+def exact_mesh(scene: SceneState) -> ExactMesh:
     """The scene's triangles in float64 on its device."""
     from wrt.kernels.query.exact_closest import ExactMesh
 

@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
+from wrt.execution.device_hits import shaped
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
 
 if TYPE_CHECKING:
+    from wrt.execution.device_hits import DeviceHits
     from wrt.execution.plan import Plan
-    from wrt.execution.recorded import HitBlock
-    from wrt.kernels.layout.ray_batch import HitBatch
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
-
-
-def shaped(values: wp.array, rays: RayBuffers) -> Any:
-    """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
-    if rays.is_warp:
-        return values if values.shape == rays.shape else values.reshape(rays.shape or (1,))
-    array = values.numpy()
-    return array.reshape(rays.shape + array.shape[1:])
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.rays import ResultForm
 
 
 class Hits:
@@ -53,9 +44,9 @@ class Hits:
 
     def __init__(
         self,
-        batch: HitBatch | HitBlock,
-        rays: RayBuffers,
-        scene: Scene,
+        batch: DeviceHits,
+        form: ResultForm,
+        scene: SceneState,
         plan: Plan,
         counters: wp.array | None = None,
     ) -> None:
@@ -65,17 +56,11 @@ class Hits:
         self._mesh = scene.device_mesh
         self._scenes = {scene.mark}
         self._counters = counters
-        self._rays = rays
+        self._form = form
         self._num_threads = scene.num_threads
 
     def __repr__(self) -> str:
         return f"Hits(shape={self.shape})"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles hold the numbers and not the triangles (`wrt.query.pickled_hits`)."""
-        from wrt.query.pickled_hits import PickledHits, keep
-
-        return PickledHits, (keep(self),)
 
     def __copy__(self) -> Hits:
         """Hits of the same arrays, with the triangles."""
@@ -86,15 +71,15 @@ class Hits:
     @property
     def shape(self) -> tuple[int, ...]:
         """The leading shape."""
-        return self._rays.shape
+        return self._form.shape
 
-    def is_of(self, scene: Scene) -> bool:
+    def is_of(self, scene: SceneState) -> bool:
         """Whether these are hits of a scene, also before it was updated, or of another one of the same triangles."""
         if scene.mark not in self._scenes and self.same_geometry(scene):
             self._scenes.add(scene.mark)
         return scene.mark in self._scenes
 
-    def same_geometry(self, scene: Scene) -> bool:
+    def same_geometry(self, scene: SceneState) -> bool:
         """Whether a scene has the same triangles in the same places; instances count as others."""
         ours, theirs = self._mesh, scene.device_mesh
         if ours is theirs:
@@ -108,16 +93,16 @@ class Hits:
 
     @cached_property
     def t(self) -> Any:
-        return self._out(self.batch.t)
+        return self.batch.result("t", self._form)
 
     @cached_property
     def uv(self) -> Any:
-        return self._out(self.batch.uv)
+        return self.batch.result("uv", self._form)
 
     @cached_property
     def primitive_id(self) -> Any:
         alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
-        return self._out(self.batch.primitive if alone else self._located[2])
+        return self.batch.result("primitive", self._form) if alone else self._out(self._located[2])
 
     @cached_property
     def geometry_id(self) -> Any:
@@ -174,7 +159,8 @@ class Hits:
             ValueError: wrong shapes, an array on another device.
         """
         from wrt.kernels.query.spawn import spawn_origins
-        from wrt.rays.rays import Rays, to_device
+        from wrt.rays.ray_buffers import to_device
+        from wrt.rays.rays import Rays, ResultForm
 
         if isinstance(directions, wp.array):
             rays = to_device(Rays(np.zeros(3, dtype=np.float32), directions), self._device, np.zeros(3))
@@ -190,7 +176,7 @@ class Hits:
         inputs = [self._mesh, self.batch.primitive, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
         with use_threads(self._num_threads):
             launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
-        return shaped(out, replace(rays, shape=shape, is_warp=rays.is_warp or self._rays.is_warp))
+        return shaped(out, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float64))
 
     @property
     def has_counters(self) -> bool:
@@ -215,20 +201,20 @@ class Hits:
 
     @property
     def _device(self) -> wp.Device:
-        return self.batch.t.device
+        return self.batch.device
 
     def _empty(self, dtype: type) -> wp.array:
-        return empty(len(self.batch.t), dtype, self._device)
+        return empty(self.batch.count, dtype, self._device)
 
     def _launch(self, kernel: wp.Kernel, *inputs: Any) -> None:
         with use_threads(self._num_threads):
-            launch(kernel, len(self.batch.t), inputs, device=self._device, chunk=4096)
+            launch(kernel, self.batch.count, inputs, device=self._device, chunk=4096)
 
     def _out(self, values: wp.array) -> Any:
-        return shaped(values, self._rays)
+        return shaped(values, self._form)
 
     def _as_dtype(self, values: wp.array) -> Any:
-        wanted = wp.vec3d if self._rays.dtype is np.float64 else wp.vec3f
+        wanted = wp.vec3d if self._form.dtype is np.float64 else wp.vec3f
         if values.dtype is not wanted:
             converted = self._empty(wanted)
             wp.utils.array_cast(values, converted)

@@ -21,24 +21,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.execution.device_hits import DeviceHits
 from wrt.execution.executor import trace
-from wrt.execution.plan import ANY, AUTO, COUNT, Plan, make_plan
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.execution.plan import Plan
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import ANY, AUTO, COUNT
+from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
-from wrt.query.hits import shaped
 from wrt.rays.coherence import look_at
-from wrt.rays.rays import Rays, to_device
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.ray_buffers import RayBuffers
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions along no axis and no diagonal, far from one another."""
 
 
-def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
+def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> Any:
     """Which points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ray_order import sort_rays, unsort_hits
 
@@ -56,8 +59,8 @@ def contains(scene: Scene, points: Any, traversal: str | Plan = AUTO) -> Any:
                 order = wp.array(undecided, dtype=int, device=scene.device)
                 few = replace(buffers, given=sort_rays(buffers.batch, order, empty), shape=(len(undecided),))
                 aim(few.batch, DIRECTIONS[2], scene.device)
-                unsort_hits(order, odd_crossings(scene, plan, few), inside, ANY)
-    return shaped(inside.occluded, buffers)
+                unsort_hits(order, odd_crossings(scene, plan, few).struct(), inside.struct(), ANY)
+    return inside.result("occluded", buffers.form)
 
 
 def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:
@@ -68,12 +71,11 @@ def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> No
     launch(aim_outwards, points.count, [points, wp.vec3(*direction), points.directions], device=device, chunk=4096)
 
 
-def odd_crossings(scene: Scene, plan: Plan, rays: RayBuffers) -> HitBatch:
+def odd_crossings(scene: SceneState, plan: Plan, rays: RayBuffers) -> DeviceHits:
     """Whether each ray crosses the surface an odd number of times, as `occluded`."""
     from wrt.kernels.query.hit_lists import is_odd
 
     crossings, _ = trace(scene, plan, rays, COUNT)
-    odd = HitBatch()
-    odd.occluded = empty(rays.count, wp.bool, scene.device)
+    odd = DeviceHits.new(ANY, rays.count, scene.device)
     launch(is_odd, rays.count, [crossings.counts, odd.occluded], device=scene.device, chunk=4096)
     return odd

@@ -7,20 +7,21 @@ A pickle holds the numbers, not the scene: all attributes of the hits, and the m
 
 from __future__ import annotations
 
-from dataclasses import replace
+import copyreg
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.execution.device_hits import DTYPES, DeviceHits
+from wrt.query.all_hits import AllHits
+from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
-from wrt.rays.rays import RayBuffers
+from wrt.rays.rays import ResultForm
 
 if TYPE_CHECKING:
     from wrt.execution.plan import Plan
-    from wrt.query.all_hits import AllHits
 
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
 
@@ -55,7 +56,7 @@ class PickledHits(Hits):
     def __init__(self, kept: KeptHits) -> None:
         dtype = np.float64 if kept.is_float64 else np.float32
         self._kept, self._scenes, self.plan, self._num_threads = kept, set(kept.scenes), kept.plan, None
-        self._rays = RayBuffers(RayBatch(), kept.shape, kept.is_warp, dtype, True, False, [])
+        self._form = ResultForm(kept.shape, kept.is_warp, dtype)
         there = {str(device) for device in wp.get_devices()}
         self._home = wp.get_device(kept.device if kept.device in there else "cpu")
         for name, values in kept.values.items():
@@ -72,12 +73,14 @@ class PickledHits(Hits):
         return wp.array(values, dtype=vectors[values.shape[-1], values.itemsize], device=self._home)
 
     @cached_property
-    def batch(self) -> HitBatch:
+    def batch(self) -> DeviceHits:
         """As of `Hits`."""
-        hits, values = HitBatch(), self._kept.values
-        hits.t = wp.array(values["t"].reshape(-1), dtype=float, device=self._home)
-        hits.primitive = wp.array(self._kept.primitive, dtype=int, device=self._home)
-        hits.uv = wp.array(values["uv"].reshape(-1, 2), dtype=wp.vec2, device=self._home)
+        values = self._kept.values
+        arrays = {"t": values["t"].reshape(-1), "primitive": self._kept.primitive, "uv": values["uv"].reshape(-1, 2)}
+        if self._home.is_cpu:
+            return DeviceHits.of_host(self._kept.primitive.size, self._home, arrays)
+        hits = DeviceHits(self._kept.primitive.size, self._home)
+        hits.__dict__.update({name: wp.array(arrays[name], dtype=DTYPES[name], device=self._home) for name in arrays})
         return hits
 
     @cached_property
@@ -101,11 +104,9 @@ class PickledHits(Hits):
 
 def revive_lists(flat: KeptHits, offsets: np.ndarray, shape: tuple[int, ...]) -> AllHits:
     """The lists of a pickle."""
-    from wrt.query.all_hits import AllHits
-
-    lists, rays = object.__new__(AllHits), RayBatch()
-    lists._flat, rays.count = PickledHits(flat), len(offsets) - 1
-    lists._rays = replace(lists._flat._rays, given=rays, shape=shape)
+    lists = object.__new__(AllHits)
+    lists._flat = PickledHits(flat)
+    lists._form = lists._flat._form._replace(shape=shape)
     lists._offsets = wp.array(offsets, dtype=wp.int64, device=lists._flat._home)
     lists.plan, lists._num_threads = flat.plan, None
     return lists
@@ -115,12 +116,27 @@ def keep(hits: Hits) -> KeptHits:
     """What a pickle holds of hits; computes what is not computed yet."""
     values = {name: as_numpy(getattr(hits, name)) for name in ATTRIBUTES}
     counters = hits.counters if hits.has_counters else None
-    primitive, rays = hits.batch.primitive.numpy(), hits._rays
-    is_float64 = rays.dtype is np.float64
+    primitive, form = hits.batch.primitive.numpy(), hits._form
+    is_float64 = form.dtype is np.float64
     marks = frozenset(hits._scenes)
-    return KeptHits(values, primitive, counters, hits.plan, hits.shape, marks, rays.is_warp, is_float64, str(hits._device))
+    return KeptHits(values, primitive, counters, hits.plan, hits.shape, marks, form.is_warp, is_float64, str(hits._device))
 
 
 def as_numpy(values: Any) -> np.ndarray:
     """A NumPy array of a result."""
     return values.numpy() if isinstance(values, wp.array) else values
+
+
+def reduce_hits(hits: Hits) -> tuple[Any, ...]:
+    """How closest hits are pickled."""
+    return PickledHits, (keep(hits),)
+
+
+def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
+    """How lists of all hits are pickled."""
+    return revive_lists, (keep(lists._flat), lists._offsets.numpy(), lists.shape)
+
+
+for _kind in (Hits, PreciseHits, PickledHits):
+    copyreg.pickle(_kind, reduce_hits)
+copyreg.pickle(AllHits, reduce_lists)

@@ -16,43 +16,51 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.executor import new_hits
-from wrt.execution.plan import AUTO, Plan, make_plan, plan_for, traversal_config
-from wrt.kernels.runtime.launch import launch, specialise
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.executor import Answer, on_device
+from wrt.execution.plan import plan_for, traversal_config
+from wrt.execution.planner import find_plan
+from wrt.execution.query_kinds import AUTO, Query
+from wrt.execution.triangle_records import records_of
+from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.query.hits import Hits
 
 if TYPE_CHECKING:
-    from wrt.kernels.layout.ray_batch import HitBatch
-    from wrt.rays.rays import RayBuffers
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.ray_buffers import RayBuffers
+    from wrt.rays.rays import Rays
 
 
-def trace_skipping(
-    scene: Scene, buffers: RayBuffers, skip: Any, query: str, cull_backfaces: bool, **others: Any
-) -> tuple[HitBatch, Plan]:
-    """Results of a query "closest", "any" or "count", and how it was answered; see `Queries.intersect`.
+def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask: Any, precise: bool = False) -> Answer:
+    """Answers a query "closest", "any" or "count" of rays that each pass through one triangle; see `wrt.Scene.intersect`.
 
     Args:
-        scene, buffers, query, cull_backfaces: as in `make_plan`.
-        skip: as the caller gave it.
-        others: arguments that do not go with it, as the caller gave them.
+        scene: what the rays meet.
+        rays: the rays.
+        query: what is asked; of its choices only `cull_backfaces` goes with `skip`.
+        skip, mask, precise: as the caller gave them.
     """
     from wrt.kernels.query.skip_triangle import make_kernel
 
-    check_skip(scene, others)
-    skipped = skipped_triangles(skip, scene, buffers)
-    plan = replace(make_plan(scene, buffers, "single", AUTO, query, cull_backfaces), reason="each skips a triangle")
-    carried_out = plan_for(plan, query)
-    scene.complete()
-    hits = new_hits(buffers.count, query, scene.device)
-    inputs = [scene.tree.struct(), scene.triangles(carried_out, buffers.batch), buffers.batch, skipped, hits]
-    config = replace(traversal_config(carried_out, scene, query, False), skipping=True)
-    kernel = specialise(partial(make_kernel, carried_out.accelerator), config)
-    launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
-    return hits, plan
+    with use_threads(scene.num_threads):
+        buffers = on_device(scene, rays, mask)
+        others = {"traversal": query.traversal, "triangle_test": query.triangle_test, "counters": query.counters}
+        check_skip(scene, others | {"precise": precise})
+        skipped = skipped_triangles(skip, scene, buffers)
+        asked = Query(query.kind, "single", AUTO, query.cull_backfaces)
+        plan = replace(find_plan(scene, buffers, asked).plan, reason="each skips a triangle")
+        carried_out = plan_for(plan, query.kind)
+        scene.complete()
+        hits = DeviceHits.new(query.kind, buffers.count, scene.device)
+        triangles = records_of(scene, carried_out, buffers.batch)
+        inputs = [scene.tree.struct(), triangles, buffers.batch, skipped, hits.struct()]
+        config = replace(traversal_config(carried_out, scene, query.kind, False), skipping=True)
+        kernel = specialise(partial(make_kernel, carried_out.accelerator), config)
+        launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
+    return Answer(hits, buffers.form, plan)
 
 
-def check_skip(scene: Scene, others: dict[str, Any]) -> None:
+def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
     """Refuses what `skip` does not go with.
 
     Raises:
@@ -71,7 +79,7 @@ def check_skip(scene: Scene, others: dict[str, Any]) -> None:
         raise ValueError(f"skip does not go with {', '.join(given)}; leave one or the other out")
 
 
-def skipped_triangles(skip: Any, scene: Scene, buffers: RayBuffers) -> wp.array:
+def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.array:
     """The triangle that each ray passes through, numbered through the scene, as `wrt.kernels.query.skip_triangle` takes them.
 
     Raises:

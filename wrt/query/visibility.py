@@ -8,14 +8,16 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace
-from wrt.execution.plan import ALL, AUTO, CLOSEST, make_plan
+from wrt.execution.planner import make_plan
+from wrt.execution.query_kinds import ALL, AUTO, CLOSEST
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty, new_rays
 from wrt.rays.coherence import look_at
-from wrt.rays.rays import RayBuffers, as_vectors
+from wrt.rays.ray_buffers import RayBuffers
+from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
 
 BLOCK = 1 << 20
 """Pairs that are traced at a time: some 60 MB."""
@@ -24,7 +26,7 @@ ROUNDING = 2.0**-23
 """Error of a coordinate given in float32 after a computation with one or two roundings, as a share of it."""
 
 
-def visible(scene: Scene, points_a: Any, points_b: Any) -> Any:
+def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
     """Which pairs of points see each other; see `wrt.Scene.visible`."""
     is_warp = isinstance(points_a, wp.array) or isinstance(points_b, wp.array)
     a, b = _as_points(points_a, "points_a", scene.device), _as_points(points_b, "points_b", scene.device)
@@ -52,7 +54,7 @@ def visible(scene: Scene, points_a: Any, points_b: Any) -> Any:
     return wp.array(result, dtype=wp.bool, device=scene.device) if is_warp else result
 
 
-def visible_block(scene: Scene, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:
+def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:
     """(N,) bool: for N pairs, given as the points and the indices of both ends."""
     from wrt.kernels.query.open_segments import UNDECIDED, VISIBLE, connect_points, judge_lists, judge_nearest
     from wrt.kernels.query.ray_order import sort_rays

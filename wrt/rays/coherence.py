@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import ctypes
 from collections import deque
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
 import warp as wp
 
 from wrt.kernels.query.coherence_detection import PAIRS, look_at_rays
 from wrt.kernels.runtime.launch import record
-
-if TYPE_CHECKING:
-    from wrt.kernels.layout.ray_batch import RayBatch
-    from wrt.rays.rays import RayArrays
 
 LEAST_RAYS = 4096
 """Flat lists of fewer rays are not taken for pictures: there is no time to win."""
@@ -51,7 +47,7 @@ class Looker:
         self.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
         self.found = self.answers.numpy()
 
-    def look(self, rays: RayBatch | RayArrays, sampled: bool, listed: bool) -> Look:
+    def look(self, rays: Any, sampled: bool, listed: bool) -> Look:
         """Looks at pairs of neighbours if `sampled`, and for a picture if `listed`."""
         arguments = self.arguments
         arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
@@ -64,8 +60,10 @@ class Looker:
 _free: deque[Looker] = deque()
 
 
-def look_at(rays: RayBatch | RayArrays, device: wp.Device, is_list: bool = False) -> Look:
-    """What the numbers of rays say; on CUDA to look would cost more than it gives, and all rays count as coherent.
+def look_at(rays: Any, device: wp.Device, is_list: bool = False) -> Look:
+    """What the numbers of rays (a `RayBatch` or a `RayArrays`) say.
+
+    On CUDA to look would cost more than it gives, and all rays count as coherent.
 
     Args:
         is_list: whether the rays have no shape that says what is a row.

@@ -15,16 +15,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from copy import copy
 from threading import Thread
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from wrt.kernels.runtime.launch import check_num_threads, get_num_threads
 
-if TYPE_CHECKING:
-    from wrt.scene.scene import Scene
+
+class Updatable(Protocol):
+    """A `wrt.Scene`, as far as it is needed here."""
+
+    num_threads: int | None
+    state: Any
+
+    def update(self, *args: Any, **options: Any) -> None:
+        """Replaces the state."""
 
 
 @contextmanager
-def updating(scene: Scene, threads: int, args: tuple[Any, ...], options: dict[str, Any]) -> Iterator[None]:
+def updating(scene: Updatable, threads: int, args: tuple[Any, ...], options: dict[str, Any]) -> Iterator[None]:
     """See `Scene.updating`."""
     own = scene.num_threads
     total = get_num_threads() if own is None else own
@@ -50,4 +57,4 @@ def updating(scene: Scene, threads: int, args: tuple[Any, ...], options: dict[st
     if problems:
         raise problems[0]
     following.num_threads = own
-    scene.__dict__ = following.__dict__
+    scene.state = following.state

@@ -4,25 +4,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Bvh
+from wrt.execution.query_kinds import AUTO
+from wrt.execution.scene_state import Settings, new_mark
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes, relative_to
-from wrt.scene.scene import Scene
+from wrt.scene.mesh_state import MeshState
+from wrt.scene.scene import Scene, as_settings
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from wrt.builders import tree as common
     from wrt.builders.motion_clusters import Decomposition
     from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
-    from wrt.scene.scene_statistics import SceneStatistics
 
 ENOUGH = 1e-3
 """Share of the animation's extent: no more clusters once no triangle needs larger boxes for what is left of its motion."""
@@ -59,7 +59,8 @@ class FuzzyScene(Scene):
         TypeError, ValueError: bad frames, faces, numbers or maps.
     """
 
-    only_single = True
+    frame: int
+    labels: np.ndarray
 
     def __init__(
         self,
@@ -73,31 +74,16 @@ class FuzzyScene(Scene):
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
     ) -> None:
-        self._clusters, self._transforms, self._rest = clusters, transforms, rest
-        super().__init__((frames, faces), accelerator or Bvh(), device=device, num_threads=num_threads)
-
-    def _make(self, geometry: Any, cache: Any) -> None:
-        from wrt.builders.motion_clusters import assigned, decompose
-
-        if not isinstance(self.accelerator, Bvh):
-            raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: fuzzy boxes overlap")
-        self._meshes = as_frames(*geometry)
-        self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
-        frames = np.array([mesh.vertices for mesh in self._meshes], dtype=np.float64)
-        faces = self._meshes[0].faces
-        if self._transforms is None:
-            if not (isinstance(self._clusters, (int, np.integer)) and self._clusters >= 1):
-                raise ValueError(f"clusters is {self._clusters!r}; it must be a whole number of at least 1")
-            if not (isinstance(self._rest, (int, np.integer)) and 0 <= self._rest < len(frames)):
-                raise ValueError(f"rest is {self._rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
-            bounds = np.array([mesh.bounds for mesh in self._meshes])
-            extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
-            motion = decompose(frames, faces, self._clusters, ENOUGH * extent, self._rest)
-        else:
-            motion = assigned(frames, faces, *as_maps(self._transforms, len(frames)))
-        self.labels = motion.labels
-        self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, self.accelerator, self.device)
-        self.show(0)
+        settings = as_settings(accelerator or Bvh(), AUTO, device, num_threads)
+        if not isinstance(settings.accelerator, Bvh):
+            raise TypeError(f"accelerator must be a wrt.Bvh, not {settings.accelerator!r}: fuzzy boxes overlap")
+        with use_threads(settings.num_threads):
+            self._meshes = as_frames(frames, faces)
+            self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
+            motion = find_motion(self._meshes, clusters, transforms, rest)
+            self.labels = motion.labels
+            self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, settings.accelerator, settings.device)
+            self._show(0, settings, new_mark())
 
     def show(self, frame: int) -> None:
         """Goes to another frame: rays then meet the triangles as they are there.
@@ -106,64 +92,55 @@ class FuzzyScene(Scene):
             TypeError: not an int.
             ValueError: no such frame.
         """
-        frame = check_index(frame, len(self._meshes), "frame")
         with use_threads(self.num_threads):
-            placed, shown = place_meshes((self._meshes[frame],), self.device), self._fuzzy.at(frame)
+            self._show(check_index(frame, len(self._meshes), "frame"), self.state.settings, self.state.mark)
+
+    def _show(self, frame: int, settings: Settings, mark: str) -> None:
+        placed, shown = place_meshes((self._meshes[frame],), settings.device), self._fuzzy.at(frame)
+        self.state = FuzzyState(
+            settings=settings,
+            meshes=(self._meshes[frame],),
+            center=placed.center,
+            built_tree=shown,
+            device_mesh=placed.fill_in(shown.low, shown.high),
+            only_single=True,
+            mark=mark,
+        )
         self.frame = frame
-        self._take_over((self._meshes[frame],), placed.center, shown, placed.fill_in(shown.low, shown.high))
 
     def __repr__(self) -> str:
         counts = f"{len(self._meshes)} frames of {self.triangle_count} triangles in {self.labels.max() + 1} clusters"
         return f"FuzzyScene({counts}, device={str(self.device)!r})"
 
-    def update(self, *args: Any, **options: Any) -> None:
-        """Not of what is known in advance: see `show`.
 
-        Raises:
-            ValueError: always; the message says what to do instead.
-        """
-        raise ValueError("the frames of this scene are known; go to one with show(frame), or make a wrt.Scene to update")
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FuzzyState(MeshState):
+    """The state of a scene of fuzzy boxes, in one frame."""
 
-    def statistics(self) -> SceneStatistics:
-        """Not of many trees at once.
+    refused: ClassVar[dict[str, str]] = {
+        "update": "the frames of this scene are known; go to one with show(frame), or make a wrt.Scene to update",
+        "statistics": "a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one",
+        "float64 vertices": "precise=True and gradients take a scene of one tree; ask wrt.Scene(scene.meshes)",
+        "save": "trees of fuzzy boxes are not kept in files; save the frames, and make the scene again",
+        "pickle": "trees of fuzzy boxes are not pickled; pickle the frames, and make the scene again",
+        "handle": "kernels get a handle of one tree; ask for wrt.Scene(scene.meshes).handle()",
+    }
 
-        Raises:
-            ValueError: always; the message says what to ask instead.
-        """
-        raise ValueError("a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one")
 
-    @property
-    def exact_vertices(self) -> wp.array:
-        """Not here: precise=True and gradients walk one tree.
+def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest: int) -> Decomposition:
+    """The clusters of triangles and their motion; arguments and errors as of `FuzzyScene`."""
+    from wrt.builders.motion_clusters import assigned, decompose
 
-        Raises:
-            ValueError: always; the message says what to do instead.
-        """
-        raise ValueError("precise=True and gradients take a scene of one tree; ask wrt.Scene(scene.meshes)")
-
-    def save(self, path: str | Path) -> None:
-        """Not of many trees, wherever `path` may be.
-
-        Raises:
-            ValueError: always; the message says what to do instead.
-        """
-        raise ValueError("trees of fuzzy boxes are not kept in files; save the frames, and make the scene again")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Not of many trees.
-
-        Raises:
-            ValueError: always; the message says what to do instead.
-        """
-        raise ValueError("trees of fuzzy boxes are not pickled; pickle the frames, and make the scene again")
-
-    def handle(self) -> Any:
-        """Not of many trees.
-
-        Raises:
-            ValueError: always; the message says what to do instead.
-        """
-        raise ValueError("kernels get a handle of one tree; ask for wrt.Scene(scene.meshes).handle()")
+    frames, faces = np.array([mesh.vertices for mesh in meshes], dtype=np.float64), meshes[0].faces
+    if transforms is not None:
+        return assigned(frames, faces, *as_maps(transforms, len(frames)))
+    if not (isinstance(clusters, (int, np.integer)) and clusters >= 1):
+        raise ValueError(f"clusters is {clusters!r}; it must be a whole number of at least 1")
+    if not (isinstance(rest, (int, np.integer)) and 0 <= rest < len(frames)):
+        raise ValueError(f"rest is {rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
+    bounds = np.array([mesh.bounds for mesh in meshes])
+    extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
+    return decompose(frames, faces, clusters, ENOUGH * extent, rest)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from copy import copy
-from functools import partial
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -29,16 +28,19 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Bvh
+from wrt.execution.query_kinds import AUTO
+from wrt.execution.scene_state import Settings, new_mark
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import run_tasks, use_threads
-from wrt.kernels.simd.lanes import native_width
-from wrt.meshes.placement import check_index, moved_mesh, place_meshes
-from wrt.scene.scene import Scene
-from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, UpdateReport, as_policy, move_tree
+from wrt.meshes.placement import as_meshes, check_index, moved_mesh, place_meshes
+from wrt.scene.mesh_state import MeshState, recipe_of
+from wrt.scene.scene import Scene, as_settings
+from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, as_policy, move_tree
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
     from wrt.meshes.mesh import TriangleMesh
+    from wrt.meshes.placement import PlacedMeshes
 
 
 class GroupedScene(Scene):
@@ -56,49 +58,28 @@ class GroupedScene(Scene):
         TypeError, ValueError: as `wrt.Scene`; an accelerator that is no `wrt.Bvh`; a cache.
     """
 
-    group_updates: Mapping[int, UpdateReport]
-
-    def _set(self, meshes: tuple[TriangleMesh, ...], cache: Any, policy: UpdatePolicy | None = None) -> None:
-        if not isinstance(self.accelerator, Bvh):
-            raise TypeError(f"accelerator must be a wrt.Bvh, not {self.accelerator!r}: the boxes of groups may overlap")
+    def __init__(
+        self,
+        geometry: Any,
+        accelerator: Any = AUTO,
+        *,
+        triangle_test: str = AUTO,
+        device: str | wp.Device | None = None,
+        num_threads: int | None = None,
+        cache: None = None,
+    ) -> None:
+        settings = as_settings(accelerator, triangle_test, device, num_threads)
+        if not isinstance(settings.accelerator, Bvh):
+            raise TypeError(f"accelerator must be a wrt.Bvh, not {settings.accelerator!r}: the boxes of groups may overlap")
         if cache is not None:
             raise ValueError("cache goes with wrt.Scene: the trees of groups are not kept in a folder; leave it out")
-        placed = place_meshes(meshes, self.device)
-        groups = [MovedTriangles.of(placed, np.zeros(3), first, end) for first, end in pairwise(placed.first)]
-        recipe = TreeRecipe(self.accelerator, native_width(self.device), self.device)
-        trees, reports = self._trees_of(recipe, meshes, groups, placed.center, policy)
-        tree = join_groups(trees, placed.first, self.device)
-        if tree.depth > MAX_WIDE_DEPTH:
-            tree = recipe.build(MovedTriangles.of(placed, np.zeros(3)))
-        self._take_over(meshes, placed.center, tree, placed.fill_in(tree.low, tree.high))
-        self._trees, self.group_updates = trees, reports
+        with use_threads(settings.num_threads):
+            self.state = build_groups(as_meshes(geometry), settings)
 
-    def _trees_of(
-        self,
-        recipe: TreeRecipe,
-        meshes: tuple[TriangleMesh, ...],
-        groups: list[MovedTriangles],
-        center: np.ndarray,
-        policy: UpdatePolicy | None,
-    ) -> tuple[list[common.Bvh], dict[int, UpdateReport]]:
-        """A tree for each group, and what was done to those that have moved; without a policy, all are built."""
-        from wrt.builders.bvh.update.refit import refit
-
-        trees: list[common.Bvh] = [None] * len(groups) if policy is None else list(self._trees)
-        reports: dict[int, UpdateReport] = {}
-        has_shifted = policy is not None and (center != self.center).any()
-
-        def work(number: int) -> None:
-            group = groups[number]
-            if policy is None:
-                trees[number] = recipe.build(group)
-            elif meshes[number] is not self.meshes[number]:
-                trees[number], reports[number] = move_tree(recipe, trees[number], group, policy)
-            elif has_shifted:
-                trees[number] = refit(trees[number], group.vertices, group.faces)
-
-        run_tasks(work, len(groups))
-        return trees, reports
+    @property
+    def group_updates(self) -> Mapping[int, UpdateReport]:
+        """What the last update did to the tree of each mesh that it moved, by the index of the mesh."""
+        return self.state.reports
 
     def move(self, vertices: Mapping[int, Any], *, rebuild: str | UpdatePolicy = "auto") -> None:
         """Moves several groups at once; arguments and errors as of `update`.
@@ -107,21 +88,102 @@ class GroupedScene(Scene):
             vertices: (V, 3) new vertices by the index of the mesh.
             rebuild: "auto", "always", "never", or a `wrt.UpdatePolicy`.
         """
-        policy, meshes, changed = as_policy(rebuild), list(self.meshes), copy(self)
+        policy, meshes, changed = as_policy(rebuild), self.meshes, {}
         for index, points in vertices.items():
             number = check_index(index, len(meshes), "mesh")
-            meshes[number] = moved_mesh(meshes[number], points)
-        with use_threads(self.num_threads):
-            changed._set(tuple(meshes), None, policy)
-        self.__dict__ = changed.__dict__
+            changed[number] = moved_mesh(meshes[number], points)
+        self.state = self.state.moved(changed, policy)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the groups; their trees are built again."""
         options = {"triangle_test": self.triangle_test, "device": str(self.device), "num_threads": self.num_threads}
-        return partial(GroupedScene, list(self.meshes), self.accelerator, **options), (), {"mark": self.mark}
+        return revive_groups, (self.meshes, self.accelerator, options, self.state.mark)
 
     def __repr__(self) -> str:
         return f"GroupedScene({self.triangle_count} triangles in {len(self.meshes)} groups, device={str(self.device)!r})"
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GroupedState(MeshState):
+    """The state of a scene of groups.
+
+    Attributes:
+        trees: of each group; each counts triangles from its own first.
+        reports: what the last update did to the trees of those that moved.
+    """
+
+    trees: tuple[common.Bvh, ...] = ()
+    reports: Mapping[int, UpdateReport] = field(default_factory=dict)
+
+    def moved(self, changed: dict[int, TriangleMesh], policy: UpdatePolicy) -> GroupedState:
+        """The state with some groups elsewhere, by their index: their trees are refitted or built again, and the upper one."""
+        from wrt.builders.bvh.update.refit import refit
+
+        meshes = tuple(changed.get(number, mesh) for number, mesh in enumerate(self.meshes))
+        with use_threads(self.num_threads):
+            placed = place_meshes(meshes, self.device)
+            groups, recipe = groups_of(placed), recipe_of(self.settings)
+            trees, reports = list(self.trees), {}
+            has_shifted = (placed.center != self.center).any()
+
+            def work(number: int) -> None:
+                group = groups[number]
+                if number in changed:
+                    trees[number], reports[number] = move_tree(recipe, trees[number], group, policy)
+                elif has_shifted:
+                    trees[number] = refit(trees[number], group.vertices, group.faces)
+
+            run_tasks(work, len(groups))
+            return state_of_groups(meshes, placed, self.settings, trees, reports, self.mark)
+
+
+def build_groups(meshes: tuple[TriangleMesh, ...], settings: Settings) -> GroupedState:
+    """The state of a scene of groups: a tree for each, and one over all."""
+    placed, recipe = place_meshes(meshes, settings.device), recipe_of(settings)
+    groups = groups_of(placed)
+    trees: list[common.Bvh] = [None] * len(groups)
+
+    def work(number: int) -> None:
+        trees[number] = recipe.build(groups[number])
+
+    run_tasks(work, len(groups))
+    return state_of_groups(meshes, placed, settings, trees, {}, new_mark())
+
+
+def groups_of(placed: PlacedMeshes) -> list[MovedTriangles]:
+    """The triangles of each group."""
+    return [MovedTriangles.of(placed, np.zeros(3), first, end) for first, end in pairwise(placed.first)]
+
+
+def state_of_groups(
+    meshes: tuple[TriangleMesh, ...],
+    placed: PlacedMeshes,
+    settings: Settings,
+    trees: list[common.Bvh],
+    reports: Mapping[int, UpdateReport],
+    mark: str,
+) -> GroupedState:
+    """The state of groups with these trees: puts them together."""
+    tree = join_groups(trees, placed.first, settings.device)
+    if tree.depth > MAX_WIDE_DEPTH:
+        tree = recipe_of(settings).build(MovedTriangles.of(placed, np.zeros(3)))
+    return GroupedState(
+        settings=settings,
+        meshes=meshes,
+        center=placed.center,
+        built_tree=tree,
+        device_mesh=placed.fill_in(tree.low, tree.high),
+        mark=mark,
+        trees=tuple(trees),
+        reports=reports,
+    )
+
+
+def revive_groups(meshes: Any, accelerator: Bvh, options: dict[str, Any], mark: str) -> GroupedScene:
+    """The scene of a pickle."""
+    scene = GroupedScene(meshes, accelerator, **options)
+    scene.state = replace(scene.state, mark=mark)
+    return scene
 
 
 def join_groups(trees: list[common.Bvh], first: np.ndarray, device: wp.Device) -> common.Bvh:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.builders.bvh.bvh_statistics import BvhStatistics, bvh_statistics
 from wrt.builders.kdtree.kdtree_statistics import KdTreeStatistics, kdtree_statistics
-from wrt.execution.plan import DEFAULT_TEST
+from wrt.execution.planner import DEFAULT_TEST
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 if TYPE_CHECKING:
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,9 @@ def tree_figures(tree: KdTreeStatistics | BvhStatistics) -> dict[str, Any]:
     return {**counts, "block fill": tree.block_fill, "greatest depth": tree.max_depth, "SAH cost": tree.sah_cost}
 
 
-def scene_statistics(scene: Scene) -> SceneStatistics:
+def scene_statistics(scene: SceneState) -> SceneStatistics:
     """Measures a scene."""
+    scene.require("statistics")
     cost = scene.accelerator.config(scene.tree.width).cost
     measure = bvh_statistics if scene.accelerator.kind == "bvh" else kdtree_statistics
     record = TRIANGLE_TESTS[DEFAULT_TEST].record

@@ -36,9 +36,8 @@ from wrt.scene.archives import read_archive, write_archive
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
-    from wrt.meshes.instance import Instance
+    from wrt.execution.scene_state import SceneState
     from wrt.meshes.placement import PlacedMeshes
-    from wrt.scene.scene import Scene
     from wrt.scene.updates import TreeRecipe
 
 FORMAT = 2
@@ -189,10 +188,9 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     return tree
 
 
-def save_scene(scene: Scene, path: str | Path) -> None:
+def save_scene(scene: SceneState, path: str | Path) -> None:
     """Writes a scene to a file; see `wrt.Scene.save`."""
-    if scene.instances:
-        raise ValueError("a scene of instances cannot be saved; save one for each of its meshes, or pickle it")
+    scene.require("save")
     if not is_kept(scene.accelerator):
         kept = "a wrt.Bvh or a wrt.KdTree that is not lazy"
         raise ValueError(
@@ -212,9 +210,8 @@ def save_scene(scene: Scene, path: str | Path) -> None:
     write_archive(Path(path), arrays)
 
 
-def load_scene(path: str | Path, device: Any, num_threads: int | None) -> Scene:
+def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, KnownTree]:
     """Reads a scene from a file; see `wrt.Scene.load`."""
-    from wrt.scene.scene import Scene
 
     path = Path(path)
     if not path.is_file():
@@ -235,35 +232,35 @@ def load_scene(path: str | Path, device: Any, num_threads: int | None) -> Scene:
     except UNREADABLE as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"'{path}' is no scene that wrt saved, or it is damaged ({reason}); save it again") from error
-    return Scene(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
+    return meshes, accelerator, triangle_test, known
 
 
-def key_of(scene: Scene) -> str:
+def key_of(scene: SceneState) -> str:
     """The key of a scene's tree."""
     mesh = scene.device_mesh
     return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), scene.accelerator, scene.tree.width)
 
 
-def reduce_scene(scene: Scene) -> tuple[Callable[..., Scene], tuple[Any, ...], dict[str, Any]]:
-    """What a pickle of a scene holds: its tree too, if that is one and is kept."""
-    options = {"triangle_test": scene.triangle_test, "device": str(scene.device), "num_threads": scene.num_threads}
+def pack_scene(scene: SceneState) -> tuple[Any, dict[str, Any], str, PackedTree | None]:
+    """What a pickle of a scene holds: geometry, options, mark, and its tree, if that is one and is kept."""
+    options = {
+        "accelerator": scene.accelerator,
+        "triangle_test": scene.triangle_test,
+        "device": str(scene.device),
+        "num_threads": scene.num_threads,
+    }
     if scene.instances or not is_kept(scene.accelerator):
-        return revive_scene, (scene.instances or scene.meshes, scene.accelerator, options, None), {"mark": scene.mark}
-    kept = key_of(scene), pack_tree(scene.tree)
-    return revive_scene, (scene.meshes, scene.accelerator, options, kept), {"mark": scene.mark}
+        return scene.instances or scene.meshes, options, scene.mark, None
+    return scene.meshes, options, scene.mark, PackedTree(key_of(scene), pack_tree(scene.tree))
 
 
-def revive_scene(
-    geometry: tuple[TriangleMesh | Instance, ...],
-    accelerator: Accelerator,
-    options: dict[str, Any],
-    kept: tuple[str, dict[str, np.ndarray]] | None,
-) -> Scene:
-    """The scene of a pickle. kept: the tree's key and arrays."""
-    from wrt.scene.scene import Scene
+@dataclass(frozen=True)
+class PackedTree:
+    """A tree in a pickle, as arrays."""
 
-    if kept is None:
-        return Scene(geometry, accelerator, **options)
-    key, arrays = kept
-    tree = unpack_tree(arrays, sum(mesh.triangle_count for mesh in geometry))
-    return Scene(geometry, accelerator, **options, cache=KnownTree(key, tree))
+    key: str
+    arrays: dict[str, np.ndarray]
+
+    def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
+        """The tree, if it is the one that is wanted."""
+        return unpack_tree(self.arrays, triangles) if key == self.key else build()

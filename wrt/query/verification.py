@@ -28,10 +28,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wrt.execution.query_kinds import ANY, CLOSEST, Query
 from wrt.meshes.mesh import TriangleMesh
+from wrt.query.answers import closest_hits, ray_values
+from wrt.rays.rays import Rays
 
 if TYPE_CHECKING:
-    from wrt.scene.scene import Scene
+    from wrt.execution.scene_state import SceneState
 
 TOLERANCE = 2.0**-21
 """Distance by which an answer may be off, as a share of the ray's reach: eight roundings of half a unit in the last place."""
@@ -155,7 +158,7 @@ class Verification:
         console.print("no answer is wrong" if self.ok else "answers are WRONG", highlight=False)
 
 
-def verify(scene: Scene, samples: int, seed: int) -> Verification:
+def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     """Checks a scene; see `wrt.Scene.verify`."""
     for name, value, least in (("samples", samples, len(KINDS)), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
@@ -201,12 +204,13 @@ class Check:
     """
 
     def __init__(
-        self, scene: Scene, vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
+        self, scene: SceneState, vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
     ) -> None:
         self.center, self.vertices, self.faces = scene.center, vertices, faces
         self.origins, self.directions = origins, directions
-        hits = scene.intersect(origins + scene.center, directions)
-        occluded = scene.occluded(origins + scene.center, directions)
+        rays = Rays(origins + scene.center, directions)
+        hits = closest_hits(scene, rays, Query(CLOSEST))
+        occluded = ray_values(scene, rays, Query(ANY), "occluded")
         self.primitive, self.t = hits.batch.primitive.numpy(), hits.t.astype(np.float64)
         self.expected, self.t_expected = nearest64(vertices, faces, origins, directions)
         low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
@@ -379,7 +383,7 @@ def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
     }
 
 
-def sorts_of_places(scene: Scene, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
+def sorts_of_places(scene: SceneState, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
     """What float32 has few digits for: how many triangles, and which (F,) bool; and unused vertices, at none of them."""
     lost, tiny = [], []
     for part in scene.parts:

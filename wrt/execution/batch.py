@@ -1,0 +1,69 @@
+"""A batch of rays through a scene's tree or its two levels: rays in another order, lazily built trees, instances, counters."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.instance_rounds import trace_rounds
+from wrt.execution.lazy_tracing import trace_lazily
+from wrt.execution.plan import Plan, way_of
+from wrt.execution.traversal_launch import no_work, run_kernel
+from wrt.execution.wide_trees import can_be_wide, saved
+from wrt.memory import empty
+
+if TYPE_CHECKING:
+    from wrt.execution.scene_state import SceneState
+    from wrt.kernels.layout.ray_batch import RayBatch
+
+
+def trace_batch(
+    scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool
+) -> tuple[DeviceHits, wp.array | None]:
+    """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
+    device = scene.device
+    if not plan.is_wide and can_be_wide(scene):
+        scene.cache.missed += saved(rays.count, plan.coherent)
+    hits = DeviceHits.new(query, rays.count, device)
+    kind = way_of(plan).counters
+    work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
+    if plan.reorder != "cells":
+        run(scene, plan, rays, hits, query, work, counters)
+        return hits, work if counters else None
+
+    from wrt.kernels.query.ray_order import find_order, sort_rays, unsort_hits
+
+    order = find_order(rays, scene.tree.low, scene.tree.high, device)
+    sorted_hits, sorted_work = DeviceHits.new(query, rays.count, device), wp.zeros_like(work)
+    run(scene, plan, sort_rays(rays, order, empty), sorted_hits, query, sorted_work, counters)
+    unsort_hits(order, sorted_hits.struct(), hits.struct(), query)
+    if not counters:
+        return hits, None
+    values = work.numpy()
+    values[order.numpy()] = sorted_work.numpy()
+    return hits, wp.array(values, dtype=work.dtype, device=device)
+
+
+def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool) -> None:
+    """Traces rays; `work` has an entry for each ray if `counters`, else any number. Builds what a lazy tree lacks for them.
+
+    Raises:
+        ValueError: work is to be counted for rays that do not go one by one through two levels.
+    """
+    if scene.instances and plan.traversal != "single":
+        if counters:
+            raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
+        trace_rounds(scene, plan, rays, hits, query)
+        return
+    if scene.lazy_tree is not None and plan.accelerator != "none" and scene.lazy_tree.current.waiting:
+        idle = no_work(way_of(plan).counters, scene.device.alias)
+
+        def trace_part(some: RayBatch, found: DeviceHits) -> None:
+            run_kernel(scene, plan, some, found, query, idle, False)
+
+        trace_lazily(scene.lazy_tree, rays, hits, query, trace_part)
+        if not counters:
+            return
+    run_kernel(scene, plan, rays, hits, query, work, counters)

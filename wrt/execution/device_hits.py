@@ -1,0 +1,142 @@
+"""Answers of N rays in device memory: what every query writes, and what `wrt.Hits` reads."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.memory import empty, keep_alive
+
+if TYPE_CHECKING:
+    from wrt.rays.rays import ResultForm
+
+DTYPES = {"t": wp.float32, "primitive": wp.int32, "uv": wp.vec2, "occluded": wp.bool, "counts": wp.int32}
+"""Arrays of answers, and what they hold."""
+
+CLOSEST_HITS = ("t", "primitive", "uv")
+
+BLOCK = {"uv": 0, "t": 8, "primitive": 12}
+"""Where each array of closest hits begins in a block of 16 bytes a ray, in bytes a ray."""
+
+
+class DeviceHits:
+    """Answers of N rays: those arrays that the query writes, as `wrt.kernels.layout.ray_batch.HitBatch` explains them.
+
+    An array is made when it is first read: answers of few rays in NumPy arrays are NumPy's from the start, and closest hits of
+    few rays, and on CUDA of all, are cut from one allocation, so that the device hardly ever waits for Python.
+
+    Attributes:
+        count: N.
+        device: where the arrays are.
+        t, primitive, uv, occluded, counts: (N,) arrays; None if the query does not write them.
+        room, begins: of lists of all hits; 0 and None in other answers.
+    """
+
+    def __init__(self, count: int, device: wp.Device) -> None:
+        self.count, self.device = count, device
+        self.room, self.begins = 0, None
+        self._block: wp.array | None = None
+        self._host: dict[str, np.ndarray] = {}
+
+    @classmethod
+    def new(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
+        """Memory for the answers to a query."""
+        hits = cls(count, device)
+        names = written(query)
+        if query == CLOSEST and count > 0 and (count <= FEW_RAYS or device.is_cuda):
+            hits._block = empty(count, wp.vec4, device)
+        else:
+            hits.__dict__.update({name: empty(count, DTYPES[name], device) for name in names})
+        return hits
+
+    @classmethod
+    def of_host(cls, count: int, device: wp.Device, arrays: dict[str, np.ndarray]) -> DeviceHits:
+        """Answers that are in NumPy arrays; `device` is the CPU."""
+        hits = cls(count, device)
+        hits._host = arrays
+        return hits
+
+    @classmethod
+    def lists(cls, rays: int, hits: int, room: int, device: wp.Device) -> DeviceHits:
+        """Memory for all hits of rays: so many hits together, of which each ray has room for `room`."""
+        made = cls.new(ALL, hits, device)
+        made.counts, made.room = empty(rays, wp.int32, device), room
+        return made
+
+    @cached_property
+    def t(self) -> wp.array | None:
+        return self._array("t")
+
+    @cached_property
+    def primitive(self) -> wp.array | None:
+        return self._array("primitive")
+
+    @cached_property
+    def uv(self) -> wp.array | None:
+        return self._array("uv")
+
+    @cached_property
+    def occluded(self) -> wp.array | None:
+        return self._array("occluded")
+
+    @cached_property
+    def counts(self) -> wp.array | None:
+        return self._array("counts")
+
+    def _array(self, name: str) -> wp.array | None:
+        """An array that was not made with the others."""
+        if name in self._host:
+            return wp.array(self._host[name], dtype=DTYPES[name], device=self.device, copy=False)
+        if self._block is None or name not in BLOCK:
+            return None
+        begin = self._block.ptr + BLOCK[name] * self.count
+        part = wp.array(ptr=begin, dtype=DTYPES[name], shape=self.count, device=self.device)
+        return keep_alive(part, self._block)
+
+    def struct(self) -> HitBatch:
+        """The arrays for kernels."""
+        batch = HitBatch()
+        for name in DTYPES:
+            if (array := getattr(self, name)) is not None:
+                setattr(batch, name, array)
+        batch.room = self.room
+        if self.begins is not None:
+            batch.begins = self.begins
+        return batch
+
+    def write_to(self, arguments: Any, query: str) -> None:
+        """Writes addresses and lengths of a query's arrays into the packed form of a `HitBatch` that has such arrays."""
+        for name in written(query):
+            field = getattr(arguments, name)
+            field.data = self._address(name)
+            field.shape[0] = self.count
+
+    def _address(self, name: str) -> int:
+        if self._block is not None:
+            return self._block.ptr + BLOCK[name] * self.count
+        return getattr(self, name).ptr
+
+    def result(self, name: str, form: ResultForm) -> Any:
+        """An array in the leading shape of the rays: a NumPy array, or a Warp array if the rays were."""
+        if form.is_warp:
+            return shaped(getattr(self, name), form)
+        values = self._host[name] if name in self._host else getattr(self, name).numpy()
+        return values.reshape(form.shape + values.shape[1:])
+
+
+def written(query: str) -> tuple[str, ...]:
+    """Names of the arrays that a query writes for its rays."""
+    return ("occluded",) if query == ANY else ("counts",) if query == COUNT else CLOSEST_HITS
+
+
+def shaped(values: wp.array, form: ResultForm) -> Any:
+    """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
+    if form.is_warp:
+        return values if values.shape == form.shape else values.reshape(form.shape or (1,))
+    array = values.numpy()
+    return array.reshape(form.shape + array.shape[1:])

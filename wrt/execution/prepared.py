@@ -1,0 +1,109 @@
+"""Prepared queries: a plan's kernel with its arguments packed, so that a call only writes what differs from call to call.
+
+Of a query of few rays, and of one of many rays on fast hardware, most of the time would be Python's: for a plan, structs, and
+the arguments of a launch. So a scene's cache keeps a prepared query for each plan, kind of query, and layout of rays. A call
+writes the addresses of its rays and of memory for its answers, and launches. Records: notebooks/records.
+
+**Launch policies.** On the CPU the launch goes to the thread pool, or stays on the caller's thread where there is too little
+work to share. On CUDA it was recorded once and is repeated on the current stream.
+
+**Staged rays.** Few rays in NumPy arrays are copied to memory of the prepared query, and their answers from it, because
+making Warp arrays of them takes longer than tracing them.
+
+**Threads.** A prepared query serves one caller at a time (`wrt.execution.query_cache`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.device_hits import DeviceHits, written
+from wrt.execution.plan import traversal_config, way_of
+from wrt.execution.query_kinds import FEW_RAYS
+from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, RecordedLaunch
+from wrt.memory import new_rays
+from wrt.rays.ray_arrays import new_batch
+from wrt.rays.staged_rays import STAGED
+
+if TYPE_CHECKING:
+    from wrt.execution.plan import Plan
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.ray_arrays import Layout, RayArrays
+    from wrt.rays.staged_rays import StagedRays
+
+FEW_CHUNKS = Chunks(chunk=64)
+"""Chunks of few rays: some 20 us of work. A helper that spins joins in less than one, and nobody waits for one that sleeps."""
+
+
+class PreparedQuery:
+    """The kernel of a plan for rays of a layout, with its arguments packed, for one caller at a time.
+
+    Args:
+        scene: whose rays these are; not kept.
+        plan: the query's own (`wrt.execution.plan.plan_for`).
+        kind: "closest", "any" or "count".
+        layout: of the rays, or `STAGED`.
+    """
+
+    def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
+        self.kind, self._plan = kind, plan
+        self._is_single = plan.traversal == "single"
+        self._config = traversal_config(self._plan, scene, kind, False)
+        device = scene.device
+        self._staging = Staging(kind, device) if layout == STAGED else None
+        rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
+        hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
+        work = no_work(way_of(self._plan).counters, device.alias)
+        kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
+        is_cpu = device.is_cpu
+        self._launch = (
+            PreparedLaunch(kernel, inputs, device) if is_cpu else RecordedLaunch(kernel, inputs, device, (RAYS, HITS))
+        )
+        self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
+
+    def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
+        """Answers rays of the layout; on CUDA the answers are still to be computed.
+
+        Args:
+            scene: the state that this was prepared for.
+            rays: the rays.
+            columns: of the picture whose pixels they are, if the plan takes them tile by tile; else 0.
+        """
+        rays.write_to(self._rays)
+        self._rays.columns = columns
+        if self._is_single and rays.count <= FEW_RAYS:
+            items, chunks = rays.count, FEW_CHUNKS
+        else:
+            self._rays.run, items, chunks = divide(scene, self._plan, self._config, rays.count)
+        hits = DeviceHits.new(self.kind, rays.count, scene.device)
+        hits.write_to(self._hits, self.kind)
+        self._launch.run(items, chunks, (rays, hits))
+        return hits
+
+    def run_staged(self, rays: StagedRays) -> DeviceHits:
+        """Answers staged rays, one by one."""
+        staging = self._staging
+        rays.copy_to(*staging.inputs)
+        self._launch.run(rays.count, FEW_CHUNKS)
+        copies = {name: values[: rays.count].copy() for name, values in staging.outputs.items()}
+        return DeviceHits.of_host(rays.count, staging.hits.device, copies)
+
+
+class Staging:
+    """Memory of a prepared query for few rays and their answers.
+
+    Attributes:
+        rays, hits: as kernels see them.
+        inputs: the same memory as NumPy arrays: origins, directions, t_min and t_max.
+        outputs: the same for answers, by name.
+    """
+
+    def __init__(self, kind: str, device: wp.Device) -> None:
+        self.rays, self.hits = new_rays(FEW_RAYS, device), DeviceHits.new(kind, FEW_RAYS, device)
+        arrays = self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max
+        self.inputs: list[np.ndarray] = [array.numpy() for array in arrays]
+        self.outputs: dict[str, Any] = {name: getattr(self.hits, name).numpy() for name in written(kind)}

@@ -1,0 +1,82 @@
+"""What queries learn about a scene and keep for the next ones: plans, prepared queries, triangle records, a wide tree.
+
+A scene's state never changes (`wrt.execution.scene_state`); this cache beside it does. It has a lock of its own. Prepared
+queries are kept with their plan (`wrt.execution.plan.ChosenPlan`). Each serves one caller at a time: it is taken out and put
+back, and as many are made as callers run at once.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+if TYPE_CHECKING:
+    from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
+
+MOST_PLANS = 64
+"""Plans that a cache holds; one more clears them, and the queries prepared for them."""
+
+Origin = tuple[float, float, float]
+"""A point relative to the scene's centre."""
+
+KnownRecords = dict[tuple[str, "Record"], tuple["Origin | None", "TriangleBlocks"]]
+"""The blocks of a kind of tree and of record, and the origin that they were made for, where they depend on one."""
+
+_caches: WeakSet[QueryCache] = WeakSet()
+
+
+class QueryCache:
+    """Plans, prepared queries, triangle records and the wide form of one scene state.
+
+    Attributes:
+        lock: guards what is not one operation on a dict or a deque.
+        records: triangle records by kind of tree and record (`wrt.execution.triangle_records`).
+        wide: a `wrt.execution.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
+        missed: what rays so far would have saved with a wide form, in triangles that it could be made of.
+        tables: what kernels read of instanced meshes, by kind of tree and triangle test.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.records: KnownRecords = {}
+        self.wide: Any = None
+        self.missed = 0.0
+        self.tables: dict[tuple[str, str], Any] = {}
+        self._plans: dict[Hashable, Any] = {}
+        _caches.add(self)
+
+    @property
+    def plans(self) -> list[Any]:
+        """All plans, each with the queries that are prepared for it."""
+        with self.lock:
+            return [*self._plans.values()]
+
+    def plan(self, key: Hashable) -> Any | None:
+        """The `wrt.execution.plan.ChosenPlan` of a key; None if there is none."""
+        return self._plans.get(key)
+
+    def keep_plan(self, key: Hashable, plan: Any) -> Any:
+        """Keeps a plan for the next queries of its key, and returns it."""
+        with self.lock:
+            if len(self._plans) >= MOST_PLANS:
+                self._plans.clear()
+            self._plans[key] = plan
+        return plan
+
+    def clear(self) -> None:
+        """Drops plans and the queries that are prepared for them."""
+        with self.lock:
+            self._plans.clear()
+
+
+def _renew_locks() -> None:
+    """A lock that another thread held while the process was forked would never be released in the child."""
+    for cache in _caches:
+        cache.lock = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_locks)

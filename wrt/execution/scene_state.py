@@ -1,0 +1,193 @@
+"""The state of a scene: all that a query reads, and nothing that changes.
+
+A query takes the state once, at its beginning, and reads nothing else of the scene. An update makes a new state and replaces
+the scene's in one assignment, so that a query under way in another thread sees one of the two, and never a mixture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
+from uuid import uuid4
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.query_cache import QueryCache
+from wrt.kernels.runtime.launch import use_threads
+from wrt.meshes.mesh import TriangleMesh
+
+if TYPE_CHECKING:
+    from wrt.accelerators.accelerator import Accelerator
+    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
+    from wrt.builders.tree import Bvh, KdTree
+    from wrt.kernels.query.hit_attributes import SceneMesh
+    from wrt.meshes.instance import Instance
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the caller chose for a scene.
+
+    Attributes:
+        accelerator: the description of its tree.
+        triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+        device: where it lives.
+        num_threads: threads on the CPU; None for `wrt.get_num_threads()`.
+    """
+
+    accelerator: Accelerator
+    triangle_test: str
+    device: wp.Device
+    num_threads: int | None = None
+
+
+def new_mark() -> str:
+    """A name by which hits know their scene; updates, copies and pickles of the scene keep it."""
+    return uuid4().hex
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SceneState:
+    """Triangle meshes with one tree, at rest.
+
+    Attributes:
+        settings: what the caller chose.
+        meshes: the meshes, in the order of their geometry ids.
+        center: (3,) float64; geometry is held in float32 relative to this point.
+        built_tree: the tree; of one that is built lazily, as it was at first (`tree` is what there is by now).
+        device_mesh: all triangles on the device, for kernels.
+        lazy_tree: the tree that is built while rays are traced; None if it is complete.
+        area_trees: the trees of influence areas; None if there are none (`wrt.execution.area_trees`).
+        instances: what a scene of two levels is made of; none in others.
+        only_single: whether rays go one by one, whatever traversal "auto" would choose.
+        mark: by which hits know their scene.
+        cache: what queries learn about this state.
+    """
+
+    refused: ClassVar[Mapping[str, str]] = {}
+    """What scenes of this kind cannot do, each with a message that says what to do instead."""
+
+    settings: Settings
+    meshes: tuple[TriangleMesh, ...]
+    center: np.ndarray
+    built_tree: KdTree | Bvh
+    device_mesh: SceneMesh
+    lazy_tree: LazyKdTree | None = None
+    area_trees: Any = None
+    instances: tuple[Instance, ...] = ()
+    only_single: bool = False
+    mark: str = field(default_factory=new_mark)
+    cache: QueryCache = field(default_factory=QueryCache)
+
+    @property
+    def accelerator(self) -> Accelerator:
+        """The description of the tree."""
+        return self.settings.accelerator
+
+    @property
+    def triangle_test(self) -> str:
+        """The triangle test of queries that ask for none of their own, or "auto"."""
+        return self.settings.triangle_test
+
+    @property
+    def device(self) -> wp.Device:
+        """Where the scene lives."""
+        return self.settings.device
+
+    @property
+    def num_threads(self) -> int | None:
+        """Threads on the CPU; None for `wrt.get_num_threads()`."""
+        return self.settings.num_threads
+
+    @property
+    def tree(self) -> KdTree | Bvh:
+        """The tree; of one that is built lazily, what there is by now."""
+        return self.built_tree if self.lazy_tree is None else self.lazy_tree.current.tree
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles of all meshes."""
+        return self.device_mesh.faces.shape[0]
+
+    @property
+    def parts(self) -> tuple[SceneState, ...]:
+        """The states of one level that this one is made of."""
+        return (self,)
+
+    @property
+    def width(self) -> int:
+        """Triangles tested at once."""
+        return self.tree.width
+
+    @property
+    def depth(self) -> int:
+        """Most inner nodes on a path of a BVH."""
+        return self.tree.depth
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: lower and upper corner of the box of all triangles."""
+        return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
+
+    @cached_property
+    def is_closed(self) -> bool:
+        """Whether every mesh is closed."""
+        return all(mesh.is_closed for mesh in self.meshes)
+
+    @cached_property
+    def exact_vertices(self) -> wp.array:
+        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64.
+
+        Raises:
+            ValueError: the scene is of a kind that has none.
+        """
+        self.require("float64 vertices")
+        vertices = np.concatenate([mesh.vertices for mesh in self.meshes])
+        return wp.array(vertices.astype(np.float64), dtype=wp.vec3d, device=self.device)
+
+    @property
+    def record_bytes(self) -> int:
+        """Memory of the triangle records made so far: queries make those that their triangle test needs."""
+        wide = self.cache.wide
+        known = [self.cache.records, *([] if wide is None else [wide.records])]
+        return sum(blocks.records.capacity for records in known for _, blocks in records.values())
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the tree and the triangles, and of the triangle records made so far."""
+        mesh = self.device_mesh
+        return self.tree.bytes + mesh.vertices.capacity + mesh.faces.capacity + self.record_bytes
+
+    def contents(self) -> str:
+        """What is in the scene, in words."""
+        return f"{self.triangle_count} triangles"
+
+    def require(self, feature: str) -> None:
+        """Refuses a feature that scenes of this kind do not have.
+
+        Raises:
+            ValueError: it is one of `refused`; the message says what to do instead.
+        """
+        if feature in self.refused:
+            raise ValueError(self.refused[feature])
+
+    def complete(self) -> None:
+        """Builds what is left to build of a tree that is built lazily, before it is walked by what does not ask for more."""
+        if self.lazy_tree is not None:
+            with use_threads(self.num_threads):
+                self.lazy_tree.finish()
+
+    def over(self, tree: Bvh) -> SceneState:
+        """The same scene with another tree on its device, over some of its triangles; it has no areas."""
+        return replace(self, built_tree=tree, lazy_tree=None, area_trees=None, cache=QueryCache())
+
+    def with_threads(self, num_threads: int | None) -> SceneState:
+        """The same state for another number of threads."""
+        return replace(self, settings=replace(self.settings, num_threads=num_threads))
+
+    def flattened(self) -> TriangleMesh:
+        """All meshes as one, triangles in the order in which the scene numbers them."""
+        return TriangleMesh.concatenate(self.meshes)

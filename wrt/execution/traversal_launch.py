@@ -1,0 +1,103 @@
+"""The kernel that carries out a plan, its inputs, and its launch."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+from wrt.execution.plan import Plan, kernel_factory, stack_levels, traversal_config, walked_tree, way_of
+from wrt.execution.triangle_records import records_of
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, get_num_threads, kept, launch, specialise
+
+if TYPE_CHECKING:
+    from wrt.execution.device_hits import DeviceHits
+    from wrt.execution.scene_state import SceneState
+    from wrt.kernels.traversal.traversal_config import TraversalConfig
+
+BRUTE_FORCE_TESTS = 10_000_000
+"""Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
+
+LEAST_CHUNK = 256
+"""Rays that are worth a chunk of their own on the CPU: tens of microseconds, where claiming a chunk takes less than one."""
+
+STREAMS_IN_A_ROW = 16
+"""Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
+
+ITEMS_PER_THREAD = 32
+"""Items of streams that a thread has at least, if rays are many: enough to balance the load."""
+
+RAYS, HITS = 3, 4
+"""Which of a traversal kernel's arguments they are, the number of the first item counted."""
+
+
+def run_kernel(
+    scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
+) -> None:
+    """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as of `counter_rows`."""
+    config = traversal_config(plan, scene, query, counters)
+    kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits.struct(), work)
+    rays.run, items, chunks = divide(scene, plan, config, rays.count)
+    launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
+
+
+def kernel_and_inputs(
+    scene: SceneState, plan: Plan, config: TraversalConfig, rays: RayBatch, hits: HitBatch, work: wp.array
+) -> tuple[wp.Kernel, list[Any]]:
+    """The kernel that carries out a plan on the tree as it stands, and what it gets after the number of the first item.
+
+    On two levels that is the one for rays that go one by one.
+    """
+    counters = counter_rows(work)
+    if scene.instances:
+        from wrt.kernels.traversal.two_level.instance_single import make_kernel
+
+        factory = partial(make_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+        return specialise(factory, config), [scene.upper(), scene.lower(plan, rays), rays, hits, counters]
+    if plan.accelerator == "none":
+        from wrt.kernels.traversal.brute_force import AllTriangles
+
+        tree = AllTriangles()
+        tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
+    else:
+        tree = walked_tree(plan, scene).struct()
+    return specialise(kernel_factory(plan, scene), config), [tree, records_of(scene, plan, rays), rays, hits, counters]
+
+
+def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:
+    """Rays of an item of a plan's kernel, the items of so many rays, and their chunks."""
+    if scene.instances:
+        return 1, count, Chunks(1024)
+    way, grain = way_of(plan), way_of(plan).rays_per_item(config)
+    longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
+    if way.streams:
+        grain *= streams_in_a_row(count, grain, scene.device)
+    chunks_per_thread = ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
+    return grain, -(-count // grain), Chunks(max(1, LEAST_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
+
+
+def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:
+    """Streams that share the local memory of an item, as far as each thread still has `ITEMS_PER_THREAD` items."""
+    if device.is_cuda:
+        return 1
+    return min(max(1, count // (stream * ITEMS_PER_THREAD * get_num_threads())), STREAMS_IN_A_ROW)
+
+
+@lru_cache
+def no_work(kind: type, device: str) -> wp.array:
+    """What kernels get that count nothing: made once, as small batches feel every allocation."""
+    with kept(wp.get_device(device)):
+        return wp.zeros(1, dtype=kind, device=device)
+
+
+def counter_rows(work: wp.array) -> Any:
+    """The struct by which kernels get where to write counters: an entry a ray, or any number if nothing is counted."""
+    from wrt.kernels.traversal.leaf import CounterRows, Counters
+    from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows
+
+    struct = CounterRows() if work.dtype is Counters else StreamCounterRows()
+    struct.rows = work
+    return struct

@@ -1,0 +1,45 @@
+"""Closest hits, occlusion and counts: each query by the way that its arguments ask for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from wrt.execution.executor import answer
+from wrt.execution.query_kinds import AUTO, Query
+from wrt.query import pickled_hits  # noqa: F401, says how hits are pickled
+from wrt.query.exact_hits import find_precisely
+from wrt.query.hits import Hits
+from wrt.query.skip import answer_skipping
+
+if TYPE_CHECKING:
+    from wrt.execution.scene_state import SceneState
+    from wrt.rays.rays import Rays
+
+
+def closest_hits(
+    scene: SceneState, rays: Rays, query: Query, mask: Any = None, skip: Any = None, precise: bool = False
+) -> Hits:
+    """Closest hits; arguments and errors as of `wrt.Scene.intersect`."""
+    if skip is not None:
+        found = answer_skipping(scene, rays, query, skip, mask, precise)
+    elif precise:
+        return find_precisely(scene, rays, query, mask)
+    else:
+        if query.counters and scene.instances and query.traversal == AUTO:
+            query = query._replace(traversal="single")  # what is counted there
+        found = answer(scene, rays, query, mask)
+    return Hits(found.hits, found.form, scene, found.plan, found.work)
+
+
+def ray_values(scene: SceneState, rays: Rays, query: Query, name: str, mask: Any = None, skip: Any = None) -> Any:
+    """A value of each ray: "occluded" or "counts", in the rays' leading shape.
+
+    Args:
+        scene: what the rays meet.
+        rays: the rays.
+        query: of kind "any" or "count".
+        name: of the array that holds the values.
+        mask, skip: as of `wrt.Scene.intersect`; None for none.
+    """
+    found = answer(scene, rays, query, mask) if skip is None else answer_skipping(scene, rays, query, skip, mask)
+    return found.hits.result(name, found.form)

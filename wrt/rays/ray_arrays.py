@@ -1,0 +1,196 @@
+"""Rays as flat arrays on the device: without a copy where none is needed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points
+from wrt.kernels.runtime.launch import kept, launch
+from wrt.memory import keep_alive
+from wrt.rays.ray_grids import one_origin
+from wrt.rays.rays import Rays, as_range, as_vectors, check_number, common_shape
+
+NOWHERE = np.zeros(3)
+"""The centre relative to which directions are taken."""
+
+
+class Layout(NamedTuple):
+    """How rays lie in their arrays: all that a launch must know of them besides the arrays.
+
+    Attributes:
+        origins, directions, t_min, t_max: 1 where each ray has its own, 0 where all share element 0.
+        centered: whether the origins are relative to the scene's centre already.
+    """
+
+    origins: int
+    directions: int
+    t_min: int
+    t_max: int
+    centered: bool
+
+
+@dataclass
+class RayArrays:
+    """Rays as flat arrays on the device.
+
+    Attributes:
+        origins, directions: (N,) or (1,) vec3.
+        t_min, t_max: (N,) or (1,) float32.
+        layout: which of them have one element, and what the origins are relative to.
+        count: N.
+        center: (3,) float64, the scene's.
+        shape, is_warp, dtype, keep: as of `RayBuffers`.
+    """
+
+    origins: wp.array
+    directions: wp.array
+    t_min: wp.array
+    t_max: wp.array
+    layout: Layout
+    count: int
+    center: np.ndarray
+    shape: tuple[int, ...]
+    is_warp: bool
+    dtype: type
+    keep: tuple[Any, ...]
+
+    @property
+    def origin_stride(self) -> int:
+        """As of `RayBatch`."""
+        return self.layout.origins
+
+    @property
+    def direction_stride(self) -> int:
+        """As of `RayBatch`."""
+        return self.layout.directions
+
+    def batch(self) -> RayBatch:
+        """The rays for kernels."""
+        batch = new_batch(self.layout, self.center)
+        batch.count = self.count
+        batch.origins, batch.directions = self.origins, self.directions
+        batch.t_min, batch.t_max = self.t_min, self.t_max
+        return batch
+
+    def write_to(self, arguments: Any) -> None:
+        """Writes the addresses of the arrays, and how many rays they are, into the packed form of a batch of this layout."""
+        arguments.origins, arguments.directions = self.origins.__ctype__(), self.directions.__ctype__()
+        arguments.t_min, arguments.t_max = self.t_min.__ctype__(), self.t_max.__ctype__()
+        arguments.count = self.count
+
+
+def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
+    """The arrays of rays on the device; float64 origins are taken relative to `center` there.
+
+    Raises:
+        TypeError: an argument is not an array of real numbers.
+        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device, more than
+            `MAX_RAYS` rays.
+    """
+    origins = as_vectors(rays.origins, "origins", device)
+    directions = as_vectors(rays.directions, "directions", device)
+    is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
+    t_min = as_range(rays.t_min, "t_min", device)
+    t_max = as_range(rays.t_max, "t_max", device)
+    shape = common_shape(origins, directions, t_min, t_max)
+    check_number(shape)
+    if device.is_cpu and isinstance(origins, np.ndarray):
+        origins = one_origin(origins)
+    centered = _is_float64(origins)
+    dtype = np.float64 if centered or _is_float64(directions) else np.float32
+    given = origins, directions, t_min, t_max
+    origins, origin_stride = _vectors(origins, shape, device, center)
+    directions, direction_stride = _vectors(directions, shape, device, NOWHERE)
+    t_min, t_min_stride = _scalars(t_min, shape, device)
+    t_max, t_max_stride = _scalars(t_max, shape, device)
+    layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
+    return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
+
+
+def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
+    """A batch that waits for its arrays."""
+    batch = RayBatch()
+    batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
+    batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
+    return batch
+
+
+def _is_float64(values: np.ndarray | wp.array) -> bool:
+    return values.dtype == np.float64 if isinstance(values, np.ndarray) else values.dtype is wp.vec3d
+
+
+def spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
+    """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
+    leading = values.ndim - len(trailing)
+    if values.shape == shape + trailing and values.flags.c_contiguous:
+        return values.reshape(-1, *trailing), 1
+    shared = all(n == 1 or stride == 0 for n, stride in zip(values.shape[:leading], values.strides[:leading], strict=True))
+    if shared and math.prod(shape) > 1:
+        return np.ascontiguousarray(values[(0,) * leading]).reshape(1, *trailing), 0
+    return np.ascontiguousarray(np.broadcast_to(values, shape + trailing)).reshape(-1, *trailing), 1
+
+
+def _vectors(
+    values: np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device, center: np.ndarray
+) -> tuple[wp.array, int]:
+    """Vectors as a flat (N,) or (1,) vec3 array; float64 ones are taken relative to `center`."""
+    stride = 1
+    if isinstance(values, wp.array):
+        stride = 0 if values.size == 1 else 1
+        if stride and values.shape != shape:
+            raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
+        values = values if values.ndim == 1 else values.flatten()
+    else:
+        values, stride = spread(values, shape, (3,))
+        dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
+        values = _upload(values, dtype, device)
+    if values.dtype is wp.vec3d:
+        out = wp.empty(len(values), dtype=wp.vec3f, device=device)
+        launch(center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096)
+        values = out
+    return values, stride
+
+
+def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
+    """Bounds of t as a flat (N,) or (1,) float array."""
+    if isinstance(values, float):
+        stride = int(math.prod(shape) == 1)
+        if device.is_capturing:  # what is kept for others may be dropped before the graph is
+            return wp.full(1, values, dtype=float, device=device), stride
+        return _number(values, device.alias), stride
+    if isinstance(values, wp.array):
+        if values.size != 1 and values.shape != shape:
+            raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
+        return values.flatten(), 0 if values.size == 1 else 1
+    values, stride = spread(values, shape, ())
+    return _upload(values, float, device), stride
+
+
+def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
+    """An array on the device, on the CPU in the same memory.
+
+    Raises:
+        RuntimeError: a graph is being captured on the device: it would copy from memory that is gone when it is launched.
+    """
+    if device.is_capturing:
+        raise RuntimeError(
+            "rays must be Warp arrays while a graph is captured; copy them to the device before the capture, "
+            f"by wp.array(..., dtype=wp.vec3, device={str(device)!r})"
+        )
+    if not device.is_cpu:
+        return wp.array(values, dtype=dtype, device=device)
+    pointer, count = values.__array_interface__["data"][0], len(values)
+    return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
+
+
+@lru_cache(maxsize=64)
+def _number(value: float, device: str) -> wp.array:
+    """An array of one float32, made once: most batches have the same bounds."""
+    with np.errstate(over="ignore"), kept(wp.get_device(device)):
+        return wp.array(np.float32([value]), dtype=float, device=device)

@@ -1,0 +1,135 @@
+"""Rays on the device together with what was detected in them: what plans are made for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.rays.coherence import look_at
+from wrt.rays.ray_arrays import Layout, RayArrays, lay_out, spread
+from wrt.rays.ray_grids import columns_of_shape
+from wrt.rays.rays import Rays, ResultForm
+from wrt.rays.staged_rays import StagedRays, stage
+
+
+@dataclass
+class RayBuffers:
+    """Rays on the device.
+
+    Attributes:
+        given: the arrays, or what kernels read.
+        shape: leading shape of the results.
+        is_warp: whether any input was on the Warp side, so that results stay there.
+        dtype: float64 if any of origins and directions was, else float32: the type of positions and normals.
+        coherent: whether neighbouring rays look alike.
+        scattered: whether neighbouring rays start far apart.
+        keep: arrays that must live as long as the batch.
+        columns: of the picture whose pixels the rays are, row by row; 0 if they are none.
+    """
+
+    given: RayArrays | RayBatch
+    shape: tuple[int, ...]
+    is_warp: bool
+    dtype: type
+    coherent: bool
+    scattered: bool
+    keep: list[Any]
+    columns: int = 0
+
+    @cached_property
+    def batch(self) -> RayBatch:
+        """What kernels read; whoever has it may change it, and then it counts in place of the arrays."""
+        return self.given.batch() if isinstance(self.given, RayArrays) else self.given
+
+    @property
+    def laid_out(self) -> RayArrays | RayBatch:
+        """The arrays, as long as nobody asked for the batch; all know `count` and whether rays share their origin."""
+        return self.__dict__.get("batch", self.given)
+
+    @property
+    def layout(self) -> Layout | str | None:
+        """How the rays lie in their arrays; None once somebody asked for the batch."""
+        return None if "batch" in self.__dict__ else getattr(self.given, "layout", None)
+
+    @property
+    def form(self) -> ResultForm:
+        """The form of results."""
+        return ResultForm(self.shape, self.is_warp, self.dtype)
+
+    @cached_property
+    def count(self) -> int:
+        """Number of rays."""
+        return self.given.count
+
+
+def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int = 0) -> RayBuffers | StagedRays:
+    """Brings rays to the device, relative to `center` (origins in float64 become float32 only then).
+
+    Args:
+        rays: the rays.
+        device: the scene's.
+        center: (3,) float64, the scene's.
+        staged: number of rays up to which they go one by one on the CPU: those in NumPy arrays are left to a prepared query
+            to copy, and in no others coherence is looked for.
+
+    Raises:
+        TypeError, ValueError: as `lay_out`.
+    """
+    if staged and (few := stage(rays, device, center, staged)) is not None:
+        return few
+    arrays = lay_out(rays, device, center)
+    if arrays.count <= staged:  # rays that go one by one need not look alike
+        return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, True, False, list(arrays.keep))
+    coherent, scattered, columns = look_at(arrays, device, is_list=len(arrays.shape) == 1)
+    keep, columns = list(arrays.keep), columns or columns_of_shape(arrays.shape)
+    return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, coherent, scattered, keep, columns)
+
+
+def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
+    """Gives rays their masks: an int for all, or an array of integers that broadcasts to their shape.
+
+    Raises:
+        TypeError: no integers.
+        ValueError: out of 0 .. 2^32 - 1, a shape that does not broadcast, an array on another device.
+    """
+    if isinstance(mask, wp.array):
+        if mask.dtype is not wp.uint32 or mask.device != device:
+            raise ValueError(f"mask must be a Warp array of uint32 on {device}, not of {mask.dtype.__name__} on {mask.device}")
+        values, stride = mask, 0 if mask.size == 1 else 1
+        if stride and mask.shape != buffers.shape:
+            raise ValueError(
+                f"mask has the shape {mask.shape}, the rays {buffers.shape}; Warp arrays broadcast only from one element"
+            )
+        buffers.batch.mask, buffers.batch.mask_stride = values.flatten(), stride
+        return
+    values = np.asarray(mask)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"mask must hold integers, not {values.dtype}; combine bits as 1 << 0 | 1 << 3")
+    if values.size and (values.min() < 0 or values.max() >= 1 << 32):
+        raise ValueError(f"mask must be from 0 to 2**32 - 1, but ranges from {values.min()} to {values.max()}")
+    try:
+        each, stride = spread(np.broadcast_to(values.astype(np.uint32), buffers.shape), buffers.shape, ())
+    except ValueError:
+        raise ValueError(
+            f"mask has the shape {values.shape}, which does not broadcast to that of the rays, {buffers.shape}"
+        ) from None
+    buffers.batch.mask, buffers.batch.mask_stride = wp.array(each, dtype=wp.uint32, device=device), stride
+
+
+def shares_origin(batch: RayBatch) -> bool:
+    """Whether all rays are known to start at one point; one ray does."""
+    return batch.origin_stride == 0 or batch.count <= 1
+
+
+def shared_origin(batch: RayBatch) -> tuple[float, float, float]:
+    """The point at which all rays start, relative to the scene's centre, rounded as `wrt.kernels.layout.ray_batch.load_ray`
+    does."""
+    if len(batch.origins) == 0:
+        return (0.0, 0.0, 0.0)
+    origin = batch.origins[:1].numpy()[0].astype(np.float64) - np.array(batch.center, dtype=np.float64)
+    return tuple(origin.astype(np.float32).tolist())

@@ -1,0 +1,99 @@
+"""States of scenes of one level: placing meshes, finding or building their tree, and moving it with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from wrt.accelerators.ray_aware_bvh import RayAwareBvh
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.execution.area_trees import build_area_trees
+from wrt.execution.query_cache import QueryCache
+from wrt.execution.scene_state import SceneState, Settings
+from wrt.kernels.runtime.launch import use_threads
+from wrt.kernels.simd.lanes import native_width
+from wrt.memory import memory_for
+from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.placement import check_index, moved_mesh, place_meshes
+from wrt.scene.storage import find_tree
+from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from wrt.scene.storage import TreeSource
+    from wrt.scene.updates import UpdateReport
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeshState(SceneState):
+    """The state of a scene of meshes.
+
+    Attributes:
+        last_update: what the last update did to the tree; None if there was none, or trees of this kind are always built again.
+    """
+
+    last_update: UpdateReport | None = None
+
+    def updated(self, index: Any, vertices: Any, transform: Any, mask: int | None, policy: UpdatePolicy) -> SceneState:
+        """The state after a mesh's vertices have moved; arguments and errors as of `wrt.Scene.update`."""
+        self.require("update")
+        if transform is not None or mask is not None:
+            raise ValueError("transform and mask go with instances, and this scene has none; make it of wrt.Instance(mesh)")
+        index = check_index(index, len(self.meshes), "mesh")
+        return self.moved({index: moved_mesh(self.meshes[index], vertices)}, policy)
+
+    def moved(self, changed: dict[int, TriangleMesh], policy: UpdatePolicy) -> SceneState:
+        """The state with some meshes elsewhere, by their index."""
+        meshes = tuple(changed.get(number, mesh) for number, mesh in enumerate(self.meshes))
+        with use_threads(self.num_threads):
+            if not can_move(self.accelerator):
+                return replace(build_state(meshes, self.settings, None), mark=self.mark)
+            with memory_for_tree(meshes):
+                placed = place_meshes(meshes, self.device)
+                shift = self.center - placed.center + typical_motion(self.meshes, meshes)
+                tree, report = move_tree(recipe_of(self.settings), self.tree, MovedTriangles.of(placed, shift), policy)
+        return replace(
+            self,
+            meshes=meshes,
+            center=placed.center,
+            built_tree=tree,
+            device_mesh=placed.fill_in(tree.low, tree.high),
+            last_update=report,
+            cache=QueryCache(),
+        )
+
+
+def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str | Path | TreeSource | None) -> MeshState:
+    """The state of a scene of meshes: their tree is found in `cache`, or built.
+
+    Raises:
+        ValueError, MemoryError, OSError: as `wrt.Scene`.
+    """
+    with memory_for_tree(meshes):
+        placed = place_meshes(meshes, settings.device)
+        # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
+        boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache)
+    state = MeshState(
+        settings=settings,
+        meshes=meshes,
+        center=placed.center,
+        built_tree=tree,
+        device_mesh=placed.fill_in(tree.low, tree.high),
+        lazy_tree=lazy_tree,
+    )
+    if not isinstance(settings.accelerator, RayAwareBvh):
+        return state
+    return replace(state, area_trees=build_area_trees(state, boxes))
+
+
+def memory_for_tree(meshes: tuple[TriangleMesh, ...]) -> Any:
+    """Makes failures to get memory for the tree of meshes say what it was for."""
+    triangles = f"the tree of {sum(mesh.triangle_count for mesh in meshes):,} triangles"
+    return memory_for(triangles, sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in meshes))
+
+
+def recipe_of(settings: Settings) -> TreeRecipe:
+    """How the tree of a scene is made."""
+    return TreeRecipe(settings.accelerator, native_width(settings.device), settings.device)
