@@ -26,7 +26,7 @@ import click
 import numpy as np
 
 import wrt
-from wrt.bench.results import machine
+from wrt.bench.core.benchmark_results import machine
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS

@@ -7,7 +7,7 @@ from datetime import date
 from pathlib import Path
 
 import wrt
-from wrt.bench.results import machine
+from wrt.bench.core.benchmark_results import machine
 
 RECORDS = Path(__file__).resolve().parents[1] / "notebooks" / "records"
 

@@ -7,8 +7,9 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench import animation
-from wrt.bench.animation import ANIMATIONS, WAYS, Stage, compare_ways
+from wrt.bench.commands import animation_command
+from wrt.bench.studies import animation_comparison as animation
+from wrt.bench.studies.animation_comparison import ANIMATIONS, WAYS, Stage, compare_ways
 from wrt.cli import main
 
 CAMERA = wrt.PinholeCamera(32, 32, fov=55, position=(-6.0, -3.5, 2.0), look_at=(0.0, -0.6, 1.6), up=(0.0, 0.0, 1.0))
@@ -42,7 +43,7 @@ def test_a_difference_would_show():
 
 
 def test_command(monkeypatch, tmp_path):
-    monkeypatch.setattr(animation, "atrium", lambda: COURT)
+    monkeypatch.setattr(animation_command, "atrium", lambda: COURT)
     file = tmp_path / "figures.json"
     options = ["--frames", "2", "--detail", "4", "--size", "16", "--rounds", "1", "--way", "groups", "--json", str(file)]
     done = CliRunner().invoke(main, ["bench", "animation", "cloth", *options])

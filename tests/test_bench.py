@@ -5,21 +5,14 @@ import pytest
 import trimesh
 
 import wrt
-from wrt.bench.contract import Answer, Peer, Query, device_rays
-from wrt.bench.engines import BRUTE_FORCE_PAIRS, all_engines
-from wrt.bench.measure import (
-    Contender,
-    Timing,
-    closest_agreement,
-    lists_agreement,
-    occlusion_agreement,
-    share,
-    take_turns,
-    time_call,
-)
-from wrt.bench.peers import PEERS, make_peers
-from wrt.bench.questions import ask
-from wrt.bench.workloads import AO_RANGE, OFFSET, WORKLOADS, Workload, WorkloadMaker, pixel_order
+from wrt.bench.core.agreement import closest_agreement, lists_agreement, occlusion_agreement, share
+from wrt.bench.core.paired_timing import Contender, Timing, take_turns, time_call
+from wrt.bench.core.workloads import AO_RANGE, OFFSET, WORKLOADS, Workload, WorkloadMaker, pixel_order
+from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.engines import BRUTE_FORCE_PAIRS, all_engines
+from wrt.bench.peers.peer import Answer, Peer, Query, device_rays
+from wrt.bench.peers.peer_table import PEERS, make_peers
+from wrt.bench.studies.query_comparison import ask
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.scenes import teapot
 
@@ -319,6 +312,82 @@ def test_missing_peers_are_reported_with_the_way_to_get_them(monkeypatch):
     assert missing == {"Absent": "needs no_such_package, which is not installed: pip install no_such_package"}
     with pytest.raises(ValueError, match="peer 'nobody' is unknown; choose from wrt"):
         make_peers(["nobody"], 1, "cpu")
+
+
+def test_a_peer_that_cannot_be_imported_is_missing(monkeypatch, tmp_path):
+    """Open3D was installed on a machine without libusb: `wrt bench` ended with the ImportError, after a minute of builds."""
+
+    class Broken(Peer):
+        name, package = "Broken", "package_without_its_library"
+        load = construct = closest = lambda self, *arguments: None
+
+    (tmp_path / "package_without_its_library.py").write_text("raise ImportError('libusb-1.0.so.0: no such file')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(PEERS, "broken", lambda threads, device: [Broken()])
+    peers, missing = make_peers(["broken"], 1, "cpu")
+    assert [peer.name for peer in peers] == ["wrt"]
+    reason = "package_without_its_library is installed but cannot be imported: libusb-1.0.so.0: no such file"
+    assert missing == {"Broken": reason}
+
+
+@pytest.fixture
+def embree():
+    """Makes Embree with a number of threads; skips where it is not to be had."""
+    if (reason := Embree().available()) is not None:
+        pytest.skip(reason)
+    return Embree
+
+
+@pytest.mark.parametrize("rays", [1, 15, 16, 17, 255, 256, 257, 4097])
+def test_embree_answers_the_same_with_any_number_of_threads(embree, rays):
+    """Its packets are chunks of a job of the thread pool: none is left out, none runs past the end."""
+    peer, reference = embree(1), make_peers(["wrt"], 1, "cpu")[0][0]
+    peer.build(MESH)
+    reference.build(MESH)
+    for workload in (made("random", size=68), made("near", size=68)):
+        workload = workload.thinned(rays)
+        queries = [peer.asked_by(threads).closest(workload) for threads in (1, 2, 5)]
+        answers = [query.read(query.run()) for query in queries]
+        expected = reference.closest(workload)
+        expected = expected.read(expected.run())
+        agreement = closest_agreement(answers[0].primitive, answers[0].t, expected.primitive, expected.t, 1e-5 * MESH.extent)
+        assert min(agreement.same_hit, agreement.same_primitive, agreement.same_t) >= 0.998  # its scene is not watertight
+        for query, answer in zip(queries, answers, strict=True):
+            again = query.read(query.run())
+            for other in (answer, again):
+                np.testing.assert_array_equal(other.t, answers[0].t)
+                np.testing.assert_array_equal(other.primitive, answers[0].primitive)
+                np.testing.assert_array_equal(other.uv, answers[0].uv)
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_embree_answers_the_same_in_packets_of_any_width(embree, width):
+    peer = embree(2)
+    peer.build(MESH)
+    native = peer.closest(made("random"))
+    expected = native.read(native.run())
+    peer.width = width
+    query = peer.closest(made("random"))
+    answer = query.read(query.run())
+    assert query.run().itemsize == width * 80
+    np.testing.assert_array_equal(answer.primitive, expected.primitive)
+    np.testing.assert_allclose(answer.t, expected.t, rtol=1e-5)
+    occluded = peer.occluded(made("random"))
+    np.testing.assert_array_equal(occluded.read(occluded.run()), expected.primitive >= 0)
+
+
+def test_embree_is_not_built_with_the_threads_of_another_peer(embree):
+    """All devices of a process share threads: one with two threads gave them to another that should have had one."""
+    one, two = embree(1), embree(2)
+    two.build(MESH)
+    with pytest.raises(RuntimeError, match="would build with 2, not 1"):
+        one.build(MESH)
+    del two
+    one.build(MESH)
+    query = one.closest(made("far"))
+    assert (query.read(query.run()).primitive >= 0).any()
+    with pytest.raises(RuntimeError, match="would build with 1, not 2"):
+        one.asked_by(2).commit()
 
 
 def test_a_fast_wrong_answer_shows():

@@ -8,7 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from wrt import scenes
-from wrt.bench import scaling
+from wrt.bench.commands import scaling_command as scaling
+from wrt.bench.peers.embree_library import library, thread_limit
+from wrt.bench.studies import thread_scaling
 from wrt.cli import main
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 
@@ -16,29 +18,30 @@ from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 @pytest.fixture(autouse=True)
 def small(monkeypatch):
     """Few rays: here it is not the time that counts."""
-    monkeypatch.setattr(scaling, "VIEWS", (16,))
-    monkeypatch.setattr(scaling, "RANDOM", (2000,))
+    monkeypatch.setattr(thread_scaling, "VIEWS", (16,))
+    monkeypatch.setattr(thread_scaling, "RANDOM", (2000,))
+    monkeypatch.setattr(thread_scaling, "COMPARED_SIZE", 32)
 
 
 def test_numbers_of_threads():
-    assert scaling.powers_of_two(1) == [1]
-    assert scaling.powers_of_two(2) == [1, 2]
-    assert scaling.powers_of_two(12) == [1, 2, 4, 8, 12]
-    assert scaling.powers_of_two(16) == [1, 2, 4, 8, 16]
+    assert thread_scaling.powers_of_two(1) == [1]
+    assert thread_scaling.powers_of_two(2) == [1, 2]
+    assert thread_scaling.powers_of_two(12) == [1, 2, 4, 8, 12]
+    assert thread_scaling.powers_of_two(16) == [1, 2, 4, 8, 16]
 
 
 def test_jobs_run_with_the_threads_they_are_given(monkeypatch):
     mesh = scenes.build("teapot", level=2)
     seen = []
-    monkeypatch.setattr(scaling, "Scene", lambda *args, num_threads, **options: seen.append(num_threads))
-    for job in scaling.make_jobs(mesh):
+    monkeypatch.setattr(thread_scaling, "Scene", lambda *args, num_threads, **options: seen.append(num_threads))
+    for job in thread_scaling.make_jobs(mesh):
         if not job.amount:
             job.prepare(3)()
     assert seen == [3, 3]
 
 
 def test_scaling(tmp_path):
-    command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "1"]
+    command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "1", "--no-embree"]
     result = CliRunner().invoke(
         main, [*command, "--json", str(tmp_path / "figures.json"), "--plot", str(tmp_path / "plot.png")]
     )
@@ -53,6 +56,44 @@ def test_scaling(tmp_path):
         ratio = job["figures"][1] / job["figures"][0]
         assert job["gains"][1] == pytest.approx(ratio if job["unit"] == "Mrays/s" else 1 / ratio)
     assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_the_peer_stands_beside_wrt_with_each_number_of_threads(monkeypatch, tmp_path):
+    """Embree is asked the same rays, and builds with the threads of its column, no matter which were used before."""
+    if library() is None:
+        pytest.skip("Embree 3 is not installed")
+    limits = []
+    commit = thread_scaling.Embree.commit
+
+    def watched(peer):
+        commit(peer)
+        limits.append((peer.threads, thread_limit()))
+
+    monkeypatch.setattr(thread_scaling.Embree, "commit", watched)
+    command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "2", "--json", str(tmp_path / "figures.json")]
+    result = CliRunner().invoke(main, [*command, "--plot", str(tmp_path / "plot.png")])
+    assert result.exit_code == 0, result.output
+    assert "Embree / wrt" in result.output
+    rows = json.loads((tmp_path / "figures.json").read_text())["jobs"]
+    compared = ["far 1,024", "near 1,024", "random 1,024", "build bvh"]
+    assert [row["job"] for row in rows if row["engine"] == "Embree"] == compared
+    for job in compared:
+        own, peer = (row for row in rows if row["job"] == job)
+        assert (own["engine"], peer["engine"], own["ratios"]) == ("wrt", "Embree", [])
+        assert len(peer["ratios"]) == len(peer["figures"]) == 3
+        assert all(figure > 0 for figure in own["figures"] + peer["figures"] + peer["ratios"])
+        assert peer["gains"][0] == 1.0
+    assert {threads for threads, limit in limits} == {1, 2, 3}
+    assert all(threads == limit for threads, limit in limits)
+    assert (tmp_path / "plot.png").stat().st_size > 10_000
+
+
+def test_scaling_says_that_embree_is_missing(monkeypatch):
+    monkeypatch.setattr(scaling.Embree, "available", lambda self: "not installed; install it")
+    result = CliRunner().invoke(main, ["bench", "scaling", "teapot", "--threads", "1", "--rounds", "1"])
+    assert result.exit_code == 0, result.output
+    assert "Embree: not installed; install it" in result.output
+    assert "Embree / wrt" not in result.output
 
 
 def test_scheduling(tmp_path):

@@ -12,11 +12,11 @@ import warp as wp
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench import komatsu as tables
-from wrt.bench.command import bench
-from wrt.bench.measure import Timing
-from wrt.bench.precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
-from wrt.bench.triangle_tests import SITUATIONS, ratios, run_triangle_tests
+from wrt.bench.commands.benchmark import bench
+from wrt.bench.core.paired_timing import Timing
+from wrt.bench.studies.triangles import komatsu_tables as tables
+from wrt.bench.studies.triangles.triangle_precision import MARGIN, aimed_pairs, errors, leaks, precision, solve
+from wrt.bench.studies.triangles.triangle_test_comparison import SITUATIONS, ratios, run_triangle_tests
 from wrt.kernels.triangle import TRIANGLE_TESTS, moeller_trumbore
 from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle.support.record_blocks import Corners
@@ -226,7 +226,7 @@ def test_timed_tables():
 
 def test_order_by_exit():
     """Each triangle's end is not before that of the one ahead of it, by the very steps of the test."""
-    from wrt.bench.bare import Beams, Soup, exits
+    from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, exits
 
     rng = np.random.default_rng(0)
     corners = (rng.normal(size=(60, 1, 3)) + 0.3 * rng.normal(size=(60, 3, 3)) + [0, 0, 4]).astype(np.float32)
@@ -240,7 +240,7 @@ def test_order_by_exit():
 
 
 def test_forms_with_other_exits_hit_the_same():
-    from wrt.bench.bare import closest
+    from wrt.bench.studies.triangles.isolated_tests import closest
 
     soup, rays = tables.frusta(MESH, pixels=16, edge=4)
     form = PUBLISHED["proposed"]

@@ -173,7 +173,7 @@ def test_bench_builders(tmp_path):
 
 
 def test_growth_of_builders():
-    from wrt.bench.kdtree_growth import growth_sizes, growth_turns, measure_growth
+    from wrt.bench.studies.kdtrees.kdtree_growth import growth_sizes, growth_turns, measure_growth
 
     assert growth_sizes(3_000_000) == [1_000, 10_000, 100_000, 1_000_000, 3_000_000]
     assert growth_sizes(1_000) == [1_000]
@@ -187,7 +187,7 @@ def test_growth_of_builders():
 
 
 def test_bench_is_imported_when_called():
-    pytest.importorskip("wrt.bench.command")
+    pytest.importorskip("wrt.bench.commands.benchmark")
     assert "bench" in run("--help").output
     result = run("bench", "--help")
     assert result.exit_code == 0

@@ -12,7 +12,7 @@ from conftest import assert_same_hits, degenerate_soup, mixed_rays
 from test_triangle_tests import all_pairs
 
 import wrt
-from wrt.bench.pichler import count_comparisons
+from wrt.bench.studies.triangles.pichler_tables import count_comparisons
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.ferko import VARIANTS

@@ -7,7 +7,7 @@ import pytest
 from conftest import SCENES
 
 import wrt
-from wrt.bench.layouts import compare_layouts, trace_pairs
+from wrt.bench.studies.kdtrees.layout_comparison import compare_layouts, trace_pairs
 from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.rays.ray_buffers import to_device

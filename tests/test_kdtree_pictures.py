@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.bench.kdtree_builders import compare_trees
-from wrt.bench.kdtree_pictures import (
+from wrt.bench.studies.kdtrees.kdtree_claims import built_part, first_frames, planar_references
+from wrt.bench.studies.kdtrees.kdtree_comparison import compare_trees
+from wrt.bench.studies.kdtrees.kdtree_pictures import (
     color_of,
     cross_section,
     draw_comparison,
@@ -18,7 +19,6 @@ from wrt.bench.kdtree_pictures import (
     rectangles,
     waiting_cells,
 )
-from wrt.bench.kdtree_study import built_part, first_frames, planar_references
 
 figure_of = pytest.importorskip("matplotlib.figure").Figure
 FAR = np.array([100.0, -200.0, 50.0])

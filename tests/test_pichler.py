@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from wrt.bench import pichler
+from wrt.bench.studies.triangles import pichler_tables as pichler
 from wrt.kernels.triangle.ferko.variant import Variant
 
 
@@ -20,6 +20,19 @@ def test_counts_of_variants():
     assert rows["4x, p.es."]["comparisons"] <= rows["4x, circle"]["comparisons"] < rows["4x"]["comparisons"]
     assert rows["3x"]["percent"] == rows["4x"]["percent"] == 100.0
     assert 0.0 < rows["3x"]["hit_rate"] < 0.1
+
+
+def test_views_see_what_the_scene_is_named_after():
+    """The teapot stood on a ground of 200 x 200 units: the view, which fits the box, saw nothing of the pot, and all variants
+    made the same number of comparisons."""
+    case = pichler.Case("teapot", 24)
+    hits = case.scene.intersect(case.workloads[0].rays)
+    normals = hits.normal[hits.is_hit]
+    assert len(normals) >= 50
+    assert len(np.unique(np.round(normals, 3), axis=0)) >= 20, "it is curved"
+    rows = {row["variant"]: row["percent"] for row in pichler.pruning_tests(("teapot",), size=24)}
+    assert rows["3x, p.es."] == rows["3x, circle"] < 90.0
+    assert rows["4x, p.es."] < rows["4x, circle"] < 90.0
 
 
 def test_a_variant_that_does_not_prune_is_refused():

@@ -9,9 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench import ray_distribution
-from wrt.bench.node_searches import Searches
-from wrt.bench.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
+from wrt.bench.studies.known_rays import ray_distribution
+from wrt.bench.studies.known_rays.node_searches import Searches
+from wrt.bench.studies.known_rays.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
 from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.cli import main
 

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.bench.bare import Beams, Soup, closest, exits, pairs
+from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exits, pairs
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS, komatsu, moeller_trumbore
 from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED

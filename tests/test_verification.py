@@ -13,8 +13,8 @@ from test_spawn import PLACES, placed
 from test_watertight import BODIES
 
 import wrt
-from wrt.query import verification
 from wrt.cli import main
+from wrt.query import verification
 
 TEAPOT = wrt.scenes.build("teapot", level=4, ground=False)
 
@@ -106,7 +106,7 @@ def test_finds_a_test_that_leaks(monkeypatch):
     truth = verification.closest_hits
 
     def leaky(state, rays, query):
-        hits, directions = truth(state, rays, query), rays.directions
+        hits = truth(state, rays, query)
         weights = np.column_stack([1 - hits.uv.sum(axis=1), hits.uv])
         lost = (weights > 0.99999).any(axis=1) & hits.is_hit
         assert lost.any()

@@ -186,7 +186,7 @@ EXITS = LaneForm(
 
 LANES = EXITS.joined(3, 1)
 """The first three in one: nearly all vectors take it, so the branch is foreseen, as one after each plane would not be
-(measured in `wrt.bench.komatsu`)."""
+(measured in `wrt.bench.studies.triangles.komatsu_tables`)."""
 
 TEST = TriangleTest(
     name="komatsu",

@@ -81,6 +81,6 @@ for command in (
     LazyCommand("info", "wrt.cli.figures", "info", "Shows figures of a mesh and of its tree."),
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
-    LazyCommand("bench", "wrt.bench.command", "bench", "Compares wrt with other ray tracers, on the same rays."),
+    LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):
     main.add_command(command)

@@ -11,8 +11,7 @@ in the signs of their directions, as they must in Wald's packets; nodes, axes an
 **Phases**, repeated until the item's run of rays is used up:
 1. refill: lanes without a ray take the next ones of the run;
 2. step: all lanes at inner nodes take a step, again and again (`wrt.kernels.traversal.lockstep.lockstep_lanes`); lanes at
-leaves wait, until
-   no more than half of those that have a ray still step: Aila and Laine's "while-while" with a threshold;
+   leaves wait, until no more than half of those that have a ray still step: Aila and Laine's "while-while" with a threshold;
 3. test: the blocks of the leaves reached, one ray against W triangles as single rays do; the first blocks of all lanes, then
    the second ones, so that neighbours in this loop do not wait for each other's best hit;
 4. pop: the next waiting cell, by the rule of `wrt.kernels.traversal.single.single_kdtree`; where none is left, the hit is

@@ -1,0 +1,159 @@
+"""`wrt bench`: wrt beside the ray tracing libraries that are installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
+from wrt.bench.core.benchmark_results import ModelResult, Report, machine
+from wrt.bench.core.workloads import ORDERS, WORKLOADS, WorkloadMaker
+from wrt.bench.peers.peer_table import PEERS, make_peers
+from wrt.cli.arguments import start_warp, target_options
+from wrt.kernels.runtime.launch import MAX_THREADS, get_num_threads
+from wrt.meshes.mesh import TriangleMesh
+
+DEFAULT_MODELS = ("teapot", "atrium", "wood")
+"""Built-in scenes that are measured when no model is named."""
+
+COMPARISONS = {
+    "triangle-tests": ("triangle_tests_command", "triangle_tests"),
+    "builders": ("kdtree_builders_command", "builders_command"),
+    "ray-aware": ("ray_aware_command", "ray_aware_command"),
+    "layouts": ("kdtree_layouts_command", "layouts_command"),
+    "scaling": ("scaling_command", "scaling_command"),
+    "scheduling": ("scaling_command", "scheduling_command"),
+    "animation": ("animation_command", "animation_command"),
+}
+"""What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
+
+
+class BenchCommand(click.Command):
+    """A command that hands over to one of `COMPARISONS` if its name is the first argument (a file of that name: ./NAME)."""
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """The context of the command that is meant, which click goes on with; Warp's log stays out of its figures."""
+        if not args or args[0] not in COMPARISONS:
+            context = super().make_context(info_name, args, parent, **extra)
+        else:
+            module, attribute = COMPARISONS[args[0]]
+            command = getattr(import_module(f"wrt.bench.commands.{module}"), attribute)
+            context = command.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        start_warp(context.params.get("device"))
+        return context
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Runs the command that the context was made for."""
+        return super().invoke(ctx) if ctx.command is self else ctx.command.invoke(ctx)
+
+
+@click.command(cls=BenchCommand)
+@click.argument("model", required=False)
+@target_options
+@click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
+@click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
+@click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
+@click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Of a view's pixels.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads of everybody. [all cores]")
+@click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
+@click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
+@click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")
+@json_option
+@click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
+def bench(
+    model: str | None,
+    workloads: tuple[str, ...],
+    peers: tuple[str, ...],
+    size: int,
+    order: str,
+    rounds: int,
+    threads: int | None,
+    device: str,
+    builders: bool,
+    startup: bool,
+    json_file: Path | None,
+    plot_file: Path | None,
+) -> None:
+    """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
+
+    Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
+    which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
+    watertight costs; "engines" are wrt's own traversals, one by one. With --target x86-64-v3 Embree's C library is held to
+    AVX2 as well; embreex and Open3D choose for themselves.
+
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
+    bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
+    animation` ways to follow what moves, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
+    divide work among them; each has options of its own.
+    """
+    from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
+    from wrt.bench.core.benchmark_report import print_report
+
+    if plot_file is not None and (reason := matplotlib_missing()) is not None:
+        raise click.UsageError(reason)
+    meshes = [load_model(name) for name in ((model,) if model else DEFAULT_MODELS)]
+    with progress() as on_turn, usage_errors():
+        report = run_benchmark(
+            meshes,
+            workloads=workloads or tuple(WORKLOADS),
+            peers=peers or tuple(PEERS),
+            size=size,
+            order=order,
+            rounds=rounds,
+            threads=threads or get_num_threads(),
+            device=device,
+            builders=builders,
+            startup=startup,
+            on_turn=on_turn,
+        )
+    print_report(report, table_console())
+    write_json(json_file, report.to_dict())
+    if plot_file is not None:
+        with usage_errors():
+            save_plot(report, plot_file)
+
+
+def run_benchmark(
+    meshes: list[TriangleMesh],
+    *,
+    workloads: tuple[str, ...] = tuple(WORKLOADS),
+    peers: tuple[str, ...] = tuple(PEERS),
+    size: int = 1024,
+    order: str = "tiles",
+    rounds: int = 5,
+    threads: int = 1,
+    device: str = "cpu",
+    builders: bool = True,
+    startup: bool = True,
+    on_turn: Callable[[str], None] = lambda name: None,
+) -> Report:
+    """Asks all questions; arguments as on the command line.
+
+    Raises:
+        ValueError: unknown names, or a size that does not divide into tiles.
+    """
+    from wrt.bench.studies.build_comparison import ask_builds
+    from wrt.bench.studies.query_comparison import ask
+    from wrt.bench.studies.startup_times import ask_startup
+
+    options: dict[str, Any] = {"workloads": list(workloads), "peers": list(peers), "size": size, "order": order}
+    options |= {"rounds": rounds, "threads": threads, "device": device}
+    found, missing = make_peers(peers, threads, device)
+    report = Report(machine(device), options, missing=missing)
+    for mesh in meshes:
+        result = ModelResult(mesh.name or "mesh", mesh.triangle_count, mesh.vertex_count)
+        report.models.append(result)
+        made = WorkloadMaker(mesh, size=size, order=order).make(workloads)
+        result.questions += ask(found, mesh, made, rounds, on_turn)
+        if builders:
+            result.questions.append(ask_builds(found, mesh, rounds, threads, device, on_turn))
+    if startup:
+        report.startup = ask_startup(found, threads, device, rounds, on_turn)
+    return report

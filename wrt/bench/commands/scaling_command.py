@@ -1,0 +1,109 @@
+"""`wrt bench scaling` and `wrt bench scheduling`: numbers of threads, and ways to divide work among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from wrt.bench.commands.command_options import (
+    json_option,
+    load_model,
+    progress,
+    table_console,
+    threads_option,
+    usage_errors,
+    write_json,
+)
+from wrt.bench.core.benchmark_results import machine
+from wrt.bench.peers.embree import Embree
+from wrt.bench.studies.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
+from wrt.kernels.runtime.launch import get_num_threads
+
+
+@click.command("scaling")
+@click.argument("model", default="teapot")
+@click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each number of threads.")
+@click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
+@click.option("--embree/--no-embree", default=True, show_default=True, help="Time Embree too, if its C library is found.")
+@threads_option
+@json_option
+def scaling_command(
+    model: str, rounds: int, plot_file: Path | None, embree: bool, threads: int | None, json_file: Path | None
+) -> None:
+    """Times queries and builds of MODEL, a mesh file or a built-in scene, with 1, 2, 4 ... threads.
+
+    Embree answers the same rays in turn with wrt, in chunks of the same pool of threads, and builds with as many threads of its
+    own.
+    """
+    from wrt.bench.core.benchmark_plot import matplotlib_missing
+
+    if plot_file is not None and (reason := matplotlib_missing()) is not None:
+        raise click.UsageError(reason)
+    mesh, most = load_model(model), threads or get_num_threads()
+    missing = Embree().available() if embree else None
+    with progress() as on_turn, usage_errors():
+        figures = measure_scaling(mesh, powers_of_two(most), rounds, embree and missing is None, on_turn)
+    print_figures(f"threads: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles", figures)
+    if missing is not None:
+        click.echo(f"{Embree.name}: {missing}")
+    write_json(json_file, {"machine": machine("cpu"), "jobs": [asdict(row) for row in figures]})
+    if plot_file is not None:
+        with usage_errors():
+            save_scaling_plot(figures, plot_file)
+
+
+@click.command("scheduling")
+@click.argument("model", default="teapot")
+@click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each schedule.")
+@threads_option
+@json_option
+def scheduling_command(model: str, rounds: int, threads: int | None, json_file: Path | None) -> None:
+    """Compares ways to divide work among threads on MODEL, a mesh file or a built-in scene."""
+    mesh, count = load_model(model), threads or get_num_threads()
+    with progress() as on_turn, usage_errors():
+        figures = measure_schedules(mesh, count, rounds, on_turn)
+    print_figures(f"schedules: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", figures)
+    write_json(json_file, {"machine": machine("cpu"), "jobs": [asdict(row) for row in figures]})
+
+
+def print_figures(title: str, figures: Sequence[JobFigures]) -> None:
+    """A table with a line a job, one more for each peer and its ratio to wrt, and a column a contender."""
+    from wrt.bench.core.benchmark_report import new_table, times
+
+    table = new_table(("job", "engine", "unit"), tuple(figures[0].names))
+    for row in figures:
+        cells = [f"{figure:.1f} ({gain:.2f}x)" for figure, gain in zip(row.figures, row.gains, strict=True)]
+        table.add_row(row.job, row.engine, row.unit, *cells)
+        if row.ratios:
+            table.add_row("", f"{row.engine} / wrt", "time", *map(times, row.ratios))
+    console = table_console()
+    console.print(f"[bold]{title}[/bold]", highlight=False)
+    console.print(table)
+    note = f"In brackets: speed over that with {figures[0].names[0]}."
+    if any(row.ratios for row in figures):
+        note += " Ratios above 1x: wrt is faster."
+    console.print(note, style="dim", highlight=False)
+
+
+def save_scaling_plot(figures: Sequence[JobFigures], path: Path) -> None:
+    """Speed over one thread against the number of threads, a line a job; those of peers are dotted."""
+    from matplotlib.figure import Figure
+
+    counts = [int(name.split()[0]) for name in figures[0].names]
+    figure = Figure(figsize=(6.4, 4.8), layout="constrained")
+    axes = figure.subplots()
+    axes.plot(counts, counts, color="0.7", linestyle="--", label="linear")
+    for row in figures:
+        line, label = ("-", row.job) if row.engine == "wrt" else (":", f"{row.job}, {row.engine}")
+        axes.plot(counts, row.gains, line, marker="o", label=label)
+    axes.set_xscale("log", base=2)
+    axes.set_yscale("log", base=2)
+    axes.set_xticks(counts, [str(count) for count in counts])
+    axes.set_yticks(counts, [str(count) for count in counts])
+    axes.set_xlabel("threads")
+    axes.set_ylabel("speed, one thread = 1")
+    axes.legend()
+    figure.savefig(path, dpi=150)

@@ -1,0 +1,1 @@
+"""What all measurements share: the rays, timing in turns, agreement, results, tables and pictures."""

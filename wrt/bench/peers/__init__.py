@@ -1,0 +1,1 @@
+"""The contenders, all with the same interface (`wrt.bench.peers.peer`), and their table."""

@@ -1,0 +1,134 @@
+"""Embree without anything around it: its C library (version 3; Debian and Ubuntu: libembree3-3), asked in packets of rays.
+
+Packets have as many rays as Embree traces natively on this CPU: 16 with AVX-512, 8 with AVX, 4 elsewhere. The loop over them is
+a kernel (`embree_packets`) that runs on wrt's thread pool, in chunks of as many rays as wrt's own queries. What is timed is
+what a C++ program does that keeps its rays in packets: set the ends of the rays and the ids of their hits back, trace, leave
+the hits in the packets. Scenes are built by Embree's own threads, as many as the peer has, and for speed: not with Embree's
+"robust" flag, which costs it 5 to 20 %. Views and shadows are declared coherent. Where wrt is compiled for CPUs with AVX2
+(`wrt.kernels.runtime.target`), Embree runs its code for them too.
+"""
+
+from __future__ import annotations
+
+import copy
+import gc
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.bench.core.workloads import Workload
+from wrt.bench.peers.embree_library import Device, Scene, address_of, library, thread_limit
+from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
+from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
+from wrt.execution.traversal_launch import LEAST_CHUNK
+from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
+from wrt.kernels.runtime.target import target_name
+from wrt.meshes.mesh import TriangleMesh
+
+NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}
+"""Rays of a packet, and RTC_DEVICE_PROPERTY_NATIVE_RAY16_SUPPORTED, 8 and 4: whether Embree traces so many at a time."""
+
+COHERENT = ("far", "near", "shadow")
+"""Workloads whose packets are declared coherent."""
+
+_RAY_FIELDS = "org_x org_y org_z tnear dir_x dir_y dir_z time tfar mask id flags"
+_HIT_FIELDS = "Ng_x Ng_y Ng_z u v primID geomID instID"
+_WHOLE = {"mask", "id", "flags", "primID", "geomID", "instID"}
+
+NONE = np.uint32(NO_GEOMETRY)
+
+
+class Embree(Peer):
+    """Embree's C library, version 3."""
+
+    name = "Embree"
+    package = "ctypes"
+
+    def available(self) -> str | None:
+        """Why it cannot run here; None if it can."""
+        return None if library() is not None else "not installed; install Embree 3 for your system (Debian: libembree3-3)"
+
+    def load(self, mesh: TriangleMesh) -> None:
+        lib = library()
+        most = ",max_isa=avx2" if target_name() == "x86-64-v3" else ""
+        self._embree_device = Device(f"threads={self.threads}{most}", self.threads)
+        supports = lib.rtcGetDeviceProperty
+        self.width = next(width for width, asked in NATIVE_WIDTHS.items() if supports(self._embree_device.handle, asked))
+        version = lib.rtcGetDeviceProperty(self._embree_device.handle, 0)
+        self.note = f"version {version // 10000}.{version // 100 % 100}, its C library, packets of {self.width}, not robust"
+        self.note += ", AVX2" if most else ""
+        padded = np.zeros((len(mesh.vertices) + 1, 3), dtype=np.float32)  # Embree reads 16 bytes a vertex
+        padded[:-1] = mesh.vertices
+        self._mesh = padded, np.ascontiguousarray(mesh.faces, dtype=np.uint32)
+
+    def construct(self) -> Any:
+        self.commit()
+        vertices = self._mesh[0]
+        return self.closest(Workload("first", "closest", vertices[:1], np.ones((1, 3), dtype=np.float32))).run()
+
+    def commit(self) -> None:
+        """Builds.
+
+        Raises:
+            RuntimeError: Embree would build with another number of threads than this peer has.
+        """
+        if thread_limit() != self.threads:
+            gc.collect()  # peers that nobody needs
+        if (limit := thread_limit()) != self.threads:
+            raise RuntimeError(f"Embree's devices share threads: it would build with {limit}, not {self.threads}")
+        self._scene = None  # first: its memory is the next one's
+        self._scene = Scene(self._embree_device, *self._mesh)
+
+    def asked_by(self, threads: int) -> Embree:
+        """The same scene, asked by another number of threads; it cannot be built again."""
+        other = copy.copy(self)
+        other.threads = threads
+        return other
+
+    def closest(self, rays: Workload) -> Query:
+        def read(result: np.ndarray) -> Answer:
+            t, primitive, u, v = (result[name].ravel()[: len(rays)] for name in ("tfar", "primID", "u", "v"))
+            hit = result["geomID"].ravel()[: len(rays)] != NONE
+            return Answer(np.where(hit, t, np.inf), np.where(hit, primitive.astype(np.int32), -1), np.stack([u, v], axis=1))
+
+        return Query(self._asking("rtcIntersect", rays), read)
+
+    def occluded(self, rays: Workload) -> Query:
+        return Query(self._asking("rtcOccluded", rays), lambda result: result["tfar"].ravel()[: len(rays)] < 0.0)
+
+    def _asking(self, function: str, rays: Workload) -> Callable[[], np.ndarray]:
+        """What asks `rtcIntersect` or `rtcOccluded`; it returns the packets."""
+        closest, scene, threads = function == "rtcIntersect", self._scene, self.threads
+        packets = ray_packets(rays, self.width, closest)
+        address = address_of(f"{function}{self.width}")
+        inputs = [address, scene.handle, int(rays.name in COHERENT), packets.ctypes.data, self.width, closest, rays.t_max]
+        launch = PreparedLaunch(trace_packets, inputs, wp.get_device("cpu"))
+        chunks = Chunks(LEAST_CHUNK // self.width, MAX_CHUNK // self.width)
+
+        def run() -> np.ndarray:
+            with use_threads(threads):
+                launch.run(len(packets), chunks, used=(packets, scene))
+            return packets
+
+        return run
+
+
+def ray_packets(rays: Workload, width: int, hits: bool) -> np.ndarray:
+    """(ceil(N / width),) Embree's RTCRay of that width, or RTCRayHit, aligned as it asks.
+
+    The rays are in order; lanes beyond the last ray repeat it.
+    """
+    names = f"{_RAY_FIELDS} {_HIT_FIELDS}" if hits else _RAY_FIELDS
+    layout = np.dtype([(name, np.uint32 if name in _WHOLE else np.float32, width) for name in names.split()])
+    count = -(-len(rays) // width)
+    memory = np.zeros(count * layout.itemsize + 64, dtype=np.uint8)
+    skipped = -memory.ctypes.data % 64
+    packets = memory[skipped : skipped + count * layout.itemsize].view(layout)
+    last = np.minimum(np.arange(count * width), len(rays) - 1).reshape(count, width)
+    for kind, values in zip(("org", "dir"), spread_rays(rays), strict=True):
+        for axis in range(3):
+            packets[f"{kind}_{'xyz'[axis]}"] = values[last, axis]
+    packets["mask"] = NONE
+    return packets

@@ -1,0 +1,48 @@
+"""The table of contenders: wrt itself and the libraries that it is compared with.
+
+To add a peer: write its class, add one line to `PEERS`; the command line, the tests and the report pick it up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.engines import all_engines, default_engine, plain_engine
+from wrt.bench.peers.open3d_peer import Open3D
+from wrt.bench.peers.peer import Peer
+from wrt.bench.peers.trimesh_peers import Embreex, Trimesh, TrimeshEmbreex
+from wrt.bench.peers.warp_mesh_peer import WarpMesh
+from wrt.tables import lookup
+
+PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
+    "wrt": lambda threads, device: [default_engine(threads, device)],
+    "plain": lambda threads, device: [plain_engine(threads, device)],
+    "engines": all_engines,
+    "open3d": lambda threads, device: [Open3D(threads)],
+    "embree": lambda threads, device: [Embree(threads)],
+    "embreex": lambda threads, device: [Embreex()],
+    "warp_mesh": lambda threads, device: [WarpMesh(device=device)],
+    "trimesh": lambda threads, device: [Trimesh()],
+    "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
+}
+"""Contenders by the name that the command line knows; "plain" is wrt with a triangle test that leaks, "engines" are its
+traversals, each by itself."""
+
+
+def make_peers(names: Iterable[str], threads: int, device: str) -> tuple[list[Peer], dict[str, str]]:
+    """The peers that can run here, wrt first whether named or not, and the reasons of those that cannot.
+
+    Raises:
+        ValueError: unknown name.
+    """
+    peers: list[Peer] = []
+    missing: dict[str, str] = {}
+    for name in dict.fromkeys(["wrt", *names]):
+        for peer in lookup(PEERS, name, "peer")(threads, device):
+            reason = peer.available()
+            if reason is None:
+                peers.append(peer)
+            else:
+                missing[peer.name] = reason
+    return peers, missing

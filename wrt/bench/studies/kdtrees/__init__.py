@@ -1,0 +1,1 @@
+"""Kd-trees: builders, growth, layouts in memory, and what else papers claim."""

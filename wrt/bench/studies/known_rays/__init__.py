@@ -1,0 +1,1 @@
+"""Trees that are built for known rays (ray distributions)."""

@@ -1,0 +1,232 @@
+"""How queries and builds gain from threads on the CPU, how Embree does beside them, and how the pool's schedules compare.
+
+For a job, contenders are the numbers of threads (or the schedules), which take turns; ratios are those of the same round. Of
+some jobs, Embree does the same beside wrt, with the same rays, on the same pool of threads, or builds of the same mesh with
+threads of its own: with each number of threads it takes its turn after wrt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.bench.core.workloads import Workload, WorkloadMaker
+from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.engines import Engine
+from wrt.imaging.cameras import PinholeCamera
+from wrt.kernels.runtime.launch import use_schedule
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+from wrt.meshes.mesh import TriangleMesh
+from wrt.scene.scene import Scene
+
+VIEWS = (256, 1024)
+"""Pixels a side."""
+
+RANDOM = (1 << 16, 1 << 21)
+"""Rays."""
+
+BUILDS = ("bvh", "kdtree")
+
+COMPARED = ("far", "near", "random")
+"""Workloads that Embree is asked too."""
+
+COMPARED_SIZE = 1024
+"""Of these workloads: pixels a side; `random` has as many rays."""
+
+SETTLE = 0.05
+"""Calls shorter than so many seconds are preceded by an untimed one."""
+
+OnTurn = Callable[[str], None]
+Prepare = Callable[[int], Callable[[], Any]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """Something to do with a number of threads.
+
+    Attributes:
+        name: what the tables call it.
+        unit: "Mrays/s" or "ms".
+        amount: rays; 0 for a build.
+        prepare: makes what is run, for a number of threads.
+        peer: makes what Embree runs; None if it is not asked.
+    """
+
+    name: str
+    unit: str
+    amount: int
+    prepare: Prepare
+    peer: Prepare | None = None
+
+    def figure(self, seconds: float) -> float:
+        """The time of one run in the job's unit."""
+        return self.amount / seconds / 1e6 if self.amount else seconds * 1e3
+
+
+@dataclass
+class JobFigures:
+    """What was measured of a job.
+
+    Attributes:
+        job, unit: its name and unit.
+        names: of the contenders: numbers of threads, or schedules.
+        figures: of each, by the median time.
+        gains: of each, the first contender's time / its own, median of the rounds.
+        engine: "wrt" or "Embree".
+        ratios: of a peer with each number of threads, its time / wrt's, median of the rounds: above one, wrt is faster.
+    """
+
+    job: str
+    unit: str
+    names: list[str]
+    figures: list[float]
+    gains: list[float]
+    engine: str = "wrt"
+    ratios: list[float] = field(default_factory=list)
+
+
+class EmbreeTurns:
+    """Embree with changing numbers of threads.
+
+    One scene answers rays with any number of threads, since these are wrt's. Builds need a device with so many threads, and no
+    other device beside it: that is made when the number changes, in the untimed call before the timed one.
+    """
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._mesh = mesh
+        self._peer: Embree | None = None
+
+    def rays(self, workload: Workload) -> Prepare:
+        """What asks a workload."""
+
+        def prepare(threads: int) -> Callable[[], Any]:
+            if self._peer is None:
+                self._peer = Embree(1)
+                self._peer.build(self._mesh)
+            return self._peer.asked_by(threads).closest(workload).run
+
+        return prepare
+
+    def build(self, threads: int) -> Callable[[], Any]:
+        """What builds."""
+
+        def run() -> None:
+            if self._peer is None or self._peer.threads != threads:
+                self._peer = None  # before the next one is made
+                self._peer = Embree(threads)
+                self._peer.load(self._mesh)
+            self._peer.commit()
+
+        return run
+
+
+def make_jobs(mesh: TriangleMesh, with_embree: bool = False) -> list[Job]:
+    """The jobs on a mesh; those on Embree's workloads only if it takes part."""
+    engines: dict[int, Engine] = {}
+    embree = EmbreeTurns(mesh) if with_embree else None
+
+    def engine_for(threads: int) -> Engine:
+        if threads not in engines:
+            engines[threads] = Engine(threads)
+            engines[threads].build(mesh)
+        return engines[threads]
+
+    def rays_job(name: str, count: int, *rays: Any) -> Job:
+        return Job(name, "Mrays/s", count, lambda threads: lambda: engine_for(threads).scene.intersect(*rays))
+
+    def compared_job(workload: Workload) -> Job:
+        def prepare(threads: int) -> Callable[[], Any]:
+            return engine_for(threads).closest(workload).run
+
+        return Job(f"{workload.name} {len(workload):,}", "Mrays/s", len(workload), prepare, embree.rays(workload))
+
+    def build_job(kind: str) -> Job:
+        def prepare(threads: int) -> Callable[[], Any]:
+            return lambda: Scene(mesh, kind, device="cpu", num_threads=threads)
+
+        return Job(f"build {kind}", "ms", 0, prepare, embree.build if embree and kind == "bvh" else None)
+
+    rng, (low, high) = np.random.default_rng(0), mesh.bounds
+    jobs = [rays_job(f"view {size} x {size}", size * size, PinholeCamera.framing(mesh, size, size).rays()) for size in VIEWS]
+    for count in RANDOM:
+        origins = rng.uniform(low, high, (count, 3)).astype(np.float32)
+        jobs.append(rays_job(f"random {count:,}", count, origins, rng.normal(size=(count, 3)).astype(np.float32)))
+    if embree is not None:
+        jobs += [compared_job(workload) for workload in WorkloadMaker(mesh, size=COMPARED_SIZE).make(COMPARED)]
+    return jobs + [build_job(kind) for kind in BUILDS]
+
+
+def measure_scaling(
+    mesh: TriangleMesh,
+    threads: Sequence[int],
+    rounds: int,
+    with_embree: bool = False,
+    on_turn: OnTurn = lambda name: None,
+) -> list[JobFigures]:
+    """Times every job with each number of threads, Embree after wrt."""
+    figures = []
+    for job in make_jobs(mesh, with_embree):
+        names = [f"{count} thread{'s' * (count > 1)}" for count in threads]
+        contenders = []
+        for name, count in zip(names, threads, strict=True):
+            contenders.append(Contender(name, job.prepare(count)))
+            if job.peer is not None:
+                contenders.append(Contender(f"{Embree.name}, {name}", job.peer(count)))
+        timings = run_turns(job, contenders, rounds, on_turn)
+        figures.append(own := figures_of(job, {name: timings[name] for name in names}))
+        if job.peer is not None:
+            beside = {name: timings[f"{Embree.name}, {name}"] for name in names}
+            figures.append(figures_of(job, beside, Embree.name))
+            figures[-1].ratios = [beside[name].ratio_to(timings[name]) for name in own.names]
+    return figures
+
+
+def measure_schedules(mesh: TriangleMesh, threads: int, rounds: int, on_turn: OnTurn = lambda name: None) -> list[JobFigures]:
+    """Times every job with each schedule, the default first."""
+
+    def contender(job: Job, name: str) -> Contender:
+        run = job.prepare(threads)
+
+        def scheduled() -> Any:
+            with use_schedule(name):
+                return run()
+
+        return Contender(name, scheduled)
+
+    names = [DEFAULT_SCHEDULE, *(name for name in SCHEDULES if name != DEFAULT_SCHEDULE)]
+    return [
+        figures_of(job, run_turns(job, [contender(job, name) for name in names], rounds, on_turn)) for job in make_jobs(mesh)
+    ]
+
+
+def run_turns(job: Job, contenders: Sequence[Contender], rounds: int, on_turn: OnTurn) -> dict[str, Timing]:
+    """Times a job's contenders in turn. Where Embree builds, every turn begins with an untimed call (`EmbreeTurns`)."""
+    settle = float("inf") if job.peer is not None and not job.amount else SETTLE
+    timings = take_turns(contenders, rounds, settle=settle, on_turn=lambda name: on_turn(f"{job.name}, {name}"))
+    for name, timing in timings.items():
+        if timing.error is not None:
+            raise RuntimeError(f"{job.name}, {name}: {timing.error}")
+    return timings
+
+
+def figures_of(job: Job, timings: dict[str, Timing], engine: str = "wrt") -> JobFigures:
+    """Figures of a job's contenders; gains are over the first of them."""
+    first = next(iter(timings.values()))
+    figures = [job.figure(timing.median) for timing in timings.values()]
+    gains = [first_over(timing, first) for timing in timings.values()]
+    return JobFigures(job.name, job.unit, [*timings], figures, gains, engine)
+
+
+def first_over(timing: Timing, first: Timing) -> float:
+    """The first contender's time / another one's."""
+    ratio = timing.ratio_to(first)
+    return 1.0 / ratio if ratio else float("nan")
+
+
+def powers_of_two(most: int) -> list[int]:
+    """1, 2, 4 and so on; `most` is the last."""
+    return [1 << i for i in range(most.bit_length()) if 1 << i < most] + [most]
