@@ -1,6 +1,6 @@
-"""What runs per ray and per triangle: Warp kernels over structure-of-arrays buffers, for CPUs and CUDA.
+"""The code that runs per ray and per triangle: Warp kernels over structure-of-arrays buffers, for CPUs and CUDA.
 
-The CPU to compile for is settled before the first kernel is defined (`wrt.kernels.runtime.target`).
+Importing this package chooses the CPU target before the first kernel is defined (`wrt.kernels.runtime.target`).
 """
 
 from wrt.kernels.runtime import target

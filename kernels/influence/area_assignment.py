@@ -1,24 +1,26 @@
-"""Which influence area a ray belongs to: a look into an octree over the areas' regions, and how far the area answers for it.
+"""Assigns rays to influence areas: an octree lookup over the areas' regions, and the range of t that an area's tree covers.
 
-An influence area is a region in which rays are distributed in a known way, and has a tree of its own, made for them, over the
-triangles that touch the region. A ray is affine to it if it starts in the region and runs along the distribution
-(Falcone 2024, section 3.1; forward or backward, as projections are the same both ways).
+An influence area is a region in which the distribution of rays is known. It has a tree of its own over the triangles that touch
+the region, built for that distribution. A ray is affine to an area if it starts in the region and its direction agrees with the
+distribution (Falcone 2024, section 3.1). Forward and backward directions are equivalent, because their projections are the
+same.
 
-**The octree.** A cell is a word of `child`: the first of its eight children, which follow one another, or ~list, a leaf and the
-list of areas whose regions touch it. Child 4 z + 2 y + x has the upper half along an axis where its bit is set. Leaves with
-the same areas share a list, so an octree is some bytes a cell. A tree of one cell, a leaf with all areas, is the plain array.
-Lists are conservative; what counts is the test of the region itself, that of the box around it first.
+**The octree.** A cell is one word of `child`: the index of the first of its eight consecutive children, or ~list for a leaf,
+where `list` is the list of areas whose regions touch the leaf. Child 4 z + 2 y + x is the upper half along an axis if the bit
+of the axis is set. Leaves with the same areas share a list, so a cell costs only a few bytes. An octree of one cell, a leaf
+with all areas, is a plain array. The lists are conservative; the test of the region decides, after a test of its bounding box.
 
-**How far an area answers.** Regions are convex: a ray that starts in one is inside up to the t at which it leaves. Every
-triangle that it can meet until then touches the region, and is in the area's tree: a hit there is the closest of all, with
-the smaller id of two at the same t as everywhere, as lists keep the triangles' order. So a ray is cut in two: up to where it
-leaves, the area's tree answers; if that finds nothing, the whole scene's tree answers for the rest. No rest is left if the
-ray ends before, or leaves the scene's box first.
+**The range that an area covers.** Regions are convex, so a ray that starts in one stays inside until the t at which it leaves.
+Every triangle that it can hit before that t touches the region and is therefore in the area's tree. A hit found there is the
+closest hit of the scene, and ties are resolved as everywhere, because the lists keep the order of the triangles. A ray is
+therefore split in two: the area's tree is searched up to the t of leaving; if it finds nothing, the tree of the whole scene is
+searched from there. The second part is empty if the ray ends, or leaves the scene's box, first.
 
-**Rounding.** A hit's point is in its triangle's box widened by the ray's slack (the consistency rule,
-`wrt.kernels.simd.boxes`), whatever the triangle test. So an area's tree has every triangle whose *box* touches the region
-widened by a margin, several times the greatest slack of any ray that starts there (`wrt.builders.influence.area_top_level`):
-then the argument holds for every computed hit, to the bit, for triangles seen edge-on too.
+**Rounding.** The point of a hit lies in the box of its triangle, widened by the slack of the ray (the consistency rule,
+`wrt.kernels.simd.boxes`), for every triangle test. An area's tree therefore contains every triangle whose *box* touches the
+region widened by a margin of several times the greatest slack of any ray that starts there
+(`wrt.builders.influence.area_top_level`). With this margin the argument above holds for every computed hit, to the bit,
+including triangles that are seen edge-on.
 
 References:
     L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
@@ -42,32 +44,33 @@ class AreaTree:
     """The influence areas of a scene and an octree over their regions; coordinates are relative to the scene's centre."""
 
     regions: wp.array(dtype=Region)
-    """(areas,) where rays may start."""
+    """(areas,) regions in which affine rays start."""
     views: wp.array(dtype=AreaView)
-    """(areas,) how rays run."""
+    """(areas,) distributions of their directions."""
     sine: float
-    """Of the greatest angle between a ray and the area's ray through its origin."""
+    """Sine of the greatest angle between a ray and the distribution's direction at its origin."""
     touch: float
-    """Distance from the point that radial rays go through below which a ray starts at it: rounding of the origin."""
+    """Greatest distance at which an origin counts as the common point of a radial distribution; covers the rounding of
+    origins."""
     low: wp.vec3d
-    """Lower corner of the root's cube; outside it there is no area."""
+    """Lower corner of the root cube; points outside the cube have no area."""
     cells: wp.float64
-    """Cells along an axis for each unit of length, at the greatest depth."""
+    """Cells per unit of length along an axis, at the greatest depth."""
     depth: int
-    """Levels below the root, at most: 2^depth cells along an axis."""
+    """Greatest number of levels below the root: 2^depth cells along an axis."""
     child: wp.array(dtype=int)
-    """(cells,) the first of eight children, or ~list."""
+    """(cells,) index of the first of eight children, or ~list."""
     begin: wp.array(dtype=int)
-    """(lists + 1,) where each list begins."""
+    """(lists + 1,) start of each list in `area`."""
     area: wp.array(dtype=int)
-    """The lists, each in ascending order."""
+    """Area numbers of all lists, ascending within a list."""
 
 
 @wp.func
 def find_list(areas: AreaTree, point: wp.vec3d):
-    """The list of the leaf around a point, -1 outside the root.
+    """Returns the list of the leaf that contains a point, -1 outside the root.
 
-    The bits of the point's place on the finest grid, from the highest down, are the way to its leaf.
+    The path to the leaf is given by the bits of the point's coordinates on the finest grid, from the highest bit down.
     """
     place = (point - areas.low) * areas.cells
     end = wp.float64(1 << areas.depth)
@@ -87,14 +90,14 @@ def find_list(areas: AreaTree, point: wp.vec3d):
 
 @wp.kernel
 def list_points(first: int, areas: AreaTree, points: wp.array(dtype=wp.vec3d), lists: wp.array(dtype=int)):
-    """Item: a point. The list of the leaf around it, -1 outside the root."""
+    """Writes the list of the leaf that contains a point, -1 outside the root. Item: a point."""
     i = first + wp.tid()
     lists[i] = find_list(areas, points[i])
 
 
 @wp.func
 def find_lists(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)):
-    """The list of each valid ray of a block; of an array, all have the same."""
+    """Finds the list of each valid ray of a block. If the octree has one cell, all rays have the same list."""
     if areas.depth > 0:
         for k in range(count):
             if marks[wp.static(LIST_LANES) + k] == 0:
@@ -104,7 +107,7 @@ def find_lists(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks:
 
 @wp.func
 def reaches(region: Region, lanes: wp.array(dtype=float)):
-    """Whether the box around a region and that of a block's origins have a point in common."""
+    """Whether the box around a region overlaps the box around the origins of a block."""
     at = wp.static(9 * LIST_LANES)
     return (
         wp.float64(lanes[at]) <= region.high[0]
@@ -118,11 +121,11 @@ def reaches(region: Region, lanes: wp.array(dtype=float)):
 
 @wp.func
 def find_areas(areas: AreaTree, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)):
-    """The area of each ray of a block: the first to which it is affine."""
+    """Finds the area of each ray of a block: the first one to which it is affine."""
     last = int(-1)
     for k in range(count):
         which = marks[wp.static(LIST_LANES) + k]
-        if which >= 0 and which != last and marks[k] < 0:  # mostly, the rays of a block have one list; again does no harm
+        if which >= 0 and which != last and marks[k] < 0:  # most blocks have one list; repeats are harmless
             for entry in range(areas.begin[which], areas.begin[which + 1]):
                 area = areas.area[entry]
                 if reaches(areas.regions[area], lanes):
@@ -143,14 +146,19 @@ def assign_rays(
     rest: wp.array(dtype=float),
     sums: wp.array(dtype=wp.vec4i),
 ):
-    """Item: a chunk of rays, a multiple of the lanes. For each its area, and where it is cut.
+    """Finds the area of each ray and the t at which the ray is split. Item: a chunk of rays, a multiple of the lanes.
 
-    low, high: corners that hold all hits.
-    area: of a ray, or the number of areas if it has none.
-    cut: the t up to which the area's tree answers; -1, so that the ray misses there, if it has none.
-    rest: the t from which on the scene's tree does; inf if there is nothing left.
-    sums: (chunks,) of a chunk, the rays with an area and a rest, the greatest number in `area`, areas less the least one, and
-        the rays without an area.
+    Args:
+        first: number of the first item.
+        rays: the batch.
+        chunk: rays of an item.
+        areas: the influence areas.
+        low, high: corners of a box that contains all hits.
+        area: (rays,) area of each ray; the number of areas for a ray without one.
+        cut: (rays,) t up to which the area's tree is searched; -1, so that the ray misses, for a ray without an area.
+        rest: (rays,) t from which the scene's tree is searched; inf if nothing is left.
+        sums: (chunks,) per chunk: rays with an area and a second part, greatest number in `area`, `areas` less the least
+            number, rays without an area.
     """
     item = first + wp.tid()
     lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)
@@ -176,7 +184,10 @@ def mark_rest(
     occluded: wp.array(dtype=wp.bool),
     bucket: wp.array(dtype=wp.uint16),
 ):
-    """Item: a ray. Bucket 0 for those that are left to the scene's tree, else 1; one of the two results is there."""
+    """Writes bucket 0 for rays that the scene's tree must still trace, 1 for the others. Item: a ray.
+
+    One of `primitive` and `occluded` holds the results of the first part; the other is empty.
+    """
     i = first + wp.tid()
     done = int(area[i]) < areas
     if done and rest[i] < INFINITY:

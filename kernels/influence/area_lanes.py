@@ -1,12 +1,13 @@
-"""The lane loops that tell rays by influence area, 16 at a time.
+"""Lane loops that assign rays to influence areas, 16 rays at a time.
 
-16 rays of a batch are a block of two local arrays: `lanes`, rows of floats (origin, direction, t_min, t_max, leave) and the six
-of the box of the origins; `marks`, rows of ints (area found, -1 for none; list of the octree's leaf at the origin, -1 for rays
-that belong nowhere; four sums over all blocks). One ray after the other, in float64, took 50 ns a ray, as long as tracing.
+A block of 16 rays is two local arrays. `lanes` has rows of floats (origin, direction, t_min, t_max, leave) and the six bounds
+of the box around the origins. `marks` has rows of ints: the area found (-1 for none), the list of the octree leaf that contains
+the origin (-1 for rays that belong to no area), and four sums over all blocks. Lanes are float32; a scalar float64 loop takes
+as long as tracing the rays (notebooks/records/2026-11-21-single-rays.md).
 
-**Numbers.** float32. An origin is in a region whose faces are moved outward by a rounding of the origin, and the t at which a
-ray leaves is off by some roundings of the distance: both far below the margin of the areas' trees
-    (`wrt.kernels.influence.area_assignment`).
+**Precision.** The faces of a region are moved outward by the rounding error of an origin. The t at which a ray leaves has an
+error of a few roundings of the distance. Both errors are far smaller than the margin of the areas' trees
+(`wrt.kernels.influence.area_assignment`).
 """
 
 import warp as wp
@@ -21,10 +22,10 @@ from wrt.kernels.traversal.stream.stream_load import RAYS_TO_LANES, VALID_LANE
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LANE_WORDS = wp.constant(9 * LIST_LANES + 6)
-"""Elements of `lanes`."""
+"""Number of elements of `lanes`."""
 
 MARK_WORDS = wp.constant(6 * LIST_LANES)
-"""Elements of `marks`."""
+"""Number of elements of `marks`."""
 
 _BLOCK = f"""{FOR_LANES}
     constexpr int L = {LIST_LANES};
@@ -62,7 +63,7 @@ _BLOCK = f"""{FOR_LANES}
 """
 )
 def load_block(batch: RayBatch, first: int, count: int, lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> int:
-    """Brings in rays from `first` on, at most `count`, with list 0, and the box of their origins; returns how many."""
+    """Loads up to `count` rays from `first` on, with list 0, and bounds their origins; returns the number of rays."""
     ...
 
 
@@ -114,8 +115,11 @@ def try_area(
     lanes: wp.array(dtype=float),
     marks: wp.array(dtype=int),
 ):
-    """Gives an area the rays of a list that have none yet, start in its region, run along its rays, forward or backward (one
-    from the point that all go through does), and are in the region for some of their range."""
+    """Assigns area `number` to the rays of list `which` that have no area yet and are affine to it.
+
+    A ray is affine if it starts in the region, if its direction agrees with the area's distribution (forward or backward; in
+    radial areas a ray that starts at the common point always agrees), and if part of its range lies in the region.
+    """
     ...
 
 
@@ -158,7 +162,8 @@ def store_block(
     cut: wp.array(dtype=float),
     rest: wp.array(dtype=float),
 ):
-    """Writes where the rays are cut (`wrt.kernels.influence.area_assignment.assign_rays`), and adds them to the lanes' sums."""
+    """Writes where the rays are split (`wrt.kernels.influence.area_assignment.assign_rays`) and adds them to the sums of the
+    lanes."""
     ...
 
 
@@ -175,6 +180,8 @@ def store_block(
 """
 )
 def sum_blocks(lanes: wp.array(dtype=float), marks: wp.array(dtype=int)) -> wp.vec4i:
-    """Of all rays stored: how many leave their areas before they end, the greatest area, areas less the least, and how many
-    have none."""
+    """Sums over all stored rays.
+
+    Returns (rays that leave their area before they end, greatest area, `areas` less the least area, rays without an area).
+    """
     ...

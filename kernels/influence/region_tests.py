@@ -1,20 +1,20 @@
-"""Regions of space in which rays behave: boxes and frusta, all as one shape, tested against points, rays and boxes.
+"""Convex regions of space: boxes and frusta in one representation, with containment and overlap tests.
 
-**One shape.** An axis-aligned box, an oriented box and a frustum are all a stack of rectangles: along `forward` from depth
-`near` to depth `far`, each centred on the axis, whose half sizes grow linearly with the depth,
+**One representation.** An axis-aligned box, an oriented box and a frustum are all a stack of rectangles along `forward`, from
+depth `near` to depth `far`. Each rectangle is centred on the axis, and its half sizes grow linearly with the depth:
 
     |x| <= width + depth widening,   |y| <= height + depth heightening         (x along `right`, y along `up`)
 
-A box grows by nothing; a frustum has no size at depth 0, which is its eye. So one struct and one set of functions serve all.
+A box does not grow; a frustum has size 0 at depth 0, its apex. One struct and one set of functions therefore serve all three.
 
-**Separating axes.** Two convex bodies are apart if and only if their shadows on some axis are; of two polyhedra, a face normal
-of one or a cross product of two edges is such an axis, if any is (Gottschalk, Lin, Manocha 1996). A frustum has 5 normals and
-edges in 6 directions, a box has 3 and 3: 3 + 5 + 18 axes. The shadow of a region is that of its near and far rectangle,
-so that no corner is ever computed.
+**Separating axes.** Two convex bodies are disjoint if and only if their projections on some axis are. For two polyhedra it
+suffices to try the face normals of both and the cross products of their edges (Gottschalk, Lin and Manocha 1996). A frustum has
+5 normals and edges in 6 directions, a box has 3 and 3: 3 + 5 + 18 axes. The projection of a region is that of its near and far
+rectangles, so corners are never computed.
 
-**Numbers.** All in float64, on float32 input: what rounding is left is smaller by far than the margin that those who need
-certainty add to a region (`wrt.builders.influence.regions`). A shadow that touches another one but for rounding is not apart
-from it, and what is NaN is in no region.
+**Precision.** All arithmetic is float64 on float32 input. The remaining rounding is far smaller than the margin that
+conservative callers add to a region (`wrt.builders.influence.regions`). Projections that overlap within rounding are not
+separated, and a NaN is in no region.
 
 References:
     S. Gottschalk, M. C. Lin, D. Manocha: OBBTree: a hierarchical structure for rapid interference detection. SIGGRAPH 1996.
@@ -27,7 +27,7 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ROUNDING = wp.constant(wp.float64(2.0**-46))
-"""Of a shadow's ends, as a share of the numbers they are sums of; 2^6 roundings."""
+"""Error of the ends of a projection, as a fraction of the magnitudes that are summed: 2^6 roundings."""
 
 
 @wp.struct
@@ -35,9 +35,9 @@ class Region:
     """A stack of rectangles; coordinates are relative to the scene's centre."""
 
     origin: wp.vec3d
-    """The point of the axis at depth 0."""
+    """Point of the axis at depth 0."""
     right: wp.vec3d
-    """Unit, as the next two; orthogonal to each other."""
+    """`right`, `up` and `forward` are an orthonormal frame."""
     up: wp.vec3d
     forward: wp.vec3d
     near: wp.float64
@@ -46,22 +46,22 @@ class Region:
     """Half size along `right` at depth 0."""
     height: wp.float64
     widening: wp.float64
-    """By which `width` grows for each unit of depth."""
+    """Growth of `width` per unit of depth."""
     heightening: wp.float64
     low: wp.vec3d
-    """Corners of the box around it: a cheap test that most points and boxes fail."""
+    """`low` and `high` bound the region: a cheap test that rejects most points and boxes."""
     high: wp.vec3d
 
 
 @wp.func
 def in_frame(region: Region, v: wp.vec3d):
-    """A vector's coordinates along right, up and forward."""
+    """Coordinates of a vector along right, up and forward."""
     return wp.vec3d(wp.dot(region.right, v), wp.dot(region.up, v), wp.dot(region.forward, v))
 
 
 @wp.func
 def holds(region: Region, p: wp.vec3d):
-    """Whether a point, given in the region's frame, is between its faces."""
+    """Whether a point, given in the region's frame, is inside the region."""
     return (
         p[2] >= region.near
         and p[2] <= region.far
@@ -72,7 +72,7 @@ def holds(region: Region, p: wp.vec3d):
 
 @wp.func
 def contains_point(region: Region, point: wp.vec3d):
-    """Whether a point is in the region, its surface included; NaN is not."""
+    """Whether a point is in the region or on its surface; false for NaN."""
     return (
         point[0] >= region.low[0]
         and point[0] <= region.high[0]
@@ -86,7 +86,7 @@ def contains_point(region: Region, point: wp.vec3d):
 
 @wp.func
 def is_apart(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
-    """Whether the shadows of the region and of a box on an axis, of any length, have a gap between them."""
+    """Whether the projections of the region and of a box on an axis are disjoint. The axis need not be normalised."""
     two = wp.float64(2.0)
     size = wp.vec3d(wp.abs(axis[0]), wp.abs(axis[1]), wp.abs(axis[2]))
     middle = wp.dot(low + high, axis) / two - wp.dot(region.origin, axis)
@@ -106,7 +106,7 @@ def is_apart(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
 
 @wp.func
 def crosses_separate(region: Region, low: wp.vec3d, high: wp.vec3d, edge: wp.vec3d):
-    """Whether a cross product of an edge of the region and one of a box tells them apart."""
+    """Whether the cross product of an edge of the region with one of the box is a separating axis."""
     zero = wp.float64(0.0)
     return (
         is_apart(region, low, high, wp.vec3d(zero, -edge[2], edge[1]))
@@ -117,7 +117,7 @@ def crosses_separate(region: Region, low: wp.vec3d, high: wp.vec3d, edge: wp.vec
 
 @wp.func
 def touches_box(region: Region, low: wp.vec3d, high: wp.vec3d):
-    """Whether the region and a box have a point in common; an empty box, low > high, has none."""
+    """Whether the region and a box overlap; false for an empty box, low > high."""
     for axis in range(3):
         if not (low[axis] <= region.high[axis] and high[axis] >= region.low[axis] and low[axis] <= high[axis]):
             return False
@@ -145,7 +145,7 @@ def touches_box(region: Region, low: wp.vec3d, high: wp.vec3d):
 
 @wp.func
 def encloses_box(region: Region, low: wp.vec3d, high: wp.vec3d):
-    """Whether all of a box is in the region: as that is convex, whether the box's corners are."""
+    """Whether the region contains a box: it is convex, so the corners of the box decide."""
     for corner in range(8):
         x = wp.where((corner & 1) == 0, low[0], high[0])
         y = wp.where((corner & 2) == 0, low[1], high[1])
@@ -158,11 +158,12 @@ def encloses_box(region: Region, low: wp.vec3d, high: wp.vec3d):
 APART = wp.constant(0)
 TOUCHING = wp.constant(1)
 ENCLOSED = wp.constant(2)
+"""Results of `classify_box`."""
 
 
 @wp.func
 def classify_box(region: Region, low: wp.vec3d, high: wp.vec3d):
-    """APART, TOUCHING, or ENCLOSED: all of the box is in the region."""
+    """APART, TOUCHING, or ENCLOSED if the region contains the whole box."""
     if not touches_box(region, low, high):
         return APART
     return wp.where(encloses_box(region, low, high), ENCLOSED, TOUCHING)
@@ -172,7 +173,7 @@ def classify_box(region: Region, low: wp.vec3d, high: wp.vec3d):
 def contain_points(
     first: int, regions: wp.array(dtype=Region), points: wp.array(dtype=wp.vec3d), inside: wp.array2d(dtype=wp.bool)
 ):
-    """Item: a point. inside: (points, regions)."""
+    """Tests a point against all regions. Item: a point. inside: (points, regions)."""
     i = first + wp.tid()
     for number in range(regions.shape[0]):
         inside[i, number] = contains_point(regions[number], points[i])
@@ -186,7 +187,8 @@ def classify_boxes(
     high: wp.array2d(dtype=wp.float64),
     result: wp.array2d(dtype=wp.uint8),
 ):
-    """Item: a box, a column of the (3, boxes) corners. result: (boxes, regions), `classify_box`."""
+    """Classifies a box, a column of the (3, boxes) corners, against all regions. Item: a box. result: (boxes, regions),
+    `classify_box`."""
     i = first + wp.tid()
     lowest = wp.vec3d(low[0, i], low[1, i], low[2, i])
     highest = wp.vec3d(high[0, i], high[1, i], high[2, i])
@@ -204,6 +206,6 @@ def classify_pairs(
     region: wp.array(dtype=int),
     result: wp.array(dtype=wp.uint8),
 ):
-    """Item: a pair of a box, by its corners, and a region. result: (pairs,), `classify_box`."""
+    """Classifies a pair of a box, given by its corners, and a region. Item: a pair. result: (pairs,), `classify_box`."""
     i = first + wp.tid()
     result[i] = wp.uint8(classify_box(regions[region[i]], low[box[i]], high[box[i]]))

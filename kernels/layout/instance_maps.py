@@ -1,16 +1,16 @@
-"""Instances: one geometry in many places, each an affine map of its own.
+"""Instances: one geometry placed many times, each time by an affine map.
 
-**Problem.** A forest of one tree, or a plant's thousand equal bolts, would take the memory of each copy if it were flattened
-into one mesh. An instance is a transform and the number of a geometry; whatever is stored for triangles is stored once.
+**Problem.** A forest of one tree, or a plant with a thousand equal bolts, would need memory for every copy if it were flattened
+into one mesh. An instance is a transform and the index of a geometry; the data of the triangles is stored once.
 
-**Idea.** A ray is brought into the geometry's own space by the inverse map; its direction is transformed but not normalised,
-so that t means the same in both spaces, and hits of different instances compare by it.
+**Idea.** A ray is transformed into the geometry's space by the inverse map. Its direction is not normalised, so t has the same
+meaning in both spaces, and hits of different instances can be compared.
 
-**Precision.** Maps, inverse maps and origins are float64, and a geometry's vertices are float32 relative to its own centre.
-What is rounded is the ray in the geometry's space, once: an instance far from everything loses nothing by where it is.
+**Precision.** Maps, inverse maps and origins are float64; the vertices of a geometry are float32 relative to its own centre.
+The ray is rounded once, in the geometry's space, so an instance far from the origin loses no precision.
 
-**Numbers.** Triangles are numbered through all instances: those of instance 0, those of instance 1 and so on. A hit holds one
-such number, and ties between hits at the same t go to the smaller one: the smaller instance, then the smaller triangle.
+**Numbering.** Triangles are numbered through all instances: first those of instance 0, then those of instance 1, and so on. A
+hit stores this number, and ties at the same t go to the smaller one: the smaller instance, then the smaller triangle.
 """
 
 import warp as wp
@@ -20,12 +20,12 @@ from wrt.kernels.layout.ray_batch import Ray, RayBatch, is_direction, is_finite,
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ALL_BITS = wp.constant(wp.uint32(0xFFFFFFFF))
-"""The mask that every geometry shows itself to."""
+"""The mask of a geometry that is visible to every ray."""
 
 
 @wp.struct
 class Geometry:
-    """Triangles that instances share."""
+    """Triangles shared by instances."""
 
     vertices: wp.array(dtype=wp.vec3)
     """Relative to the geometry's centre."""
@@ -36,42 +36,45 @@ class Geometry:
 
 @wp.struct
 class Placement:
-    """Where an instance is."""
+    """The transform of an instance and its geometry."""
 
     to_scene: wp.mat33d
-    """From the geometry's space to the scene's: a point p relative to the geometry's centre goes to to_scene p + origin,"""
+    """From the geometry's space to the scene: a point p relative to the geometry's centre maps to to_scene p + origin."""
     origin: wp.vec3d
-    """relative to the scene's centre."""
+    """Relative to the scene's centre."""
     to_object: wp.mat33d
     """The inverse of `to_scene`."""
     geometry: int
     first: int
     """Number of its first triangle."""
     mask: wp.uint32
-    """Rays see the instance if they have a bit in common with it."""
+    """A ray can hit the instance if the two masks have a bit in common."""
 
 
 @wp.func
 def scene_point(placement: Placement, point: wp.vec3):
-    """A point of the geometry, in the scene."""
+    """Transforms a point of the geometry to the scene."""
     return placement.to_scene * wp.vec3d(point) + placement.origin
 
 
 @wp.func
 def scene_normal(placement: Placement, normal: wp.vec3):
-    """A normal of the geometry, in the scene, not of unit length: it stays on the side that it was on, mirrored or not."""
+    """Transforms a normal of the geometry to the scene.
+
+    The result is not normalised. It stays on the same side of the surface if the map mirrors.
+    """
     return wp.transpose(placement.to_object) * wp.vec3d(normal)
 
 
 @wp.func
 def centered_origin(rays: RayBatch, i: int):
-    """Origin of ray number i relative to the scene's centre, not rounded to float32."""
+    """Origin of ray number i relative to the scene's centre, in float64."""
     return wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center
 
 
 @wp.func
 def ray_mask(rays: RayBatch, i: int):
-    """Mask of ray number i; all bits if rays have none."""
+    """Mask of ray number i; all bits if the rays have no masks."""
     mask = ALL_BITS
     if rays.mask.shape[0] > 0:
         mask = rays.mask[i * rays.mask_stride]
@@ -80,13 +83,13 @@ def ray_mask(rays: RayBatch, i: int):
 
 @wp.func
 def object_ray(placement: Placement, origin: wp.vec3d, ray: Ray, t_max: float):
-    """A valid ray in the geometry's space, up to t_max; invalid if the map takes it beyond float32.
+    """A valid ray in the geometry's space, up to t_max; invalid if the transformed ray exceeds the range of float32.
 
     Args:
         placement: the instance.
-        origin: of the ray, relative to the scene's centre.
+        origin: origin of the ray, relative to the scene's centre.
         ray: its direction and t_min.
-        t_max: where it ends.
+        t_max: end of its range.
     """
     own = Ray()
     own.origin = wp.vec3(placement.to_object * (origin - placement.origin))

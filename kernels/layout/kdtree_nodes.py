@@ -1,4 +1,4 @@
-"""Kd-tree as traversals read it: 8 bytes a node, depth-first order.
+"""Memory layout of the kd-tree: 8 bytes per node, depth-first order.
 
 A node is two 32-bit words:
 
@@ -9,8 +9,8 @@ A node is two 32-bit words:
 
 The left (lower) child of node i is node i + 1. A leaf of n triangles owns ceil(n / W) consecutive blocks of W lanes.
 
-In pairs, another order of the same nodes, the children of a node stand side by side, wherever they are: an inner node has the
-index of its left child, and the right one follows. Pairs can be in any order (`wrt.builders.convert.node_layouts`).
+There is a second order of the same nodes, in pairs: the two children of a node are adjacent. An inner node then stores the
+index of its left child, and the right child follows it. Pairs can be in any order (`wrt.builders.convert.node_layouts`).
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001 (depth-first layout).
@@ -22,20 +22,22 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_TREE_DEPTH = 64
-"""Bounds the depth of every tree that a builder makes, and so the stack of every traversal."""
+"""Greatest depth of a tree that a builder makes; bounds the stack of every traversal."""
 
 LEAF = wp.constant(3)
+"""Axis bits of a leaf."""
+
 MAX_INDEX = (1 << 29) - 1
 """Largest child index and leaf size that a node can hold."""
 
 
 @wp.struct
 class KdNodes:
-    """The nodes of a tree and the box that they divide; or the part of a tree below one of its nodes."""
+    """The nodes of a tree and its box, or the subtree below one of its nodes."""
 
     nodes: wp.array(dtype=wp.vec2i)
     root: int
-    """Where a traversal begins: 0, or the node whose box `low`, `high` is."""
+    """Node at which a traversal begins: 0, or the node whose box is `low`, `high`."""
     low: wp.vec3
     high: wp.vec3
 
@@ -54,7 +56,7 @@ def leaf_node(first_block: int, triangles: int):
 
 @wp.func_native("return nodes.data[index];")
 def load_node(nodes: wp.array(dtype=wp.vec2i), index: int) -> wp.vec2i:
-    """Node `index`, without the index checks of `nodes[index]`: every step of a traversal waits for this load."""
+    """Node `index`, without the bounds check of `nodes[index]`; every traversal step depends on the latency of this load."""
     ...
 
 
@@ -66,7 +68,7 @@ def children_depth_first(index: int, node: wp.vec2i):
 
 @wp.func
 def children_in_pairs(index: int, node: wp.vec2i):
-    """The same where nodes are in pairs."""
+    """Indices of an inner node's children, (lower, upper), if nodes are in pairs."""
     return wp.vec2i(node[1] >> 2, (node[1] >> 2) + 1)
 
 
@@ -78,7 +80,7 @@ def split_axis(node: wp.vec2i):
 
 @wp.func
 def split_position(node: wp.vec2i):
-    """Where an inner node splits its axis."""
+    """Position of an inner node's splitting plane."""
     return wp.cast(node[0], wp.float32)
 
 
@@ -90,7 +92,7 @@ def right_child(node: wp.vec2i):
 
 @wp.func
 def child_low(low: wp.vec3, axis: int, position: float, is_right: bool):
-    """Lower corner of a child's cell: that of its parent's, but for the right child along the axis of the plane."""
+    """Lower corner of a child's cell: that of its parent, except along the split axis of the right child."""
     result = wp.vec3(low)
     if is_right:
         result[axis] = position
@@ -99,7 +101,7 @@ def child_low(low: wp.vec3, axis: int, position: float, is_right: bool):
 
 @wp.func
 def child_high(high: wp.vec3, axis: int, position: float, is_right: bool):
-    """Upper corner of a child's cell."""
+    """Upper corner of a child's cell: that of its parent, except along the split axis of the left child."""
     result = wp.vec3(high)
     if not is_right:
         result[axis] = position

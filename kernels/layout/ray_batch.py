@@ -1,14 +1,15 @@
-"""Rays and hits as structures of arrays: what every traversal reads and writes.
+"""Rays and hits as structures of arrays: the input and output of every traversal.
 
-**Short directions.** 1 / direction overflows for components below 2^-128, and box tests then take the ray to be parallel to
-the axis; numbers below 2^-126, the smallest normal one, have fewer digits, and cost a CPU a hundred times as much wherever
-they come up. So rays are loaded by one rule. Components below 2^-126, or below 2^-100 of the largest one, count as 0, as on
-hardware that flushes such numbers to zero, and a direction without any other is no direction: its ray misses. That keeps
-slopes and inverses normal and finite. It turns a ray by less than 2^-26, a quarter of a rounding, if the largest component
-is 2^-100 or more; shorter directions have fewer digits.
+**Short directions.** 1 / direction overflows for components below 2^-128, and box tests then treat the ray as parallel to the
+axis. Numbers below 2^-126 (subnormals) have fewer digits, and arithmetic on them is very slow on CPUs. Rays are therefore
+loaded by one rule: components below 2^-126, or below 2^-100 of the largest one, count as 0, as on hardware that flushes
+subnormals to zero. A direction without any other component is invalid, and its ray misses. All slopes and inverses are then
+normal and finite. The rule rotates a ray by less than 2^-26, a quarter of a rounding, if its largest component is at least
+2^-100; shorter directions have fewer digits.
 
-**Far hits.** t counts in units of the direction, and may be beyond float32 where that is short. No hit has a t of inf: every
-ray ends at `FARTHEST`, the largest float32."""
+**Far hits.** t counts in units of the direction and may exceed the range of float32 if the direction is short. No hit has t =
+inf: every ray ends at `FARTHEST`, the largest float32.
+"""
 
 import warp as wp
 
@@ -20,13 +21,13 @@ TINY = wp.constant(2.0**-126)
 """Smallest normal float32."""
 
 SHORTEST = TINY
-"""A direction with no component as large is treated as zero: its ray misses."""
+"""A direction whose components are all smaller is treated as zero: its ray misses."""
 
 FARTHEST = wp.constant(3.4028234663852886e38)
 """Largest float32: no hit has a larger t."""
 
 NEGLIGIBLE = wp.constant(2.0**-100)
-"""Share of a direction's largest component below which another one counts as 0."""
+"""Fraction of a direction's largest component below which another component counts as 0."""
 
 _LEAST_SIZE = wp.constant(2.0**-26)
 """`TINY` / `NEGLIGIBLE`."""
@@ -40,19 +41,22 @@ DIRECTION_LANES = f"""
     }};
     constexpr float SHORTEST = {SHORTEST!r}f, FARTHEST = {FARTHEST!r}f;
 """
-"""C++ of `usable_direction`, for lanes: wrt_direction; and the two bounds."""
+"""C++ of `usable_direction` for lanes, wrt_direction, and of the constants SHORTEST and FARTHEST."""
 
 
 @wp.struct
 class RayBatch:
-    """N rays origin + t direction, t_min <= t <= t_max. A stride of 0 shares element 0 among all rays, 1 gives each its own."""
+    """N rays origin + t direction, t_min <= t <= t_max.
+
+    A stride of 0 shares element 0 among all rays, a stride of 1 gives each ray its own element.
+    """
 
     count: int
     """N."""
     origins: wp.array(dtype=wp.vec3)
     """(N,) or (1,), in the caller's coordinates."""
     directions: wp.array(dtype=wp.vec3)
-    """(N,) or (1,), of any length from `SHORTEST` on."""
+    """(N,) or (1,), not normalised; at least `SHORTEST` in some component."""
     t_min: wp.array(dtype=float)
     """(N,) or (1,), at least 0."""
     t_max: wp.array(dtype=float)
@@ -62,14 +66,14 @@ class RayBatch:
     t_min_stride: int
     t_max_stride: int
     columns: int
-    """Of the picture whose pixels the rays are, row by row; 0 if they are to be taken as they come. For packets only."""
+    """Columns of the picture whose pixels the rays are, row by row; 0 if they are not a picture. Used by packets only."""
     mask: wp.array(dtype=wp.uint32)
-    """(N,), (1,) or, for rays that see everything, (0,): see `wrt.kernels.layout.instance_maps`."""
+    """(N,), (1,), or (0,) for rays without masks: see `wrt.kernels.layout.instance_maps`."""
     mask_stride: int
     run: int
-    """Rays that an item traces, a multiple of the stream's length. For streams only."""
+    """Rays per item, a multiple of the stream length. Used by streams only."""
     center: wp.vec3d
-    """Subtracted from the origins in float64: the scene's geometry is stored relative to this point."""
+    """Subtracted from the origins in float64; the geometry of the scene is stored relative to this point."""
 
 
 @wp.struct
@@ -81,15 +85,16 @@ class Ray:
     t_min: float
     t_max: float
     valid: bool
-    """False for a NaN or infinity in origin, direction or range, and for a direction that is too short: such a ray misses."""
+    """False for a NaN or an infinity in origin, direction or range, and for a direction that is too short: the ray misses."""
 
 
 @wp.struct
 class HitBatch:
-    """Results of N rays. A closest-hit query writes the first three, an any-hit query only `occluded`, a count only `counts`.
+    """Results of N rays.
 
-    A query for all hits writes the first three, for many hits a ray, and `counts`: hits of ray i, in no order, go to the
-    elements from i * room on, at most `room` of them; with a room of 0 to those from begins[i] on, all of them.
+    A closest-hit query writes the first three arrays, an any-hit query only `occluded`, a count only `counts`. A query for all
+    hits writes the first three, with several elements per ray, and `counts`. The hits of ray i, unordered, are the elements
+    from i * room on, at most `room` of them. If room is 0 they are the elements from begins[i] on, without a limit.
     """
 
     t: wp.array(dtype=float)
@@ -100,21 +105,21 @@ class HitBatch:
     """Weights of the triangle's second and third vertex; 0 for a miss."""
     occluded: wp.array(dtype=wp.bool)
     counts: wp.array(dtype=int)
-    """Hits of each ray, those for which there was no room included."""
+    """Number of hits of each ray, including those that did not fit."""
     room: int
     begins: wp.array(dtype=int)
 
 
 @wp.func
 def is_finite(v: wp.vec3):
-    """True if no component is NaN or infinite (x - x is 0 for all other numbers; the C library's test is a call)."""
+    """True if no component is NaN or infinite. Tests x - x == 0, because the C library's test is a function call."""
     rest = v - v
     return rest[0] == 0.0 and rest[1] == 0.0 and rest[2] == 0.0
 
 
 @wp.func
 def usable_direction(direction: wp.vec3):
-    """The direction without components that are negligible; NaN stays."""
+    """The direction with its negligible components set to 0; NaN is kept."""
     size = wp.abs(direction)
     largest = wp.where(size[0] > size[1], size[0], size[1])
     largest = wp.where(largest > size[2], largest, size[2])
@@ -135,7 +140,7 @@ def is_direction(direction: wp.vec3):
 
 @wp.func
 def load_ray(rays: RayBatch, i: int):
-    """Ray number `i`, checked and relative to the scene's centre."""
+    """Ray number `i`, validated and relative to the scene's centre."""
     return checked_ray(
         wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center),
         rays.directions[i * rays.direction_stride],
@@ -146,7 +151,7 @@ def load_ray(rays: RayBatch, i: int):
 
 @wp.func
 def checked_ray(origin: wp.vec3, direction: wp.vec3, t_min: float, t_max: float):
-    """A ray whose origin is relative to the scene's centre."""
+    """A validated ray; `origin` is relative to the scene's centre."""
     ray = Ray()
     ray.origin = origin
     ray.direction = usable_direction(direction)
@@ -158,7 +163,7 @@ def checked_ray(origin: wp.vec3, direction: wp.vec3, t_min: float, t_max: float)
 
 @wp.func
 def store_hit(hits: HitBatch, i: int, t: float, primitive: int, u: float, v: float):
-    """Writes hit number `i`; `primitive` < 0 is a miss."""
+    """Writes hit number `i`; `primitive` < 0 means a miss."""
     hits.t[i] = wp.where(primitive < 0, INFINITY, t)
     hits.primitive[i] = primitive
     hits.uv[i] = wp.vec2(u, v)
@@ -166,6 +171,9 @@ def store_hit(hits: HitBatch, i: int, t: float, primitive: int, u: float, v: flo
 
 @wp.kernel
 def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: wp.vec3d, out: wp.array(dtype=wp.vec3)):
-    """Item: a point. Float64 to float32, relative to the centre: what is lost is lost there, not far from the origin."""
+    """Converts a float64 point to float32 relative to the centre. Item: a point.
+
+    Points far from the origin keep their precision, because the centre is subtracted first.
+    """
     i = first + wp.tid()
     out[i] = wp.vec3(points[i] - center)

@@ -1,7 +1,7 @@
-"""Structs that arrays are made of again and again.
+"""Warp structs with a cached NumPy layout, for arrays of structs that are created often.
 
-Warp works out the NumPy layout of a struct anew whenever an array of them is made from NumPy's or read back: for nested structs
-0.2 ms and more each time, on the host, which was a third of the time of building a small kd-tree.
+Warp computes the NumPy layout of a struct whenever an array of structs is converted from or to NumPy. For nested structs this
+takes a large part of the time of a small build (notebooks/records/2026-11-22-launches.md).
 """
 
 from collections.abc import Sequence
@@ -13,17 +13,17 @@ import warp as wp
 
 
 def with_known_layout(struct: Any) -> Any:
-    """The struct, whose NumPy dtype is worked out once; goes above `@wp.struct`."""
+    """Caches the NumPy dtype of a struct; a decorator to be written above `@wp.struct`."""
     find = struct.numpy_dtype
     struct.numpy_dtype = cache(lambda: np.dtype(find()))
     return struct
 
 
 def array_of_structs(items: Sequence[Any], struct: Any, device: wp.Device) -> wp.array:
-    """An array of struct instances, whose struct has a known layout.
+    """An array of struct instances, for structs decorated by `with_known_layout`.
 
-    Warp has NumPy work out the layout from the C type, which takes longer, and makes a RuntimeError of a Ctrl-C that comes
-    meanwhile.
+    Warp's own conversion lets NumPy derive the layout from the C type, which is slower and turns a Ctrl-C that arrives
+    meanwhile into a RuntimeError.
     """
     raw = b"".join(bytes(item.__ctype__()) for item in items)
     return wp.array(np.frombuffer(raw, dtype=struct.numpy_dtype()), dtype=struct, device=device)

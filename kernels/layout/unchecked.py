@@ -1,7 +1,7 @@
-"""Array elements without the checks of `array[i]`, for innermost loops.
+"""Array elements without the index handling of `array[i]`, for innermost loops.
 
-Warp lets an index be negative and an array be strided; both cost instructions at every access, and where a loop only
-moves memory they are most of its time. These take the i-th element of a contiguous array, 0 <= i.
+Warp supports negative indices and strided arrays; both cost instructions at every access, which dominate loops that only move
+memory. The functions here access the i-th element of a contiguous array, 0 <= i, without a bounds check.
 """
 
 import warp as wp
@@ -9,12 +9,12 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CACHE_LINE = 16
-"""Floats or ints of a cache line: vectors that lie across two lines take longer to load and to store."""
+"""Floats or ints per cache line. Vectors that straddle two lines take longer to load and to store."""
 
 
 @wp.func_native(f"return start + (int)(-((size_t)(values.data + start) / 4) & {CACHE_LINE - 1});")
 def first_line(values: wp.array(dtype=int), start: int) -> int:
-    """The first element from `start` on that begins a cache line."""
+    """Index of the first element at or after `start` that begins a cache line."""
     ...
 
 

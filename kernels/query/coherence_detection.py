@@ -1,7 +1,7 @@
-"""What a batch of rays does not say and its numbers do: whether neighbours look alike, and whether they are a picture's pixels.
+"""Coherence detection: whether neighbouring rays of a batch are similar, and whether the rays are the pixels of a picture.
 
-Only speed depends on it. The host asks before each call, when its caches are swept by the call before: a score of NumPy
-functions took 0.2 ms there, and this one, which touches a few hundred rays, some 20 us.
+The result affects only speed. The host runs the detection before each call, with cold caches; one kernel that reads a few
+hundred rays is several times as fast as NumPy code (notebooks/records/2026-11-22-launches.md).
 """
 
 import warp as wp
@@ -9,48 +9,48 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PAIRS = wp.constant(64)
-"""Pairs of neighbouring rays that are compared; an even number."""
+"""Number of pairs of neighbouring rays that are compared; must be even."""
 
 LEAST_COSINE = wp.constant(wp.float64(0.966))
-"""Of the angle between directions that are alike: some 15 degrees."""
+"""Cosine of the greatest angle between similar directions, about 15 degrees."""
 
 LEAST_ROWS = wp.constant(8)
-"""Rows and columns from which on a batch is taken for a picture."""
+"""Least number of rows and of columns of a batch that is recognised as a picture."""
 
 LONGEST_ROW = wp.constant(1 << 13)
-"""Pixels of a row that is recognised in a flat list."""
+"""Greatest number of pixels in a row that is recognised in a flat list."""
 
 JUMP = wp.constant(4.0)
-"""Directions of neighbouring pixels differ by no more than so many times as much as the first two."""
+"""A difference of neighbouring directions that is this many times that of the first two rays ends a row."""
 
 COHERENT, SCATTERED, COLUMNS = 0, 1, 2
-"""Which answer is which."""
+"""Indices of the answers."""
 
 
 @wp.func
 def distance_of(a: wp.vec3, b: wp.vec3):
-    """Sum of the differences along the axes."""
+    """Sum of the absolute differences along the axes."""
     d = wp.abs(wp.vec3d(b) - wp.vec3d(a))
     return d[0] + d[1] + d[2]
 
 
 @wp.func
 def is_alike(a: wp.vec3, b: wp.vec3):
-    """Whether directions differ little; one without a direction is like none."""
+    """Whether two directions differ by a small angle; false for a zero or NaN direction."""
     one, other = wp.vec3d(a), wp.vec3d(b)
     return wp.dot(one, other) / wp.sqrt(wp.dot(one, one) * wp.dot(other, other)) > LEAST_COSINE
 
 
 @wp.func
 def pair_at(i: int, count: int):
-    """The first ray of pair `i` of those that are spread over the batch."""
+    """Number of the first ray of pair `i`; the pairs are spread evenly over the batch."""
     step = wp.float64(count - 2) / wp.float64(PAIRS - 1)
     return wp.where(i == PAIRS - 1, count - 2, int(wp.float64(i) * step))
 
 
 @wp.func
 def typical_gap(origins: wp.array(dtype=wp.vec3)):
-    """Median distance between origins far apart in the batch; NaN if one has a NaN."""
+    """Median distance between origins that are far apart in the batch; NaN if a distance is NaN."""
     gaps = wp.zeros(shape=PAIRS, dtype=wp.float64)
     count = origins.shape[0]
     for i in range(PAIRS):
@@ -67,13 +67,16 @@ def typical_gap(origins: wp.array(dtype=wp.vec3)):
 
 @wp.func
 def largest_change(a: wp.vec3, b: wp.vec3):
-    """Largest change of a component."""
+    """Largest absolute difference of a component."""
     return wp.max(wp.abs(b - a))
 
 
 @wp.func
 def columns_of(directions: wp.array(dtype=wp.vec3)):
-    """Columns of a picture: a row ends where directions jump; the next must begin beside it, and so must all that follow."""
+    """Number of columns of the picture; 0 if the batch is not a picture.
+
+    A row ends where directions jump; each row must begin close to the start of the row before.
+    """
     count = directions.shape[0]
     limit = JUMP * largest_change(directions[0], directions[1])
     columns, longest = int(1), wp.min(LONGEST_ROW, count - 1)
@@ -98,7 +101,10 @@ def look_at_rays(
     listed: int,
     answers: wp.array(dtype=int),
 ):
-    """Answers 0 or 1 for coherent and scattered, if pairs are to be sampled, and the columns, 0 for none, if that is asked."""
+    """Writes the answers for a batch: 0 or 1 for coherent and scattered, and the number of columns (0: no picture).
+
+    Pairs are compared only if `sampled` is not 0, columns are searched only if `listed` is not 0.
+    """
     count, alike, near = directions.shape[0], int(0), int(0)
     own = origins.shape[0] == count
     if sampled != 0:

@@ -1,22 +1,22 @@
-"""Ray queries inside kernels that are not ours: what a `@wp.kernel` of a user's calls, ray by ray.
+"""Ray queries inside user kernels: functions that a `@wp.kernel` calls ray by ray.
 
-**Problem.** A query of a whole batch takes arrays and leaves arrays. Ambient occlusion, a path, a sensor model or a search that
-depends on what was hit want to go on with the ray where it is, inside one kernel, on the CPU and on CUDA.
+**Problem.** A batch query reads and writes arrays. Ambient occlusion, path tracing, a sensor model or a search that depends on
+the hit continue with the ray inside one kernel, on the CPU and on CUDA.
 
-**Idea.** The walks of the single-ray traversals are functions already. What they need of a scene travels in one struct, the
-handle. They are specialised for a kind of tree, its width and its depth, and Warp picks functions by the types of their
-arguments: so each specialisation has a type of handle of its own, and the four `search_*` functions below one overload for each
-type. What a user calls takes any of them (`typing.Any`). A kernel that does so too serves every scene on every device; Warp
-compiles it for each type of handle that it meets.
+**Idea.** The walks of the single-ray traversals are functions already. The part of a scene that they need is one struct, the
+handle. A walk is specialised for the kind of tree, its width and its depth, and Warp selects overloads by the types of the
+arguments. So each specialisation has its own handle type, and the four `search_*` functions below have one overload per handle
+type. The public functions accept any handle (`typing.Any`), and so may a user kernel: it then serves every scene on every
+device, and Warp compiles it once for each handle type that it is launched with.
 
-**Differences from the batch queries.** None in the hits: the same walks, the default triangle test, and the same rounding of
-rays (`wrt.kernels.layout.ray_batch`), to the bit. Waiting children lie in local memory: a block of threads that somebody else
-launches may have any size, so its shared memory cannot be planned. Lists of hits have no place to go: `next_hit` finds the one
-that follows a given one, by t, then by triangle, in a search of its own from there on.
+**Differences from the batch queries.** The hits are the same to the bit: the same walks, the default triangle test and the same
+rounding of rays (`wrt.kernels.layout.ray_batch`). The stack of children is in local memory, because the block size of a user
+kernel is unknown and its shared memory cannot be planned. There is no list of all hits: `next_hit` finds the hit that follows a
+given one, by t, then by triangle, in a new search from there on.
 
-**Limits.** Such kernels must be compiled without gradients and without fused multiply-add, as ours are: Warp has no adjoints of
-the walks, and with fused multiply-add hits may differ and rays may slip between triangles. Others are refused while they are
-compiled, by the one function that all queries call.
+**Limits.** Kernels that call these functions must be compiled without gradients and without fused multiply-add, like the
+kernels of this package. Warp has no adjoints of the walks; with fused multiply-add hits may differ and rays may pass between
+triangles. Kernels with other options are refused when they are compiled, by the one function that all queries call.
 """
 
 from functools import cache
@@ -36,15 +36,15 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TRIANGLE_TEST = "woop"
-"""Watertight, and one of those that count crossings exactly."""
+"""The test that handles use: watertight, and one of those that count crossings exactly."""
 
 
 @wp.struct
 class Hit:
-    """Where a ray meets a triangle."""
+    """The hit of a ray with a triangle."""
 
     t: float
-    """In units of the direction's length; inf for a miss."""
+    """In units of the length of the direction; inf for a miss."""
     primitive_id: int
     """Index of the triangle within its geometry; -1 for a miss."""
     geometry_id: int
@@ -57,50 +57,51 @@ class Hit:
 
 @wp.struct
 class NoScene:
-    """The handle of no scene: it holds a place in the functions below until there are scenes."""
+    """A handle type without a scene, for which the generic functions below are declared."""
 
     nothing: int
 
 
 @wp.func
 def search_closest(scene: NoScene, ray: Ray, after: int):
-    """The closest hit of a valid ray. One overload for each type of handle, as for the next three."""
+    """The closest hit of a valid ray. Each handle type adds an overload, as for the next three functions."""
     return start(ray.t_max)
 
 
 @wp.func
 def search_any(scene: NoScene, ray: Ray, after: int):
-    """A hit, if there is one."""
+    """Any hit, if there is one."""
     return start(ray.t_max)
 
 
 @wp.func
 def search_count(scene: NoScene, ray: Ray, after: int):
-    """A candidate whose primitive is the number of crossings, less one."""
+    """A candidate whose `primitive` is the number of crossings minus one."""
     return start(ray.t_max)
 
 
 @wp.func
 def search_next(scene: NoScene, ray: Ray, after: int):
-    """The first crossing that comes after that of triangle number `after` at t_min; the other three ignore it."""
+    """The first crossing that follows the one with triangle `after` at t_min. The other three functions ignore `after`."""
     return start(ray.t_max)
 
 
 SEARCHES = {CLOSEST: search_closest, ANY: search_any, COUNT: search_count, NEXT: search_next}
+"""The overloaded search function of each query."""
 
 
 _handles: set[type] = set()
-"""The structs of `handle_type`."""
+"""The structs that `handle_type` has made."""
 
 
 def is_handle(value: Any) -> bool:
-    """Whether a kernel's argument is a scene's handle."""
+    """Whether a kernel argument is the handle of a scene."""
     return getattr(value, "_cls", None) in _handles
 
 
 @cache
 def handle_type(kind: str, width: int, levels: int) -> type:
-    """The struct that a scene with such a tree hands to kernels; the functions above have an overload for it from then on.
+    """The handle struct for a kind of tree; adds an overload of each `search_*` function for it.
 
     Args:
         kind: key in `WALKS`.
@@ -123,7 +124,7 @@ def handle_type(kind: str, width: int, levels: int) -> type:
 
 
 def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
-    """`wp.func(scene, ray, after) -> best`."""
+    """`wp.func(scene, ray, after) -> best`: the overload of a `search_*` function for one handle type."""
     passing = Results is Passed
 
     @wp.func
@@ -140,36 +141,36 @@ def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
 
 @wp.func
 def ray_in(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """A ray of the caller's, relative to the scene's centre: a float64 origin is rounded only there."""
+    """A ray of the caller relative to the scene's centre; a float64 origin is rounded after the centre is subtracted."""
     return checked_ray(wp.vec3(wp.vec3d(origin) - scene.mesh.center), wp.vec3(direction), t_min, t_max)
 
 
 class QueryFunction(wp.Function):
-    """A function that refuses to become part of a kernel that ray queries cannot be in."""
+    """A Warp function that raises an error if it is compiled into a kernel with unsuitable options."""
 
     def build(self, builder: Any, default_builder_options: Any = None) -> None:
-        """Warp's, for kernels with the right options.
+        """Builds the function as Warp does, after a check of the options of the kernel.
 
         Raises:
-            ValueError: other options.
+            ValueError: gradients or fused multiply-add are enabled.
         """
         if builder is not None:
             name = f"a kernel of the module {builder.module.name!r}"
-            # a function's own mark outlives a build that failed, so a kernel of this module must have it, too
+            # a function stays marked after a failed build, so the kernels of this module are checked as well
             backward = any(kernel.adj.used_by_backward_kernel for kernel in builder.kernels)
             check_options(name, backward and self.adj.used_by_backward_kernel, builder.options["fuse_fp"])
         super().build(builder, default_builder_options)
 
 
 def check_options(name: str, enable_backward: bool, fuse_fp: bool) -> None:
-    """Refuses options with which ray queries do not compile or may give other hits.
+    """Rejects options with which ray queries do not compile or may give other hits.
 
     Args:
-        name: what has them, for the message.
-        enable_backward, fuse_fp: as Warp knows them.
+        name: name of the kernel or module, for the message.
+        enable_backward, fuse_fp: Warp's options of these names.
 
     Raises:
-        ValueError: one of them is on.
+        ValueError: one of them is enabled.
     """
     on = [option for option, is_on in (("gradients", enable_backward), ("fused multiply-add", fuse_fp)) if is_on]
     if on:
@@ -179,12 +180,12 @@ def check_options(name: str, enable_backward: bool, fuse_fp: bool) -> None:
         )
 
 
-ray_in.__class__ = QueryFunction  # wp.func makes a wp.Function, and Warp copies that with its class for each type of scene
+ray_in.__class__ = QueryFunction  # Warp copies the function, with its class, for each handle type
 
 
 @wp.func
 def hit_of(scene: Any, best: Candidate):
-    """What a caller gets to see of a search's result."""
+    """Converts the result of a search to a `Hit`."""
     hit = Hit()
     hit.t = wp.inf
     hit.primitive_id = -1
@@ -199,18 +200,18 @@ def hit_of(scene: Any, best: Candidate):
     return hit
 
 
-# -- what users call ---------------------------------------------------------------------------------------------------
+# -- public functions ---------------------------------------------------------------------------------------------------
 
 
 @wp.func
 def closest_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """The closest `Hit` of a ray, what `Scene.intersect` finds for it.
+    """The closest `Hit` of a ray, the same as `Scene.intersect` finds.
 
     Args:
         scene: `Scene.handle()`.
-        origin, direction: vec3 or vec3d, in the scene's coordinates; the direction has any length from 2^-126 on. A ray with a
-            NaN or an infinity, or with a shorter direction, misses.
-        t_min, t_max: a hit counts if t_min <= t <= t_max; 0 <= t_min.
+        origin, direction: vec3 or vec3d, in the scene's coordinates. The direction need not be normalised. A ray with a NaN or
+            an infinity, or whose direction has no component of at least 2^-126, misses.
+        t_min, t_max: closed range: a hit counts if t_min <= t <= t_max. t_min must be at least 0.
     """
     ray = ray_in(scene, origin, direction, t_min, t_max)
     best = start(t_max)
@@ -221,7 +222,7 @@ def closest_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: fl
 
 @wp.func
 def any_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """Whether a ray hits anything, as `Scene.occluded` says. Arguments as in `closest_hit`."""
+    """Whether a ray has any hit, as `Scene.occluded`. Arguments as in `closest_hit`."""
     ray = ray_in(scene, origin, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
@@ -231,7 +232,7 @@ def any_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float)
 
 @wp.func
 def count_hits(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """How often a ray crosses a surface, as `Scene.count` says. Arguments as in `closest_hit`."""
+    """Number of surface crossings of a ray, as `Scene.count`. Arguments as in `closest_hit`."""
     ray = ray_in(scene, origin, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
@@ -241,9 +242,10 @@ def count_hits(scene: Any, origin: Any, direction: Any, t_min: float, t_max: flo
 
 @wp.func
 def first_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """The first of all hits of a ray, in the order of `Scene.intersect_all`; `next_hit` has the others.
+    """The first of all hits of a ray, in the order of `Scene.intersect_all`; `next_hit` returns the others.
 
-    Each crossing of a surface is one hit. (`closest_hit` may name another of the triangles at an edge.) Arguments as there.
+    Each crossing of the surface is one hit. At an edge `closest_hit` may return another of the triangles that share it.
+    Arguments as in `closest_hit`.
     """
     ray = ray_in(scene, origin, direction, t_min, t_max)
     best = start(t_max)
@@ -254,7 +256,10 @@ def first_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: floa
 
 @wp.func
 def next_hit(scene: Any, origin: Any, direction: Any, hit: Hit, t_max: float):
-    """The `Hit` that follows one of `first_hit` or `next_hit` on the same ray; after a miss, a miss."""
+    """The `Hit` that follows a result of `first_hit` or `next_hit` on the same ray.
+
+    It is a miss if there is no further hit up to t_max, or if `hit` is a miss.
+    """
     ray = ray_in(scene, origin, direction, hit.t, t_max)
     best = start(t_max)
     if ray.valid and hit.triangle >= 0:
@@ -264,17 +269,17 @@ def next_hit(scene: Any, origin: Any, direction: Any, hit: Hit, t_max: float):
 
 @wp.func
 def position(scene: Any, hit: Hit):
-    """(vec3d) the point of a hit in the scene's coordinates; NaN for a miss."""
+    """(vec3d) point of a hit in the scene's coordinates; NaN for a miss."""
     return hit_position(scene.mesh, hit.triangle, hit.uv)
 
 
 @wp.func
 def normal(scene: Any, hit: Hit):
-    """(vec3) unit normal of the triangle, by its winding; 0 for a miss and for a triangle without area."""
+    """(vec3) unit normal of the triangle by its winding; 0 for a miss and for a degenerate triangle."""
     return hit_normal(scene.mesh, hit.triangle)
 
 
 @wp.func
 def spawn(scene: Any, hit: Hit, direction: wp.vec3):
-    """(vec3d) where a ray of this direction starts that leaves a hit, as `Hits.spawn` does it; NaN for a miss."""
+    """(vec3d) origin for a ray of this direction that leaves a hit, as computed by `Hits.spawn`; NaN for a miss."""
     return spawn_origin(scene.mesh, hit.triangle, hit.uv, direction)

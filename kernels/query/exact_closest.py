@@ -17,7 +17,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class ExactRays:
-    """N rays as they were given. A stride of 0 shares element 0 among all rays, 1 gives each its own."""
+    """N rays in float64, as the caller gave them. A stride of 0 shares element 0 among all rays, 1 gives each ray its own."""
 
     origins: wp.array(dtype=wp.vec3d)
     directions: wp.array(dtype=wp.vec3d)
@@ -31,7 +31,7 @@ class ExactRays:
 
 @wp.struct
 class ExactMesh:
-    """All triangles of a scene as they were given."""
+    """All triangles of a scene in float64, as the caller gave them."""
 
     vertices: wp.array(dtype=wp.vec3d)
     """In the caller's coordinates."""
@@ -40,10 +40,10 @@ class ExactMesh:
 
 @wp.struct
 class ExactHits:
-    """Results of N rays."""
+    """Hits of N rays."""
 
     rounded: HitBatch
-    """The hits in float32."""
+    """The hits, rounded to float32."""
     t: wp.array(dtype=wp.float64)
     """inf for a miss."""
     uv: wp.array(dtype=wp.vec2d)
@@ -52,7 +52,7 @@ class ExactHits:
 
 @wp.func
 def search_for(rays: ExactRays, mesh: ExactMesh, i: int):
-    """Ray number `i`, before its search."""
+    """The initial search state of ray number `i`."""
     search = ExactSearch()
     search.origin = rays.origins[i * rays.origin_stride]
     search.direction = rays.directions[i * rays.direction_stride]
@@ -66,7 +66,7 @@ def search_for(rays: ExactRays, mesh: ExactMesh, i: int):
 
 @cache
 def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
-    """The kernel for a kind of tree, key in `WALKS`, and a config of the query `EXACT`."""
+    """The kernel for a kind of tree (a key in `WALKS`) and a config with the query `EXACT`."""
     Tree, make_walk = WALKS[kind]
     walk = make_walk(config)
 
@@ -97,7 +97,7 @@ def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
 
 @wp.func
 def exact_corners(mesh: ExactMesh, primitive: int):
-    """(3, 3) the vertices of a triangle, one a row."""
+    """(3, 3) vertices of a triangle, one per row."""
     face = mesh.faces[primitive]
     return wp.matrix_from_rows(mesh.vertices[face[0]], mesh.vertices[face[1]], mesh.vertices[face[2]])
 
@@ -110,7 +110,7 @@ def exact_positions(
     uv: wp.array(dtype=wp.vec2d),
     positions: wp.array(dtype=wp.vec3d),
 ):
-    """Item: a ray. The point (1 - u - v) a + u b + v c; NaN for a miss."""
+    """Writes the point (1 - u - v) a + u b + v c of a hit; NaN for a miss. Item: a ray."""
     i = first + wp.tid()
     nan = wp.float64(wp.nan)
     point = wp.vec3d(nan, nan, nan)
@@ -123,7 +123,7 @@ def exact_positions(
 
 @wp.kernel
 def exact_normals(first: int, mesh: ExactMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3d)):
-    """Item: a ray. Unit normal of the triangle by its winding; 0 for a miss and for a triangle without area."""
+    """Writes the unit normal of the hit triangle by its winding; 0 for a miss and for a degenerate triangle. Item: a ray."""
     i = first + wp.tid()
     normal = wp.vec3d()
     if primitive[i] >= 0:

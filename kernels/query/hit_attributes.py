@@ -1,4 +1,4 @@
-"""What follows from a hit's primitive and weights: the point, the normal, which geometry it belongs to."""
+"""Attributes derived from the primitive and the weights of a hit: point, normal, geometry and instance."""
 
 import warp as wp
 
@@ -9,10 +9,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class SceneMesh:
-    """All triangles of a scene: its own, or those of its instances."""
+    """All triangles of a scene, stored directly or through its instances."""
 
     vertices: wp.array(dtype=wp.vec3)
-    """Relative to `center`; of a scene of instances (0,)."""
+    """Relative to `center`; (0,) in a scene of instances."""
     faces: wp.array(dtype=wp.vec3i)
     center: wp.vec3d
     low: wp.vec3
@@ -21,9 +21,9 @@ class SceneMesh:
     geometry_first: wp.array(dtype=int)
     """(geometries + 1,) or (instances + 1,) number of the first triangle of each."""
     placements: wp.array(dtype=Placement)
-    """(instances,); (0,) in a scene without."""
+    """(instances,); (0,) in a scene without instances."""
     geometries: wp.array(dtype=Geometry)
-    """What the placements name."""
+    """The geometries that the placements refer to."""
 
 
 @wp.struct
@@ -34,14 +34,14 @@ class Triangle:
     b: wp.vec3d
     c: wp.vec3d
     face: int
-    """Its number if what instances share is counted once."""
+    """Number of the triangle when each shared geometry is counted once."""
     instance: int
     """-1 in a scene without instances."""
 
 
 @wp.func
 def geometry_of(mesh: SceneMesh, primitive: int):
-    """Number of the geometry, or of the instance, that a triangle belongs to, numbered through the scene."""
+    """Number of the geometry or instance that contains a triangle of the scene."""
     low = int(0)
     high = mesh.geometry_first.shape[0] - 1
     while high - low > 1:
@@ -55,7 +55,7 @@ def geometry_of(mesh: SceneMesh, primitive: int):
 
 @wp.func
 def triangle_of(mesh: SceneMesh, primitive: int):
-    """Triangle number `primitive` of the scene, as its geometry winds it, mirrored or not."""
+    """Triangle number `primitive` of the scene, with the winding of its geometry, whether mirrored or not."""
     triangle = Triangle()
     if mesh.placements.shape[0] == 0:
         face = mesh.faces[primitive]
@@ -79,7 +79,7 @@ def triangle_of(mesh: SceneMesh, primitive: int):
 
 @wp.func
 def winding(mesh: SceneMesh, triangle: Triangle):
-    """1, or -1 for a triangle that its instance mirrors: then the cross product of its edges points to its back."""
+    """1, or -1 for a triangle that its instance mirrors: the cross product of its edges then points to its back."""
     sign = wp.float64(1.0)
     if triangle.instance >= 0 and wp.determinant(mesh.placements[triangle.instance].to_scene) < wp.float64(0.0):
         sign = wp.float64(-1.0)
@@ -99,7 +99,7 @@ def hit_position(mesh: SceneMesh, primitive: int, uv: wp.vec2):
 
 @wp.func
 def hit_normal(mesh: SceneMesh, primitive: int):
-    """Unit normal of a triangle by its winding; 0 for a miss and for a triangle without area."""
+    """Unit normal of a triangle by its winding; 0 for a miss and for a degenerate triangle."""
     normal = wp.vec3d()
     if primitive >= 0:
         at = triangle_of(mesh, primitive)
@@ -115,13 +115,14 @@ def hit_positions(
     uv: wp.array(dtype=wp.vec2),
     positions: wp.array(dtype=wp.vec3d),
 ):
-    """Item: a ray. The point of its hit."""
+    """Writes the point of a hit. Item: a ray."""
     i = first + wp.tid()
     positions[i] = hit_position(mesh, primitive[i], uv[i])
 
 
 GRAZING = wp.constant(wp.float64(1e-4))
-"""Sine of the angle between ray and triangle below which the weights say where a hit lies, not the plane."""
+"""If the sine of the angle between ray and triangle is below this, the point is computed from the weights, not from the
+plane."""
 
 
 @wp.kernel
@@ -136,10 +137,10 @@ def meet_planes(
     uv: wp.array(dtype=wp.vec2),
     positions: wp.array(dtype=wp.vec3d),
 ):
-    """Item: a hit. Where its ray meets the plane of its triangle, all in float64.
+    """Intersects a ray with the plane of its triangle in float64. Item: a hit.
 
-    Where the angle between the two is too small for that, and for a triangle without area, the point of the triangle with
-    the weights `uv`.
+    If the angle between the two is too small (`GRAZING`), or the triangle is degenerate, the result is the point of the
+    triangle with the weights `uv`.
     """
     i = first + wp.tid()
     face = faces[primitive[i]]
@@ -158,7 +159,7 @@ def meet_planes(
 
 @wp.kernel
 def hit_normals(first: int, mesh: SceneMesh, primitive: wp.array(dtype=int), normals: wp.array(dtype=wp.vec3)):
-    """Item: a ray. Normal of the triangle that it hits."""
+    """Writes the normal of the triangle that a ray hits. Item: a ray."""
     i = first + wp.tid()
     normals[i] = hit_normal(mesh, primitive[i])
 
@@ -172,9 +173,10 @@ def locate_geometry(
     geometry: wp.array(dtype=int),
     local: wp.array(dtype=int),
 ):
-    """Item: a ray. Turns the scene's triangle number into instance, geometry and a triangle of it; all -1 for a miss.
+    """Splits the scene's triangle number into instance, geometry and triangle of the geometry; all -1 for a miss. Item: a ray.
 
-    Without instances, a geometry is its own instance."""
+    In a scene without instances the instance equals the geometry.
+    """
     i = first + wp.tid()
     found = int(-1)
     shared = int(-1)
@@ -192,6 +194,6 @@ def locate_geometry(
 
 @wp.kernel
 def mark_hits(first: int, primitive: wp.array(dtype=int), is_hit: wp.array(dtype=wp.bool)):
-    """Item: a ray. Whether it hit anything."""
+    """Writes whether a ray hit anything. Item: a ray."""
     i = first + wp.tid()
     is_hit[i] = primitive[i] >= 0

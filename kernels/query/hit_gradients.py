@@ -1,26 +1,27 @@
-"""Where a ray meets the plane of a given triangle, as a kernel that Warp can run backwards.
+"""Intersection of a ray with the plane of a given triangle, as a kernel that Warp can differentiate.
 
-**Problem.** Which triangle a ray hits first is a step function of ray and vertices: it has no useful derivative. Once the
-triangle is known, where it is hit is a smooth function of both, and that is what fits to measured ranges, poses and shapes
-descend along.
+**Problem.** The index of the first triangle that a ray hits is a step function of ray and vertices and has no useful
+derivative. For a fixed triangle, the point of intersection is a smooth function of both. Gradient descent on measured ranges,
+poses and shapes needs its derivatives.
 
-**Idea.** The search stays as it is. Its winners are intersected once more, by the formulas of Moeller and Trumbore, which are
-short, and smooth as long as the ray is not in the plane:
+**Idea.** The search is unchanged. The triangles that it finds are intersected once more by the formulas of Moeller and
+Trumbore, which are short, and smooth as long as the ray is not in the plane:
 
     e1 = b - a, e2 = c - a, s = o - a, det = e1 . (d x e2),
     u = s . (d x e2) / det, v = d . (s x e1) / det, t = e2 . (s x e1) / det,
     position = o + t d, normal = (e1 x e2) / |e1 x e2|.
 
-All in float64, whatever the arrays hold, so that points far from the origin keep their digits. Warp derives the adjoint; it
-adds up what rays have in common (vertices, a shared origin) with atomics, which on the CPU one thread at a time must do.
+All arithmetic is float64, whatever the type of the arrays, so points far from the origin keep their precision. Warp derives the
+adjoint. It accumulates gradients of shared inputs (vertices, a shared origin) with atomics; on the CPU these are only correct
+on one thread.
 
-**Limits.** With the triangle held fixed, derivatives know nothing of silhouettes: what changes because a ray slides from one
-surface to another has no part in them. Towards grazing angles they grow as 1 / sine, as t itself moves.
+**Limits.** The triangle is held fixed, so the derivatives do not include silhouettes: changes that arise because a ray moves
+from one surface to another are missing. The derivatives grow as 1 / sine of the angle between ray and plane, like t itself.
 
 References:
     T. Moeller, B. Trumbore: Fast, minimum storage ray-triangle intersection. Journal of Graphics Tools 2(1), 1997.
-    T.-M. Li, M. Aittala, F. Durand, J. Lehtinen: Differentiable Monte Carlo ray tracing through edge sampling.
-        ACM Transactions on Graphics 37(6), 2018 (on the part that is left out here).
+    T.-M. Li, M. Aittala, F. Durand, J. Lehtinen: Differentiable Monte Carlo ray tracing through edge sampling. ACM Transactions
+        on Graphics 37(6), 2018 (for the part that is omitted here).
 """
 
 from functools import cache
@@ -32,9 +33,9 @@ wp.set_module_options({"fuse_fp": False})
 
 @cache
 def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp.Kernel:
-    """The kernel for arrays of these types, each vec3 or vec3d; `double`: whether it writes float64.
+    """The kernel for arrays of these types, each vec3 or vec3d; `double`: whether the results are float64.
 
-    A stride of 0 shares element 0 among all rays. What it does not write it leaves as it is: rays that hit nothing.
+    A stride of 0 shares element 0 among all rays. The kernel does not write the results of rays that hit nothing.
     """
     Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
 

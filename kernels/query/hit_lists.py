@@ -1,7 +1,8 @@
-"""All hits of each ray, from the room in which a traversal left them to sorted lists without gaps (count, scan, fill).
+"""All hits of each ray: turns the unordered output of a traversal into sorted, compact lists (count, scan, fill).
 
-A traversal writes the hits of a ray in the order in which it meets them. Here each ray's hits are sorted by t, then by
-triangle, which no tree, traversal or number of threads can change, and copied to where they belong.
+A traversal writes the hits of a ray in the order in which it finds them. The kernels here sort the hits of each ray by t, then
+by triangle. This order does not depend on the tree, the traversal or the number of threads. The sorted hits are then copied to
+their final positions.
 """
 
 import warp as wp
@@ -11,12 +12,12 @@ from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 FEW = wp.constant(16)
-"""Hits up to which a ray's list is sorted by insertion; more by a heap, whose time grows no faster than n log n."""
+"""A list of at most this many hits is sorted by insertion; a longer list by heapsort, in O(n log n)."""
 
 
 @wp.func
 def comes_before(hits: HitBatch, a: int, b: int):
-    """Whether hit a comes before hit b: at the smaller t, then by the smaller triangle."""
+    """Whether hit a precedes hit b: it has the smaller t or, at equal t, the smaller triangle id."""
     return hits.t[a] < hits.t[b] or (hits.t[a] == hits.t[b] and hits.primitive[a] < hits.primitive[b])
 
 
@@ -36,7 +37,7 @@ def swap_hits(hits: HitBatch, a: int, b: int):
 
 @wp.func
 def sift_down(hits: HitBatch, begin: int, start: int, count: int):
-    """Restores the heap of `count` hits, the last of all on top, below the one at `start`."""
+    """Restores the heap property below element `start`; the heap has `count` hits and its root is the last hit in the order."""
     parent = int(start)
     child = int(2 * start + 1)
     while child < count:
@@ -69,13 +70,13 @@ def sort_hits(hits: HitBatch, begin: int, count: int):
 
 @wp.kernel
 def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets: wp.array(dtype=wp.int64), hits: HitBatch):
-    """Item: a traced ray. Its nearest hits, sorted, to the elements that `offsets` gives it.
+    """Sorts the hits of a traced ray and copies the nearest ones to the ray's elements of `hits`. Item: a traced ray.
 
     Args:
         first: number of the first item.
-        found: what the traversal wrote; a ray for which there was no room is passed over. Sorted in place.
-        order: the ray that each traced one is; empty if they are traced in their own order.
-        offsets: (rays + 1,) where the hits of each ray begin.
+        found: output of the traversal, sorted in place. Rays whose hits did not fit are skipped.
+        order: original number of each traced ray; empty if rays are traced in their original order.
+        offsets: (rays + 1,) start of each ray's hits.
         hits: `t`, `primitive` and `uv` are written.
     """
     item = first + wp.tid()
@@ -97,7 +98,7 @@ def gather_hits(first: int, found: HitBatch, order: wp.array(dtype=int), offsets
 
 @wp.kernel
 def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(dtype=int)):
-    """Item: a ray. Writes its number to each of its hits."""
+    """Writes the number of a ray to each of its hits. Item: a ray."""
     i = first + wp.tid()
     for k in range(int(offsets[i]), int(offsets[i + 1])):
         ray_id[k] = i
@@ -105,21 +106,21 @@ def number_rays(first: int, offsets: wp.array(dtype=wp.int64), ray_id: wp.array(
 
 @wp.kernel
 def count_listed(first: int, offsets: wp.array(dtype=wp.int64), counts: wp.array(dtype=int)):
-    """Item: a ray. Number of its hits in the lists."""
+    """Writes the number of hits in a ray's list. Item: a ray."""
     i = first + wp.tid()
     counts[i] = int(offsets[i + 1] - offsets[i])
 
 
 @wp.kernel
 def is_odd(first: int, counts: wp.array(dtype=int), odd: wp.array(dtype=wp.bool)):
-    """Item: a ray. Whether it crosses the surface an odd number of times."""
+    """Writes whether a ray crosses the surface an odd number of times. Item: a ray."""
     i = first + wp.tid()
     odd[i] = (counts[i] & 1) != 0
 
 
 @wp.kernel
 def aim_outwards(first: int, rays: RayBatch, direction: wp.vec3, directions: wp.array(dtype=wp.vec3)):
-    """Item: a ray. Along the direction or against it, whichever leads away from the scene's centre."""
+    """Writes `direction` or its opposite, whichever points away from the scene's centre at the ray's origin. Item: a ray."""
     i = first + wp.tid()
     offset = wp.vec3(wp.vec3d(rays.origins[i * rays.origin_stride]) - rays.center)
     directions[i] = wp.where(wp.dot(offset, direction) < 0.0, -direction, direction)

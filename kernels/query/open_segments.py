@@ -1,18 +1,18 @@
-"""Whether the open segment between two points is free.
+"""Visibility between two points: whether the open segment between them is unobstructed.
 
-**Problem.** Points to be seen mostly lie on surfaces: on them but for rounding. The ray between two such points meets their own
-triangles, near its ends and, where it leaves at a grazing angle, far from them; that must not count.
+**Problem.** The points usually lie on surfaces, up to rounding. The ray between them hits the triangles on which they lie, near
+its ends and, if it leaves at a grazing angle, far from them. Such hits must not count.
 
-**Rule.** A triangle whose plane passes through one of the ends, within rounding, does not block. That is more than to leave
-out hits near the ends: at a grazing angle, a rounding of the end moves the hit along the ray by many times as much, but the
-end stays as near to the plane as it was. Rounding is bound by `TOUCH` times the largest coordinate of the triangle and of the
-end, relative to the scene's centre, and that of the caller's float32 coordinates.
+**Rule.** A triangle whose plane passes through one of the end points, within rounding, does not block. This is stronger than
+ignoring hits near the ends: at a grazing angle, a rounding of an end point moves the hit along the ray by many times as much,
+but the distance of the end point from the plane stays small. Rounding is bounded by `TOUCH` times the largest coordinate of the
+triangle and of the end point, relative to the scene's centre, plus the rounding of the caller's float32 coordinates.
 
-**Symmetry.** The rays from a to b and from b to a are rounded differently, and may pass an edge on different sides. So the ray
-of a pair always starts at the same one of its ends: the smaller by x, then y, then z.
+**Symmetry.** The rays from a to b and from b to a are rounded differently and may pass an edge on different sides. The ray of a
+pair therefore always starts at the smaller of its end points, ordered by x, then y, then z.
 
-**Steps.** Most pairs are decided by the nearest hit, looked for only where it is farther than rounding from both ends: none, or
-one on a triangle through neither end. The others are decided by the list of all hits.
+**Steps.** The nearest hit, searched only farther than rounding from both ends, decides most pairs: there is none, or its
+triangle passes through neither end. The list of all hits decides the others.
 """
 
 import warp as wp
@@ -23,22 +23,24 @@ from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TOUCH = wp.constant(2.0**-22)
-"""Four roundings of half a unit in the last place, as a share of the largest coordinate: two of a point, two of a plane."""
+"""Tolerance as a fraction of the largest coordinate: four roundings of half a unit in the last place, two of a point, two of a
+plane."""
 
 HIDDEN = wp.constant(0)
 VISIBLE = wp.constant(1)
 UNDECIDED = wp.constant(2)
+"""Results of a pair."""
 
 
 @wp.func
 def size_of(v: wp.vec3):
-    """Largest component."""
+    """Largest absolute component."""
     return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
 
 
 @wp.func
 def comes_first(a: wp.vec3d, b: wp.vec3d):
-    """Whether a is not after b: by x, then y, then z."""
+    """Whether a precedes or equals b, ordered by x, then y, then z."""
     return a[0] < b[0] or (a[0] == b[0] and (a[1] < b[1] or (a[1] == b[1] and a[2] <= b[2])))
 
 
@@ -55,8 +57,11 @@ def connect_points(
     targets: wp.array(dtype=wp.vec3),
     verdict: wp.array(dtype=int),
 ):
-    """Item: a pair of points. Its ray, from the first one in order, and where that ends, relative to the centre, t = 1; pairs
-    without a ray are decided."""
+    """Writes the ray of a pair, from its smaller point, and the end point relative to the centre, at t = 1. Item: a pair of
+    points.
+
+    A pair without a ray gets its result here.
+    """
     i = first + wp.tid()
     one = from_points[from_index[i]]
     other = to_points[to_index[i]]
@@ -78,7 +83,7 @@ def connect_points(
 
 @wp.func
 def passes_through(mesh: SceneMesh, primitive: int, point: wp.vec3, rounding: float):
-    """Whether the triangle's plane passes through the point, within rounding; true for a triangle without area."""
+    """Whether the plane of a triangle passes through a point, within rounding; true for a degenerate triangle."""
     corners = triangle_of(mesh, primitive)
     a = wp.vec3(corners.a)
     b = wp.vec3(corners.b)
@@ -90,7 +95,7 @@ def passes_through(mesh: SceneMesh, primitive: int, point: wp.vec3, rounding: fl
 
 @wp.func
 def blocks(mesh: SceneMesh, primitive: int, start: wp.vec3, end: wp.vec3, rounding: float):
-    """Whether a triangle that the segment meets hides its ends from each other."""
+    """Whether a triangle that the segment hits obstructs it."""
     return not (passes_through(mesh, primitive, start, rounding) or passes_through(mesh, primitive, end, rounding))
 
 
@@ -104,7 +109,7 @@ def judge_nearest(
     rounding: float,
     verdict: wp.array(dtype=int),
 ):
-    """Item: a pair of points and the nearest hit of its ray, -1 for none."""
+    """Decides a pair by the nearest hit of its ray, -1 for none, where that suffices. Item: a pair of points."""
     i = first + wp.tid()
     if primitive[i] >= 0:
         verdict[i] = wp.where(blocks(mesh, primitive[i], rays.origins[i], targets[i], rounding), HIDDEN, UNDECIDED)
@@ -122,7 +127,8 @@ def judge_lists(
     rounding: float,
     verdict: wp.array(dtype=int),
 ):
-    """Item: an undecided pair, number order[item], and the hits of its ray, elements offsets[item] .. of `primitive`."""
+    """Decides an undecided pair, number order[item], by all hits of its ray, elements offsets[item] .. of `primitive`. Item: a
+    pair."""
     i = first + wp.tid()
     pair = order[i]
     result = int(VISIBLE)

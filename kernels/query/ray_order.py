@@ -1,24 +1,21 @@
-"""Rays in an order in which neighbours look alike: by cell of the origin and octant of the direction.
+"""Ray reordering: sorts rays by the grid cell of the origin and the octant of the direction.
 
-**Problem.** Rays with scattered origins touch another part of the tree each time; if tree and triangles do not fit into the
-nearest caches, tracing waits for memory.
+**Problem.** Rays with scattered origins visit different parts of the tree. If tree and triangles exceed the caches, tracing
+waits for memory.
 
-**Idea.** Trace rays from the same region together, and those of them with the same direction signs after one another: the
-sort keys of Garanzha and Loop's ray sorting, coarsely (2010; survey, section 5, memory-coherent tracing: Pharr et al. 1997
-queue rays by cells of a grid). Eight by eight by eight cells and eight octants are 4096 buckets, so one pass of counting,
-scanning and filling sorts the rays' numbers. The rays are then copied in that order and their hits copied back: reading
-them through the order while tracing waits for memory once a ray, copying has many such reads under way.
+**Idea.** Trace rays from the same region together and, within the region, rays with the same direction signs together. These
+are the sort keys of Garanzha and Loop (2010), at low resolution; Pharr et al. (1997) queue rays by the cells of a grid. 8 x 8 x
+8 cells and 8 octants are 4096 buckets, so one counting sort (count, scan, fill) orders the ray numbers. The rays are then
+copied in that order, and their hits are copied back. Copying keeps many memory reads in flight; reading through the order
+during tracing would wait once per ray.
 
-**Measured** (Zen 5, one thread, a million random rays): tracing alone gets 1.2 times as fast on the bunny, and 2.5 times on
-the dragon of 810,000 triangles, where unsorted streams are slower than single rays; finer cells are no better. But copying
-rays and hits to and fro costs 50 to 100 ns a ray, one read or write of memory out of reach after the other, so that only
-large scenes are worth it. Sorting runs of 2^14 to 2^18 rays each for itself made the copies cheaper and the
-order worse: nothing gained.
+**Limits.** The copies cost several cache misses per ray, so reordering pays only for large scenes
+(notebooks/records/2026-11-21-streams.md).
 
 References:
     M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997.
     K. Garanzha, C. Loop: Fast ray sorting and breadth-first packet traversal for GPU ray tracing. Eurographics 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.1).
 """
 
 from collections.abc import Callable
@@ -32,20 +29,21 @@ from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CELLS = wp.constant(8)
-"""Cells an axis."""
+"""Number of grid cells per axis."""
 
 BUCKETS = 8 * 8 * 8 * 8
+"""Cells of the grid times octants."""
 
 LEAST_CHUNK = 1 << 14
-"""Rays that are worth a row of counts."""
+"""Least number of rays per row of counts on the CPU."""
 
 CUDA_CHUNK = 1 << 10
-"""The same on CUDA, where a row is one thread's."""
+"""Rays per row of counts on CUDA, where one thread fills a row."""
 
 
 @wp.func
 def cell_of(offset: float, scale: float):
-    """Cell of a coordinate; those outside, and NaN, count as the first or last."""
+    """Grid cell of a coordinate; coordinates outside the grid, and NaN, are clamped to the first or last cell."""
     place = offset * scale
     inside = wp.where(place >= 0.0, wp.where(place < float(CELLS - 1), place, float(CELLS - 1)), 0.0)
     return int(inside)
@@ -61,7 +59,7 @@ def count_rays(
     bucket: wp.array(dtype=wp.uint16),
     counts: wp.array2d(dtype=int),
 ):
-    """Item: a chunk of rays. counts: (chunks, BUCKETS), zeros."""
+    """Counts the rays of a chunk by bucket. Item: a chunk of rays. counts: (chunks, BUCKETS), initially 0."""
     item = first + wp.tid()
     row = counts[item]
     for i in range(item * chunk, wp.min(rays.count, (item + 1) * chunk)):
@@ -80,7 +78,7 @@ def count_rays(
 
 @wp.kernel
 def scan_counts(first: int, counts: wp.array2d(dtype=int)):
-    """Item: the whole table, bucket after bucket and within it chunk after chunk: counts become places."""
+    """Turns counts into positions: an exclusive scan by bucket, then by chunk. Item: the whole table."""
     place = int(0)
     for which in range(counts.shape[1]):
         for item in range(counts.shape[0]):
@@ -98,7 +96,7 @@ def fill_order(
     places: wp.array2d(dtype=int),
     order: wp.array(dtype=int),
 ):
-    """Item: a chunk of rays. order: (rays,) numbers of the rays."""
+    """Writes the ray numbers of a chunk to their sorted positions. Item: a chunk of rays. order: (rays,) ray numbers."""
     item = first + wp.tid()
     row = places[item]
     for i in range(item * chunk, wp.min(count, (item + 1) * chunk)):
@@ -110,7 +108,7 @@ def fill_order(
 
 @wp.kernel
 def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_rays: RayBatch):
-    """Item: a place in the order. What all rays share is not copied."""
+    """Copies a ray to its place in the order. Item: a place in the order. Elements shared by all rays are not copied."""
     place = first + wp.tid()
     i = order[place]
     if rays.origin_stride != 0:
@@ -127,7 +125,7 @@ def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_r
 
 @wp.kernel
 def scatter_hits(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Item: a place in the order."""
+    """Copies a closest hit back to the place of its ray. Item: a place in the order."""
     place = first + wp.tid()
     i = order[place]
     hits.t[i] = sorted_hits.t[place]
@@ -137,21 +135,21 @@ def scatter_hits(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, 
 
 @wp.kernel
 def scatter_occlusion(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Item: a place in the order."""
+    """Copies an any-hit result back to the place of its ray. Item: a place in the order."""
     place = first + wp.tid()
     hits.occluded[order[place]] = sorted_hits.occluded[place]
 
 
 @wp.kernel
 def scatter_counts(first: int, order: wp.array(dtype=int), sorted_hits: HitBatch, hits: HitBatch):
-    """Item: a place in the order."""
+    """Copies a count back to the place of its ray. Item: a place in the order."""
     place = first + wp.tid()
     hits.counts[order[place]] = sorted_hits.counts[place]
 
 
 @wp.kernel
 def count_buckets(first: int, chunk: int, bucket: wp.array(dtype=wp.uint16), counts: wp.array2d(dtype=int)):
-    """Item: a chunk of rays. counts: (chunks, buckets), zeros."""
+    """Counts the rays of a chunk by bucket. Item: a chunk of rays. counts: (chunks, buckets), initially 0."""
     item = first + wp.tid()
     row = counts[item]
     for i in range(item * chunk, wp.min(bucket.shape[0], (item + 1) * chunk)):
@@ -159,10 +157,11 @@ def count_buckets(first: int, chunk: int, bucket: wp.array(dtype=wp.uint16), cou
 
 
 def sort_buckets(bucket: wp.array, buckets: int) -> tuple[wp.array, list[int]]:
-    """Rays bucket by bucket, in their own order within each: ((rays,) int32 numbers, where each bucket begins, and the end).
+    """Sorts rays by bucket, stably. Returns ((rays,) int32 ray numbers, starts of the buckets followed by the end).
 
     Args:
-        bucket: (rays,) uint16, below `buckets`.
+        bucket: (rays,) uint16 bucket of each ray, below `buckets`.
+        buckets: number of buckets.
     """
     device, count = bucket.device, len(bucket)
     chunk = CUDA_CHUNK if device.is_cuda else max(LEAST_CHUNK, -(-count // (4 * get_num_threads())))
@@ -171,18 +170,18 @@ def sort_buckets(bucket: wp.array, buckets: int) -> tuple[wp.array, list[int]]:
     order = wp.empty(count, dtype=int, device=device)
     launch(count_buckets, chunks, [chunk, bucket, counts], device=device, chunk=1)
     launch(scan_counts, 1, [counts], device=device)
-    begins = [*counts[0].numpy().tolist(), count] if chunks else [0] * (buckets + 1)  # places now: the one round trip
+    begins = [*counts[0].numpy().tolist(), count] if chunks else [0] * (buckets + 1)  # positions; the only read-back
     launch(fill_order, chunks, [count, chunk, bucket, counts, order], device=device, chunk=1)
     return order, begins
 
 
 def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -> wp.array:
-    """The order in which to trace the rays, (rays,) int32, the same for any number of threads.
+    """The order in which to trace the rays: (rays,) int32 ray numbers, independent of the number of threads.
 
     Args:
         rays: the batch.
         low, high: the scene's box, relative to its centre.
-        device: where the rays are.
+        device: device of the rays.
     """
     count = rays.count
     chunk = max(LEAST_CHUNK, -(-count // (4 * get_num_threads())))
@@ -198,7 +197,7 @@ def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -
 
 
 def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.Device], wp.array]) -> RayBatch:
-    """The rays whose numbers are given, in that order; `empty(count, dtype, device)` makes their arrays."""
+    """The rays in the given order; `empty(count, dtype, device)` allocates their arrays."""
     device, count = order.device, len(order)
     result = RayBatch()
     result.count, result.center = count, rays.center
@@ -213,9 +212,9 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
 
 
 SCATTER = {CLOSEST: scatter_hits, ANY: scatter_occlusion, COUNT: scatter_counts, ALL: scatter_counts}
-"""What moves the results of each query; all hits stay where they are."""
+"""Kernel that copies the results of each query back; lists of all hits are not moved."""
 
 
 def unsort_hits(order: wp.array, sorted_hits: HitBatch, hits: HitBatch, query: str) -> None:
-    """Writes the results of sorted rays to the rays' own places."""
+    """Copies the results of sorted rays to the places of the original rays."""
     launch(SCATTER[query], len(order), [order, sorted_hits, hits], device=order.device, chunk=4096)

@@ -1,4 +1,5 @@
-"""Rays that each pass through one triangle: the single-ray walks with the step of `wrt.kernels.traversal.single.skip_step`."""
+"""Queries in which each ray ignores one triangle: the single-ray walks with the step of
+`wrt.kernels.traversal.single.skip_step`."""
 
 from functools import cache
 
@@ -16,9 +17,10 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @cache
 def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
-    """The kernel for a kind of tree, key in `WALKS`, and a config that is `skipping`.
+    """The kernel for a kind of tree (a key in `WALKS`) and a config with `skipping` set.
 
-    Its argument `skipped`: (N,), or (n,) for rays in rows of n that skip the same triangles row by row; -1 skips nothing.
+    Its argument `skipped` has the ignored triangle of each ray: (N,), or (n,) for rays in rows of n that share them by column;
+    -1 ignores nothing.
     """
     Tree, make_walk = WALKS[kind]
     walk, store = make_walk(config), store_best(config)

@@ -1,1 +1,1 @@
-"""The host side of kernels: how many cores there are, the pool of threads that runs CPU kernels, and its schedules."""
+"""The host side of kernels: available cores, the thread pool that runs CPU kernels, packed arguments, and schedules."""

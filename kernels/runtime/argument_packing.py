@@ -1,4 +1,4 @@
-"""A CPU kernel with its arguments packed once, to be called as often as wanted for any range of items."""
+"""A CPU kernel whose arguments are packed once and that can be called repeatedly, for any range of items."""
 
 import ctypes
 from collections.abc import Sequence
@@ -11,19 +11,19 @@ import warp as wp
 
 @cache
 def arguments_type(types: tuple[type, ...]) -> type[ctypes.Structure]:
-    """The struct by which compiled code gets arguments of these types: fields p0, p1, ..."""
+    """The struct in which compiled code receives arguments of these types: fields p0, p1, ..."""
     return type("Arguments", (ctypes.Structure,), {"_fields_": [(f"p{i}", kind) for i, kind in enumerate(types)]})
 
 
 class Compiled:
-    """A kernel's compiled code, and what packing its arguments needs to know, kept from its first launch.
+    """A kernel's compiled code and the data for packing its arguments, cached from its first launch.
 
     Attributes:
         code: keeps the compiled code loaded.
         forward: the entry point.
         bounds, bounds_type: launch bounds of one item, as bytes, and their type.
         arguments: the struct of packed arguments.
-        packers: for each parameter, its declared type, the class of its values if that is a struct, and its packed type.
+        packers: for each parameter, its declared type, the class of its values if it is a struct, and its packed type.
     """
 
     def __init__(self, kernel: wp.Kernel, launch: wp.Launch) -> None:
@@ -36,7 +36,7 @@ class Compiled:
         self.packers = [(kind, getattr(kind, "instance_type", None), how) for kind, how in zip(declared, packed, strict=True)]
 
     def pack(self, inputs: Sequence[Any]) -> ctypes.Structure | None:
-        """Packed arguments; None if a value is not plainly of its parameter's type, which is for Warp to convert or refuse."""
+        """Packed arguments; None if a value does not have exactly its parameter's type, and Warp must convert or reject it."""
         if len(inputs) != len(self.packers):
             return None
         packed = []
@@ -57,18 +57,21 @@ class Compiled:
 
 
 INTEGERS = (ctypes.c_int32, ctypes.c_int64)
+"""Packed types for which a Python int is accepted."""
+
 _compiled: WeakKeyDictionary[wp.Kernel, Compiled] = WeakKeyDictionary()
 
 
 class PackedKernel:
-    """A CPU kernel's compiled code, its launch bounds and its packed arguments.
+    """A CPU kernel's compiled code, its launch bounds and its packed arguments: an entry of a launch cache.
 
-    Warp packs and checks the arguments of a kernel's first launch; for the later ones that takes a fifth of the time here.
-    The first parameter of the kernel is the number of the first item if it is to be called for ranges (`call_range`).
+    Warp packs and checks the arguments of a kernel's first launch; later ones are packed here, in a fraction of the time
+    (notebooks/records/2026-11-22-launches.md). The first parameter of a kernel that is called for ranges (`call_range`) is the
+    number of the first item.
 
     Attributes:
         bounds: the launch bounds, of one item unless changed.
-        arguments: the packed arguments; those that are structs can be written in place (`argument`).
+        arguments: the packed arguments; struct arguments can be modified in place (`argument`).
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
@@ -78,7 +81,7 @@ class PackedKernel:
         if arguments is None:
             launch = wp.launch(kernel, dim=1, inputs=inputs, device=device, record_cmd=True, record_tape=False)
             compiled = Compiled(launch.kernel, launch)
-            if launch.kernel is kernel:  # else it is one of many that a generic kernel stands for
+            if launch.kernel is kernel:  # otherwise it is one overload of a generic kernel
                 _compiled[kernel] = compiled
             arguments = compiled.arguments(*launch.params[1:])
         self._compiled, self._forward, self.arguments = compiled, compiled.forward, arguments
@@ -90,7 +93,7 @@ class PackedKernel:
         return ctypes.cast(self._forward, ctypes.c_void_p).value
 
     def argument(self, index: int) -> Any:
-        """The packed form of an argument; what is written into a struct's fields holds for the next call."""
+        """The packed form of an argument. Values written to the fields of a struct take effect at the next call."""
         return getattr(self.arguments, f"p{index}")
 
     def call(self) -> None:
@@ -98,14 +101,17 @@ class PackedKernel:
         self._forward(ctypes.byref(self.bounds), ctypes.byref(self.arguments))
 
     def call_own_range(self, first: int, count: int) -> None:
-        """As `call_range`, by the one thread that uses this object."""
+        """Same as `call_range`, for an object that one thread uses: no copies are made."""
         bounds, arguments = self.bounds, self.arguments
         bounds.shape[0] = bounds.size = count
         arguments.p0 = first
         self._forward(ctypes.byref(bounds), ctypes.byref(arguments))
 
     def call_range(self, first: int, count: int) -> None:
-        """Runs the kernel for the items first .. first + count - 1, on copies: other threads may do so at the same time."""
+        """Runs the kernel for the items first .. first + count - 1.
+
+        It works on copies of bounds and arguments, so several threads can call it at the same time.
+        """
         bounds = type(self.bounds).from_buffer_copy(self.bounds)
         bounds.shape[0] = bounds.size = count
         arguments = type(self.arguments).from_buffer_copy(self.arguments)

@@ -1,44 +1,45 @@
 """The native half of the thread pool: helper threads that stay in compiled code and take chunks of any CPU kernel.
 
-Warp's entry point of a CPU kernel is a C function of two pointers, the launch bounds and the packed arguments. So native code
-can run any kernel for any range of items, without Python: it copies both, writes the first item and the number of items, and
-calls. Two kernels do that, `serve` on each helper thread and `lead` on the thread that asks. They meet on the *board*, an array
-of 64-bit words:
+Warp's entry point of a CPU kernel is a C function of two pointers, the launch bounds and the packed arguments. Native code can
+therefore run any kernel for any range of items, without Python: it copies both, writes the first item and the number of items,
+and calls the function. Two kernels do this, `serve` on each helper thread and `lead` on the calling thread (the leader). They
+communicate through the *board*, an array of 64-bit words:
 
     words               contents
     MASK                bit s is set while slot s has a job
-    EPOCH               futex on which helpers sleep; changes when a job wants helpers
-    SLEEPING            helpers asleep
-    SPINNING            helpers that wait awake
-    CLOSED              1: helpers leave
-    MOST_SPINNING       helpers that may wait awake at a time
-    SPIN_NS             nanoseconds for which a helper waits awake before it sleeps
+    EPOCH               futex on which helpers sleep; changes when a job needs helpers
+    SLEEPING            number of sleeping helpers
+    SPINNING            number of spinning helpers
+    CLOSED              1: helpers return
+    MOST_SPINNING       greatest number of helpers that spin at a time
+    SPIN_NS             nanoseconds for which a helper spins before it sleeps
     slot s, from FIRST_SLOT + s * SLOT_WORDS on
-      GENERATION        odd while the job takes helpers; each change ends or begins a job
-      ACTIVE            helpers inside
-      NEXT              first item that nobody has claimed ("guided", "fixed", "locked")
+      GENERATION        odd while the job accepts helpers; each change ends or begins a job
+      ACTIVE            number of helpers that work on the job
+      NEXT              first item that no thread has claimed ("guided", "fixed", "locked")
       LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED
       job               JOB_WORDS words, copied from the caller's `Job`
 
 **A job.** The leader copies the job into its slot, makes GENERATION odd, sets its bit in MASK, wakes helpers if any sleep, and
-claims chunks like every helper. When nothing is left it makes GENERATION even and waits until ACTIVE is 0. A helper adds itself
-to ACTIVE and then looks at GENERATION again, so it is either seen by the leader or sees the end (both are sequentially
-consistent). A helper that the system does not run delays nobody unless it holds a chunk.
+claims chunks like a helper. When no items are left it makes GENERATION even and waits until ACTIVE is 0. A helper increments
+ACTIVE and then reads GENERATION again, so either the leader sees the helper or the helper sees the end (both operations are
+sequentially consistent). A helper that is not scheduled by the system delays a job only if it holds a chunk.
 
-**Programs.** A job may name another one to go on with, and numbers in memory that say how many items it has, and whether to
-go on: so a loop over the levels of a tree runs without Python. The end of a job is the barrier between the two.
+**Programs.** A job may name a following job, a number in memory that gives its number of items, and a number that decides
+whether to continue. A loop over the levels of a tree thus runs without Python. The end of a job is the barrier between the two.
 
-**Interrupts.** `lead` returns to Python after `TURN_NS` at the latest, or after the chunk it is in, so that Python can handle
-signals, and is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, which makes GENERATION
-even, and goes on calling `lead` until all helpers have left.
+**Interrupts.** `lead` returns to Python after at most `TURN_NS`, or after its current chunk, so that Python can handle signals.
+It is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, which makes GENERATION even, and continues to
+call `lead` until all helpers have left.
 
-**Waiting.** A helper without work spins for SPIN_NS, if no more than MOST_SPINNING do, then sleeps on a futex. It adds itself
-to SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING: one of the two sees the other.
-A leader wakes `WAKE` helpers, and each of them wakes as many while chunks are left, so that nobody makes all the system calls.
+**Waiting.** A helper without work spins for SPIN_NS, if at most MOST_SPINNING helpers do, and then sleeps on a futex. It
+increments SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING. One of the two therefore
+sees the other. A leader wakes `WAKE` helpers, and each of them wakes as many while chunks are left, so that the system calls
+are shared.
 
-Schedules are explained in `wrt.kernels.runtime.schedules`.
+`wrt.kernels.runtime.schedules` describes the schedules.
 
-Needs Linux (futex), on any processor that Warp's compiler knows.
+**Limits.** Needs Linux (futex); works on every processor that Warp's compiler supports.
 """
 
 import warp as wp
@@ -49,18 +50,22 @@ MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MOST_SPINNING, SPIN_NS = 0, 16, 32, 48,
 FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64
 GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, JOB = 0, 16, 32, 33, 34, 48, 49, 50, 51, 52
 JOB_WORDS = 16
+"""Size of a `Job` in 64-bit words."""
+
 BOARD_WORDS = FIRST_SLOT + SLOTS * SLOT_WORDS
+"""Size of the board in 64-bit words."""
+
 IDLE, RUNNING, ENDING, BETWEEN = 0, 1, 2, 3
-"""PHASE of a slot, which only its leader uses."""
+"""Values of PHASE in a slot; only the leader of the slot uses it."""
 
 MOST_ARGUMENT_BYTES = 8192
-"""Packed arguments of a kernel are copied to the stack of each thread; no kernel has more."""
+"""Greatest size of packed arguments; they are copied to the stack of each thread, and no kernel here has more."""
 
 TURN_NS = 20_000_000
-"""Time after which a leader returns to Python, which then handles signals."""
+"""Nanoseconds after which a leader returns to Python, which then handles signals."""
 
 WAKE = 2
-"""Sleeping helpers that a leader wakes, and each helper that was woken."""
+"""Number of sleeping helpers that a leader wakes, and that each woken helper wakes."""
 
 NATIVE = f"""
     typedef long long word;
@@ -197,6 +202,7 @@ NATIVE = f"""
         return s[SCHEDULE] >= ROUND_ROBIN ? get(s + JOINED) < s[HELPERS] : get(s + NEXT) < s[COUNT];
     }};
 """
+"""C++ shared by all functions: names of the words, atomics, futex calls, and the claiming of chunks."""
 
 SERVE = (
     NATIVE
@@ -252,6 +258,7 @@ SERVE = (
     return 0;
 """
 )
+"""C++ of the loop of a helper."""
 
 LEAD = (
     NATIVE
@@ -314,22 +321,23 @@ LEAD = (
     }}
 """
 )
+"""C++ of a turn of a leader."""
 
 
 def on_cpu(code: str) -> str:
-    """The code where it is compiled for a CPU; the pool has no part in what runs on CUDA, where it is nothing."""
+    """Code that is compiled for CPUs only; on CUDA, which does not use the pool, it is empty."""
     return f"#if !defined(__CUDA_ARCH__)\n{code}\n#endif\n    return 0;\n"
 
 
 @wp.func_native(on_cpu(SERVE))
 def serve_native(board: wp.array(dtype=wp.int64)) -> int:
-    """A helper's work, until the board is closed."""
+    """The loop of a helper; returns when the board is closed."""
     ...
 
 
 @wp.func_native(on_cpu(LEAD))
 def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) -> int:
-    """Begins the job at this address in a slot, or goes on with the one that is there, and with those that follow."""
+    """Begins the job at address `job` in a slot, or continues the current one and those that follow it."""
     ...
 
 
@@ -344,7 +352,7 @@ def lead_native(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64) 
     )
 )
 def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
-    """Makes all threads take no further chunk of a slot's job."""
+    """Stops the job of a slot: no thread takes another chunk."""
     ...
 
 
@@ -359,29 +367,29 @@ def stop_native(board: wp.array(dtype=wp.int64), slot: wp.int64) -> int:
     )
 )
 def close_native(board: wp.array(dtype=wp.int64)) -> int:
-    """Makes all helpers leave."""
+    """Makes all helpers return."""
     ...
 
 
 @wp.kernel
 def serve(board: wp.array(dtype=wp.int64)):
-    """One item: a helper thread."""
+    """Runs a helper thread. One item."""
     serve_native(board)
 
 
 @wp.kernel
 def lead(board: wp.array(dtype=wp.int64), slot: wp.int64, job: wp.int64):
-    """One item: a turn of the thread that leads the job of a slot. job: address of a `Job` (`wrt.kernels.runtime.pool`)."""
+    """Runs one turn of the leader of a slot's job. One item. job: address of a `Job` (`wrt.kernels.runtime.pool`)."""
     lead_native(board, slot, job)
 
 
 @wp.kernel
 def stop(board: wp.array(dtype=wp.int64), slot: wp.int64):
-    """One item."""
+    """Stops the job of a slot. One item."""
     stop_native(board, slot)
 
 
 @wp.kernel
 def close(board: wp.array(dtype=wp.int64)):
-    """One item."""
+    """Closes the board. One item."""
     close_native(board)

@@ -1,4 +1,4 @@
-"""How many cores this process may use: its affinity mask, and the CPU quota of its control group."""
+"""Number of cores that this process may use: its affinity mask, and the CPU quota of its control group."""
 
 import math
 import os
@@ -6,13 +6,15 @@ from functools import cache
 from pathlib import Path
 
 CGROUPS = Path("/sys/fs/cgroup")
+"""Mount point of the control groups."""
 
 
 def available_cores() -> int:
-    """Cores that this process may run on, at least 1.
+    """Number of cores that this process may use, at least 1.
 
-    The least of the cores in the affinity mask (`taskset`, a batch system) and the CPU quota of the control group
-    (`docker --cpus`, Kubernetes limits), rounded up: threads beyond a quota are stopped by the scheduler while they hold work.
+    This is the lesser of the cores in the affinity mask (`taskset`, a batch system) and the CPU quota of the control group
+    (`docker --cpus`, Kubernetes limits), rounded up. Threads beyond a quota would be suspended by the scheduler while they hold
+    work.
     """
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, math.ceil(min(cores, cpu_quota())))
@@ -20,9 +22,9 @@ def available_cores() -> int:
 
 @cache
 def cpu_quota(process: Path = Path("/proc/self/cgroup"), groups: Path = CGROUPS) -> float:
-    """CPU time per time that the process's control groups allow, read once: 1.5 is a core and a half; inf without a limit.
+    """CPU time per unit of time that the process's control groups allow: 1.5 is a core and a half; inf without a limit. Cached.
 
-    Version 2 has the limits of a group and of all its ancestors in `cpu.max`, version 1 in `cpu.cfs_quota_us`.
+    Version 2 stores the limits of a group and of its ancestors in `cpu.max`, version 1 in `cpu.cfs_quota_us`.
     """
     try:
         lines = process.read_text().splitlines()
@@ -39,7 +41,7 @@ def cpu_quota(process: Path = Path("/proc/self/cgroup"), groups: Path = CGROUPS)
             least = min(least, _quota_of(folder))
             if folder == root:
                 break
-        least = min(least, _quota_of(root))  # inside a container the path above may be that of the host
+        least = min(least, _quota_of(root))  # in a container the path above may be that of the host
     return least
 
 

@@ -1,8 +1,8 @@
-"""Where compiled kernels are kept: Warp's folder, or a temporary one if nothing can be written there.
+"""The folder of compiled kernels (the kernel cache): Warp's folder, or a temporary one if that is not writable.
 
-Warp keeps what it compiles in a folder of the user's, or in the one that WARP_CACHE_PATH names. In a container with a read-only
-file system, or on a full disk, it fails with whatever the system said about some file. Here, what went wrong is found out, and
-this process goes on with a folder of its own, which it removes at its end.
+Warp keeps compiled kernels in a folder of the user or in the folder that WARP_CACHE_PATH names. On a read-only file system or a
+full disk it fails with the system's error about some file. This module finds the cause, warns on stderr, and continues with a
+temporary folder, which the process removes at exit.
 """
 
 import atexit
@@ -14,11 +14,11 @@ import tempfile
 import warp as wp
 
 ROOM = 1 << 20
-"""Bytes that must fit into the folder: those of a large kernel."""
+"""Bytes that must fit into the folder: the size of a large kernel."""
 
 
 def init_warp() -> None:
-    """`wp.init`, wherever its folder may be."""
+    """Calls `wp.init`; switches to a temporary folder if the kernel cache is not writable."""
     try:
         wp.init()
     except OSError as error:
@@ -27,7 +27,10 @@ def init_warp() -> None:
 
 
 def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
-    """Compiles a module, or takes what is compiled, and loads it."""
+    """Compiles a module, or takes it from the kernel cache, and loads it.
+
+    If the kernel cache is not writable, it switches to a temporary folder.
+    """
     try:
         module.load(device, block_dim=block_dim)
     except Exception:
@@ -35,12 +38,12 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
         if error is None:
             raise
         use_temporary_folder(error)
-        module.mark_modified()  # Warp remembers that it failed
+        module.mark_modified()  # clears Warp's record of the failed build
         module.load(device, block_dim=block_dim)
 
 
 def find_fault(folder: str) -> OSError | None:
-    """Why nothing can be written to a folder; None if it can."""
+    """Returns the error that writing to a folder raises; None if the folder is writable."""
     try:
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(ROOM))
@@ -52,11 +55,11 @@ def find_fault(folder: str) -> OSError | None:
 
 
 def use_temporary_folder(error: OSError) -> None:
-    """Makes this process keep its kernels in a folder of its own from now on, and says so."""
+    """Makes this process use a temporary kernel cache from now on, and says so on stderr."""
     folder, owner = tempfile.mkdtemp(prefix="wrt-kernels-"), os.getpid()
 
     def remove() -> None:
-        if os.getpid() == owner:  # not at the end of a forked child
+        if os.getpid() == owner:  # a forked child must not remove its parent's folder
             shutil.rmtree(folder, ignore_errors=True)
 
     atexit.register(remove)

@@ -1,19 +1,21 @@
-"""How a kernel is run over N items: the thread pool on the CPU, one launch on CUDA.
+"""Runs a kernel over N items: by the thread pool on the CPU, by one launch on CUDA.
 
-Warp runs a CPU kernel on the calling thread and releases the interpreter lock meanwhile. So items are cut into contiguous
-chunks, which the caller and the pool's helpers claim in native code (`wrt.kernels.runtime.pool`). Chunks shrink towards the end
-(Polychronopoulos and Kuck), so that threads end together. The caller works too: a call from inside another call cannot wait for
-itself, and small batches never leave the calling thread. Where native helpers are not to be had, Python threads do the same,
-which scales to some four threads.
+Warp runs a CPU kernel on the calling thread and releases the interpreter lock meanwhile. Items are therefore divided into
+contiguous chunks, which the caller and the helpers of the pool claim in native code (`wrt.kernels.runtime.pool`). Chunks shrink
+towards the end, so that all threads finish at about the same time (Polychronopoulos and Kuck 1987). The caller works too, so a
+nested call never waits for itself, and small batches stay on the calling thread. On systems without native helpers, Python
+threads do the same; that scales to about four threads (notebooks/records/2026-11-22-launches.md).
 
-Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`.
-What a kernel writes for an item must not depend on the other items: then chunks and threads never change a result.
+Every kernel launched here has `first: int` as its first parameter and works on item `first + wp.tid()`. The result of an item
+must not depend on the other items; chunks and threads then never change a result.
 
-While a graph is captured on the CPU, all items are one launch.
+During graph capture on the CPU, all items are one launch.
+
+A `PreparedLaunch` keeps a kernel with its packed arguments for repeated use: the element of a launch cache.
 
 References:
-    C. D. Polychronopoulos and D. J. Kuck. Guided Self-Scheduling: A Practical Scheduling Scheme for Parallel
-    Supercomputers. IEEE Transactions on Computers C-36(12), 1987.
+    C. D. Polychronopoulos, D. J. Kuck: Guided self-scheduling: a practical scheduling scheme for parallel supercomputers. IEEE
+        Transactions on Computers C-36(12), 1987.
 """
 
 import os
@@ -37,16 +39,19 @@ from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 Config = TypeVar("Config")
 
 CHUNKS_PER_THREAD = 8
+"""Number of chunks per thread that determines the size of the first chunks."""
+
 MAX_CHUNK = 1 << 16
-"""Items that a launch has at most, if they are rays or triangles: about a hundredth of a second's work."""
+"""Greatest number of items in a chunk of rays or triangles: about 10 ms of work."""
 
 SMALLEST_SHARE = 4
 """The last chunks are this many times smaller than the first ones."""
 
 MAX_THREADS = 1024
+"""Greatest number of threads that can be set."""
 
 CUDA_BLOCK = 128
-"""Threads of a block on CUDA."""
+"""Threads per block on CUDA."""
 
 _lock = threading.RLock()
 _loaded: set[tuple[wp.Kernel, str]] = set()
@@ -57,7 +62,7 @@ _schedule: ContextVar[str] = ContextVar("wrt_schedule", default=DEFAULT_SCHEDULE
 
 
 def get_num_threads() -> int:
-    """Threads that CPU kernels use: `use_threads`, else `set_num_threads`, else WRT_NUM_THREADS, else all cores.
+    """Number of threads that CPU kernels use: `use_threads`, else `set_num_threads`, else WRT_NUM_THREADS, else all cores.
 
     Raises:
         ValueError: WRT_NUM_THREADS is not a whole number from 1 to 1024.
@@ -76,9 +81,10 @@ def get_num_threads() -> int:
 
 
 def set_num_threads(count: int | None) -> None:
-    """Sets the threads that CPU kernels use from now on; None goes back to the default.
+    """Sets the number of threads that CPU kernels use from now on; None restores the default.
 
     Raises:
+        TypeError: `count` is not an int.
         ValueError: `count` is not from 1 to 1024.
     """
     global _num_threads
@@ -87,7 +93,7 @@ def set_num_threads(count: int | None) -> None:
 
 @contextmanager
 def use_threads(count: int | None) -> Iterator[None]:
-    """Sets the threads for the launches inside the `with` block, of the calling thread only; None changes nothing."""
+    """Sets the number of threads for launches of the calling thread inside the `with` block; None changes nothing."""
     token = _local_threads.set(_local_threads.get() if count is None else count)
     try:
         yield
@@ -114,18 +120,18 @@ def launch(
     longest: int = MAX_CHUNK,
     chunks_per_thread: int = CHUNKS_PER_THREAD,
 ) -> None:
-    """Runs `kernel` for the items 0 .. count - 1. No `wp.Tape` takes notice.
+    """Runs `kernel` for the items 0 .. count - 1. The launch is not recorded by a `wp.Tape`.
 
     Args:
         kernel: a kernel whose first parameter is `first: int`, the number of the first item of the chunk.
         count: number of items.
-        inputs: the kernel's other arguments.
-        device: where the arguments live; on CUDA this is one launch on the device's current stream.
-        chunk: on the CPU, the least number of items that is worth a launch of its own.
-        longest: on the CPU, the greatest number of items in a launch; lower it for items that take long, because a Ctrl-C
-            waits for the launches under way.
-        chunks_per_thread: on the CPU, of the size with which they begin; lower it for items that all cost the same, whose
-            chunks are then of one size, and raise it for few, long and uneven items.
+        inputs: the other arguments of the kernel.
+        device: device of the arguments; on CUDA this is one launch on the device's current stream.
+        chunk: on the CPU, least number of items in a chunk.
+        longest: on the CPU, greatest number of items in a chunk. Lower it for items that take long, because a Ctrl-C takes
+            effect only after the running chunks.
+        chunks_per_thread: on the CPU, number of chunks per thread that determines the first chunk size. Lower it for items of
+            equal cost, whose chunks then have one size; raise it for few, long and uneven items.
     """
     if count <= 0:
         return
@@ -142,7 +148,7 @@ def launch(
 
 @dataclass(frozen=True)
 class Chunks:
-    """How items are cut into chunks on the CPU; attributes as the arguments of `launch`."""
+    """The division of items into chunks on the CPU; attributes as the arguments of `launch`."""
 
     chunk: int = 256
     longest: int = MAX_CHUNK
@@ -159,10 +165,10 @@ class Chunks:
 
 
 class PreparedLaunch:
-    """A kernel with its arguments packed, which one caller at a time runs on the CPU, as often as it wants.
+    """A kernel with packed arguments for repeated launches on the CPU; used by one caller at a time.
 
     Args:
-        kernel, inputs, device: as of `launch`.
+        kernel, inputs, device: as in `launch`.
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
@@ -170,7 +176,7 @@ class PreparedLaunch:
         self._packed = PackedKernel(kernel, [0, *inputs], device)
 
     def argument(self, index: int) -> Any:
-        """The packed form of a struct among the kernel's arguments: what is written there holds for the next run."""
+        """The packed form of a struct argument. Values that are written to it take effect at the next run."""
         return self._packed.argument(index)
 
     def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
@@ -178,9 +184,9 @@ class PreparedLaunch:
 
         Args:
             count: number of items.
-            chunks: how they are cut.
-            used: owners of memory whose addresses were written into the arguments: they live until the last helper is done,
-                also if the caller is interrupted again while it waits for that.
+            chunks: division of the items.
+            used: owners of memory whose addresses were written into the arguments. They are kept alive until the last helper is
+                done, even if the caller is interrupted again while it waits.
         """
         if count <= min(chunks.chunk, chunks.longest):
             self._packed.call_own_range(0, count)
@@ -201,7 +207,7 @@ class PreparedLaunch:
             self._run_in_python(count, largest, used)
 
     def _run_in_python(self, count: int, largest: int, used: Any) -> None:
-        """Chunks handed out by Python."""
+        """Runs the kernel with chunks that Python hands out."""
 
         def run(number: int) -> None:
             first = number * largest
@@ -209,15 +215,15 @@ class PreparedLaunch:
 
         run.used = used
         run_tasks(run, -(-count // largest))
-        del run.used  # at once: the pool may hold the function for a moment longer
+        del run.used  # now: the pool may keep the function alive for a while
 
 
 @contextmanager
 def use_schedule(name: str) -> Iterator[None]:
-    """Sets the schedule (a key of `SCHEDULES`) of launches inside the `with` block, of the calling thread only.
+    """Sets the schedule (a key of `SCHEDULES`) for launches of the calling thread inside the `with` block.
 
     Raises:
-        ValueError: there is no such schedule.
+        ValueError: `name` is not a key of `SCHEDULES`.
     """
     if name not in SCHEDULES:
         raise ValueError(f"schedule {name!r} is not known; choose from {', '.join(SCHEDULES)}")
@@ -229,9 +235,12 @@ def use_schedule(name: str) -> Iterator[None]:
 
 
 def record(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> wp.Launch:
-    """A launch to be repeated, on the CPU by the calling thread alone: `set_dim` tells it how many items, from the first on.
+    """Records a launch for repeated use; on the CPU the calling thread runs it.
 
-    Args: as of `launch`.
+    `set_dim` of the result sets the number of items, which begin at 0.
+
+    Args:
+        kernel, inputs, device: as in `launch`.
     """
     load([kernel], device)
     block = CUDA_BLOCK if device.is_cuda else None
@@ -269,16 +278,16 @@ class RecordedLaunch:
 
 @contextmanager
 def kept(device: wp.Device) -> Iterator[None]:
-    """Around what is made on the device once and kept, for queries from any thread, on any stream, and in graphs.
+    """Context for allocations that outlive a query and are shared by all threads, streams and graphs.
 
-    Memory taken while a graph is captured would be the graph's, and filled when that is launched.
+    During a graph capture, an allocation would belong to the graph and would be filled only when the graph is launched.
 
     Raises:
         RuntimeError: a graph is being captured on the device.
     """
     if device.is_capturing:
         raise RuntimeError(
-            "a graph is being captured, and something that the query keeps for later calls is not there yet; "
+            "a graph is being captured, but data that the query caches is not ready yet; "
             "make the same query once before the capture"
         )
     yield
@@ -287,13 +296,16 @@ def kept(device: wp.Device) -> Iterator[None]:
 
 
 def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
-    """Loads a kernel's module again if it has grown: one with `Any` among its parameters does with each type that it meets."""
+    """Reloads the module of a kernel if it has gained specialisations.
+
+    A kernel with `Any` parameters gains one for each new type.
+    """
     with _lock:
         load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
-    """Compiles and loads the kernels' modules, once, whatever the number of threads that ask for them at a time."""
+    """Compiles and loads the modules of kernels, once, however many threads call this at the same time."""
     for kernel in kernels:
         if (kernel, device.alias) not in _loaded:
             with _lock:
@@ -302,18 +314,19 @@ def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
 
 
 def specialise(factory: Callable[[Config], wp.Kernel], config: Config) -> wp.Kernel:
-    """The kernel that a factory makes for a configuration, by one thread at a time.
+    """The kernel that a factory makes for a configuration; one thread at a time calls the factory.
 
-    Two threads that made it side by side would make its structs twice, and parts of the one do not fit those of the other.
+    Two threads that call it at the same time would create its structs twice, and values of the one type do not fit the other.
     """
     with _lock:
         return factory(config)
 
 
 def run_tasks(task: Callable[[int], Any], count: int) -> None:
-    """Calls `task(0)` .. `task(count - 1)`, on the caller's thread and the pool's; returns when all are done.
+    """Calls `task(0)` .. `task(count - 1)` on the caller's thread and the pool's threads; returns when all are done.
 
-    The first exception (a KeyboardInterrupt too) stops the handing out of tasks, waits for those that run and is raised.
+    After the first exception (including KeyboardInterrupt) no further task is started; the exception is raised when the running
+    tasks have ended.
     """
     helpers = min(get_num_threads(), count) - 1
     if helpers <= 0:
@@ -356,7 +369,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _forget_pool() -> None:
-    """A forked child has none of the pool's threads."""
+    """Resets the pool in a forked child, which has none of its threads."""
     global _executor, _lock
     _executor, _lock = None, threading.RLock()
 
@@ -369,7 +382,7 @@ def as_device(device: str | wp.Device | None) -> wp.Device:
     """The device of that name; Warp's default device for None.
 
     Raises:
-        ValueError: it is not there.
+        ValueError: the device does not exist.
     """
     init_warp()
     try:

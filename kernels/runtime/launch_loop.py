@@ -1,8 +1,8 @@
-"""Loops of kernel launches whose turns depend on numbers in memory, such as the levels of a tree: on the CPU without Python.
+"""Loops of kernel launches that depend on numbers in memory, such as the levels of a tree; on the CPU they run without Python.
 
-On the CPU the launches are jobs of the thread pool that follow one another (`wrt.kernels.runtime.board`, programs): how many
-items a job has, and whether to go on, is read from memory when the job before has ended. A level of a tree then costs some
-microseconds beside its work, where Python took tens for each launch. On CUDA, and with one thread, Python runs the loop.
+On the CPU the launches are chained jobs of the thread pool (`wrt.kernels.runtime.board`, programs). The number of items of a
+job, and whether the loop continues, are read from memory when the previous job has ended. A step therefore costs a few
+microseconds besides its work (notebooks/records/2026-11-22-launches.md). On CUDA, and with one thread, Python runs the loop.
 """
 
 import ctypes
@@ -25,9 +25,9 @@ class Step:
     """A launch in a loop of launches.
 
     Attributes:
-        kernel, inputs: as of `launch`.
-        count: number of items; None if `number` says it.
-        number: index among the loop's numbers of the number of items.
+        kernel, inputs: as in `launch`.
+        count: number of items; None if it is read from the loop's numbers.
+        number: index of the number of items among the loop's numbers.
     """
 
     kernel: wp.Kernel
@@ -36,19 +36,19 @@ class Step:
     number: int = 0
 
     def items(self, numbers: np.ndarray) -> int:
-        """How many items the step has now."""
+        """Current number of items of the step."""
         return int(numbers[self.number]) if self.count is None else self.count
 
 
 def launch_loop(turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
-    """Runs the steps of each turn one after the other, and the turns in a circle, until the first of `numbers` is 0.
+    """Runs the steps of each turn in order, and cycles through the turns until the first element of `numbers` is 0.
 
-    On the CPU without Python between steps; elsewhere with a look at `numbers` before each turn. Every item is a chunk.
+    On the CPU no Python runs between steps; elsewhere the host reads `numbers` before each turn. Every item is a chunk.
 
     Args:
-        turns: at least one of at least one step.
-        numbers: (N,) int32, which the steps change.
-        device: where the arrays are.
+        turns: at least one turn, each of at least one step.
+        numbers: (N,) int32, changed by the steps.
+        device: device of the arrays.
     """
     load([step.kernel for steps in turns for step in steps], device)
     threads = get_num_threads()

@@ -1,18 +1,18 @@
-"""The Python half of the thread pool: helper threads, the slots of those who ask, interrupts, fork, and exit.
+"""The Python half of the thread pool: helper threads, slots of callers, interrupts, fork and exit.
 
-A launch on the CPU is a job of the pool (`wrt.kernels.runtime.board` has the protocol). Helpers are started when a job first
-wants them, make one call into compiled code each and stay there, so Python takes no part in handing out chunks. Every Python
-thread that asks has a slot of its own on the board, so jobs of several callers are worked on at the same time; a caller that
-finds its slot in use (a signal handler that asks while its thread does) works alone.
+A launch on the CPU is a job of the pool (`wrt.kernels.runtime.board` defines the protocol). Helpers are started when a job
+first needs them; each makes one call into compiled code and stays there, so Python does not hand out chunks. Every calling
+Python thread has its own slot on the board, so jobs of several callers run concurrently. A caller whose slot is in use (a
+signal handler that starts a query while its thread runs one) works without helpers.
 
-**Interrupts.** A leader is back in Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread
-takes a further chunk, and the caller waits for those under way. If it is interrupted again while it waits, the job's memory is
-kept in `_interrupted` until the last helper has left.
+**Interrupts.** A leader returns to Python every `TURN_NS`. An exception there (KeyboardInterrupt) stops the job: no thread
+takes another chunk, and the caller waits for the running ones. If the caller is interrupted again while it waits, the job's
+memory is kept in `_interrupted` until the last helper has left.
 
-**Fork.** A child has none of the helpers: it gets a new pool when it first asks. **Exit.** Helpers leave before the interpreter
-frees compiled code; a query of a daemon thread that is under way then ends with a RuntimeError.
+**Fork.** A child process has none of the helpers; it makes a new pool for its first job. **Exit.** Helpers return before the
+interpreter frees compiled code; a running query of a daemon thread then ends with a RuntimeError.
 
-Linux only; elsewhere `wrt.kernels.runtime.launch` hands out chunks in Python (`is_available`).
+**Limits.** Linux only; elsewhere `wrt.kernels.runtime.launch` hands out chunks in Python (`is_available`).
 """
 
 from __future__ import annotations
@@ -36,17 +36,18 @@ from wrt.kernels.runtime.kernel_cache import load_module
 from wrt.kernels.runtime.schedules import Schedule
 
 SPIN_SECONDS = 0.001
-"""How long a helper without work waits awake: longer than Python takes from one call to the next in a loop."""
+"""Seconds for which a helper without work spins before it sleeps: more than Python needs from one call to the next in a
+loop."""
 
 QUEUE_WORDS = 16
-"""64-bit words of a queue of the schedules that have some: a pair of cache lines."""
+"""64-bit words per queue, for schedules with queues: two cache lines."""
 
 EXIT_SECONDS = 1.0
-"""How long the interpreter's exit waits for threads in compiled code to return."""
+"""Greatest time in seconds that the exit of the interpreter waits for threads in compiled code."""
 
 
 class Job(ctypes.Structure):
-    """What native code needs to know of a launch; all addresses must stay valid until the job has ended."""
+    """The description of a launch for native code; all addresses must stay valid until the job has ended."""
 
     _fields_ = (
         ("entry", ctypes.c_int64),  # compiled code of the kernel
@@ -54,16 +55,16 @@ class Job(ctypes.Structure):
         ("arguments", ctypes.c_int64),  # address of its packed arguments
         ("argument_bytes", ctypes.c_int64),
         ("count", ctypes.c_int64),  # items
-        ("largest", ctypes.c_int64),  # items of a chunk at most
-        ("smallest", ctypes.c_int64),  # and at least
-        ("divisor", ctypes.c_int64),  # a chunk is this share of what is left, between the two
-        ("helpers", ctypes.c_int64),  # threads beside the caller's, at most
+        ("largest", ctypes.c_int64),  # greatest number of items per chunk
+        ("smallest", ctypes.c_int64),  # least number of items per chunk
+        ("divisor", ctypes.c_int64),  # a chunk is the remaining items / divisor, within these limits
+        ("helpers", ctypes.c_int64),  # greatest number of threads besides the caller's
         ("schedule", ctypes.c_int64),  # `Schedule.code`
-        ("queues", ctypes.c_int64),  # address of the queues of schedules that have some
+        ("queues", ctypes.c_int64),  # address of the queues, for schedules with queues
         ("queue_count", ctypes.c_int64),
-        ("count_at", ctypes.c_int64),  # address of an int32 that holds the number of items instead, or 0
-        ("following", ctypes.c_int64),  # address of the job to go on with, or 0
-        ("while_at", ctypes.c_int64),  # address of an int32: if it is 0 when this job ends, none follows; or 0
+        ("count_at", ctypes.c_int64),  # address of an int32 that replaces `count`, or 0
+        ("following", ctypes.c_int64),  # address of the following job, or 0
+        ("while_at", ctypes.c_int64),  # address of an int32; no job follows if it is 0 when this job ends; or 0
         ("unused", ctypes.c_int64 * (layout.JOB_WORDS - 15)),
     )
 
@@ -72,9 +73,9 @@ class Slot:
     """A slot of a board, for the jobs of one thread.
 
     Args:
-        board: where it is.
-        index: which one it is.
-        free: gets the index back when nobody holds the slot any longer.
+        board: the board.
+        index: number of the slot.
+        free: receives the index when the slot is no longer referenced.
     """
 
     def __init__(self, board: wp.array, index: int, free: deque[int] | None = None) -> None:
@@ -84,28 +85,28 @@ class Slot:
         self._lead = PackedKernel(layout.lead, [board, index, 0], board.device)
         self._stop = PackedKernel(layout.stop, [board, index], board.device)
         self.is_busy = False
-        self.owner_waits = False  # whether the interrupted owner finishes the job itself: one thread at a time leads it
+        self.owner_waits = False  # whether the interrupted owner finishes the job itself; only one thread may lead it
 
     @property
     def is_idle(self) -> bool:
-        """Whether the slot has no job, and no helper is inside."""
+        """Whether the slot has no job and no helper."""
         return self._words[layout.PHASE] == layout.IDLE
 
     def begin(self, job: Job) -> None:
-        """Names the job that the next turn begins."""
+        """Sets the job that the next turn begins."""
         self._lead.arguments.p2 = ctypes.addressof(job)
 
     def turn(self) -> None:
-        """Works on the job for `TURN_NS` at most, or the chunk under way."""
+        """Works on the job for at most `TURN_NS`, or until the current chunk is done."""
         self._lead.call()
 
     def stop(self) -> None:
-        """Lets nobody take a further chunk."""
+        """Stops the job: no thread takes another chunk."""
         self._stop.call()
 
     @property
     def has_helpers(self) -> bool:
-        """Whether a helper is inside."""
+        """Whether a helper works on the job."""
         return self._words[layout.ACTIVE] != 0
 
     def __del__(self) -> None:
@@ -114,7 +115,7 @@ class Slot:
 
 
 class Pool:
-    """Helper threads and the board on which they find jobs; safe to use from several threads."""
+    """Helper threads and the board on which they find jobs; thread-safe."""
 
     def __init__(self) -> None:
         self._board = wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu")
@@ -133,11 +134,11 @@ class Pool:
         """Runs a job to its end.
 
         Args:
-            job: with addresses that are valid as long as `used` is alive.
+            job: its addresses must stay valid as long as `used` is alive.
             used: owners of all memory that the job reads or writes.
 
         Raises:
-            RuntimeError: the interpreter exits, or the process was forked while it worked on this.
+            RuntimeError: the interpreter is exiting, or the process was forked during the job.
         """
         self._reap()
         if job.helpers > len(self._threads):
@@ -149,7 +150,7 @@ class Pool:
             slot.turn()
             while not slot.is_idle:
                 if self.closed:
-                    raise RuntimeError("the query was stopped: the interpreter exits, or this is a fork of its process")
+                    raise RuntimeError("the query was stopped: the interpreter is exiting, or the process was forked")
                 slot.turn()
             slot.is_busy = False
         except BaseException:
@@ -164,8 +165,8 @@ class Pool:
             raise
 
     def close(self) -> None:
-        """Makes helpers leave, and waits for them and for leaders, for some time."""
-        if self.closed:  # or a fork's copy of its parent's pool
+        """Makes helpers return, and waits for them and for leaders, at most `EXIT_SECONDS`."""
+        if self.closed:  # or the parent's pool in a forked child
             return
         self.closed = True
         PackedKernel(layout.close, [self._board], self._board.device).call()
@@ -184,7 +185,7 @@ class Pool:
         return _private_slot() if slot.is_busy else slot
 
     def _new_slot(self) -> Slot:
-        """A slot of the board; one of a board of its own, whose jobs get no helpers, if all are taken."""
+        """A free slot of the board; if all are taken, a slot of a private board, whose jobs get no helpers."""
         try:
             return Slot(self._board, self._free.popleft(), self._free)
         except IndexError:
@@ -192,17 +193,17 @@ class Pool:
 
     @staticmethod
     def _finish(slot: Slot) -> None:
-        """Waits for the helpers of a job that is not to go on."""
+        """Waits for the helpers of a stopped job."""
         slot.stop()
         while not slot.is_idle:
             slot.turn()
 
     def _reap(self) -> None:
-        """Frees what interrupted jobs used, of those that all helpers have left."""
+        """Frees the memory of interrupted jobs that all helpers have left."""
         for _ in range(len(self._interrupted)):
             try:
                 entry = self._interrupted.popleft()
-            except IndexError:  # another thread was faster
+            except IndexError:  # another thread took the last entry
                 return
             slot = entry[0]
             if not slot.is_idle and not slot.owner_waits:
@@ -215,14 +216,14 @@ class Pool:
                 self._interrupted.append(entry)
 
     def _start(self, helpers: int) -> None:
-        """Starts helpers until there are so many; fewer if the system gives no more threads."""
+        """Starts helpers up to the given number; fewer if the system provides no more threads."""
         with self._lock:
             while len(self._threads) < helpers and not self.closed:
                 serve = PackedKernel(layout.serve, [self._board], self._board.device)
                 thread = threading.Thread(target=serve.call, name=f"wrt-{len(self._threads)}", daemon=True)
                 try:
                     thread.start()
-                except RuntimeError:  # no more threads, or the interpreter exits
+                except RuntimeError:  # no more threads, or the interpreter is exiting
                     return
                 self._threads.append(thread)
 
@@ -232,21 +233,24 @@ def _private_slot() -> Slot:
 
 
 def is_available() -> bool:
-    """Whether this system has what native helpers need."""
+    """Whether this system supports native helpers."""
     return sys.platform == "linux"
 
 
 def new_job(
     packed: PackedKernel, count: int, *, largest: int, smallest: int, threads: int, schedule: Schedule
 ) -> tuple[Job, Any]:
-    """A job, and what must live as long as it does.
+    """A job, and the owners of the memory that it refers to.
 
     Args:
         packed: the kernel; its first parameter is the number of the first item.
-        count: items.
-        largest, smallest: items of a chunk.
-        threads: that work on it, the caller's included.
-        schedule: how they share it.
+        count: number of items.
+        largest, smallest: limits on the items per chunk.
+        threads: number of threads that work on it, including the caller's.
+        schedule: how they share the items.
+
+    Raises:
+        ValueError: the packed arguments exceed `MOST_ARGUMENT_BYTES`.
     """
     size = ctypes.sizeof(packed.arguments)
     if size > layout.MOST_ARGUMENT_BYTES:
@@ -274,20 +278,20 @@ _pool_lock = threading.Lock()
 
 
 def the_pool() -> Pool:
-    """The process's pool, made when first asked for."""
+    """The pool of the process, made on first use."""
     global _pool
     if _pool is None:
         with _pool_lock:
             if _pool is None:
                 load_module(layout.serve.module, wp.get_device("cpu"), 1)
                 pool = Pool()
-                atexit.register(pool.close)  # after Warp's own, and so called before it
+                atexit.register(pool.close)  # registered after Warp's handler, so called before it
                 _pool = pool
     return _pool
 
 
 def _forget() -> None:
-    """A forked child has none of the helpers, and its copy of the lock may be held by a thread that is not there."""
+    """Resets the pool in a forked child: it has no helpers, and a thread that does not exist there may hold the lock."""
     global _pool, _pool_lock
     if _pool is not None:
         _pool.closed = True

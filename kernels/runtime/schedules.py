@@ -1,17 +1,18 @@
-"""How the items of a launch are divided among threads: the ways that Rahikainen (2013, chapter 5) names, in one table.
+"""Schedules: how the items of a launch are divided among threads.
 
-A schedule decides which chunk of items a thread takes next. Results do not depend on it. The default is "guided"; the others
-are for comparison (`wrt bench scheduling`).
+A schedule decides which chunk of items a thread takes next. Results do not depend on it. The table has the methods that
+Rahikainen (2013, chapter 5) describes, and work stealing. The default is "guided"; the others are for comparison (`wrt bench
+scheduling`; notebooks/records/2026-11-22-scaling.md).
 
 References:
-    C. D. Polychronopoulos, D. J. Kuck: Guided self-scheduling: a practical scheduling scheme for parallel supercomputers.
-        IEEE Transactions on Computers C-36(12), 1987.
-    S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. Symposium on Interactive
-        3D Graphics, 1999.
+    C. D. Polychronopoulos, D. J. Kuck: Guided self-scheduling: a practical scheduling scheme for parallel supercomputers. IEEE
+        Transactions on Computers C-36(12), 1987.
+    S. Parker, W. Martin, P.-P. J. Sloan, P. Shirley, B. Smits, C. Hansen: Interactive ray tracing. Symposium on Interactive 3D
+        Graphics, 1999.
     M. Nunes, L. P. Santos: Workload distribution for ray tracing in multi-core systems. Encontro Portugues de Computacao
         Grafica, 2009.
     R. D. Blumofe, C. E. Leiserson: Scheduling multithreaded computations by work stealing. Journal of the ACM 46(5), 1999.
-    V. Rahikainen: On real-time ray tracing. Master's thesis, University of Tampere, 2013.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
 """
 
 from dataclasses import dataclass
@@ -23,8 +24,8 @@ class Schedule:
 
     Attributes:
         name: its key.
-        code: the number by which native code knows it (`wrt.kernels.runtime.board`).
-        queues: whether each thread has a queue of its own.
+        code: its number in native code (`wrt.kernels.runtime.board`).
+        queues: whether each thread has its own queue.
         summary: one sentence.
         source: authors and year.
     """
@@ -70,5 +71,6 @@ SCHEDULES = {
         ),
     )
 }
+"""Schedules by name."""
 
 DEFAULT_SCHEDULE = "guided"

@@ -1,24 +1,24 @@
-"""Which CPU kernels are compiled for, and how many lanes their loops have: two settings, both for CPUs only.
+"""The CPU target of kernels and the lane count of their loops: two settings that apply to CPUs only.
 
     WRT_TARGET=x86-64-v3 wrt bench          code for any CPU with AVX2, 8 lanes
     WRT_WIDTH=16 python program.py          code for this CPU, 16 lanes, whatever its registers hold
 
-**Target.** Warp compiles for the CPU that it finds. Another CPU that this one can stand in for is chosen by name, from
-`TARGETS`: so that a machine with AVX-512 shows what machines without it do, in tests and in measurements. A target that this
-CPU cannot run is refused before anything is compiled. Warp hashes the flags together with a module's source, so that one cache
-of kernels holds all targets side by side.
+**Target.** Warp compiles for the CPU on which it runs. `TARGETS` names other CPUs whose code this CPU can run, so that a
+machine with AVX-512 can test and measure the code of machines without it. A target that this CPU cannot run is refused before
+anything is compiled. Warp hashes the compiler flags together with the source of a module, so one kernel cache holds all
+targets.
 
-**Width.** A loop over more lanes than a register holds takes several registers; with fewer lanes, part of a register. Either is
-correct, so width and target are independent. The default is what a register of the target holds, but at least 8: with 4, nodes
-have few children and leaves few triangles.
+**Width.** A loop over more lanes than a register holds uses several registers; a loop over fewer lanes uses part of one. Both
+are correct, so width and target are independent. The default is the number of lanes in a register of the target, but at least
+8: with 4 lanes, nodes would have few children and leaves few triangles.
 
-Both come from the environment when `wrt.kernels` is imported, or from `choose` before Warp starts. Unset, the width is that of
-this CPU, and Warp's flags stay as they are. Neither touches CUDA: there the width is 2, and Warp compiles for the GPU that it
-finds.
+Both settings are read from the environment when `wrt.kernels` is imported, or set by `choose` before Warp starts. If neither is
+set, the width is that of this CPU, and Warp's flags are unchanged. CUDA is not affected: its width is 2, and Warp compiles for
+the GPU that it finds.
 
 References:
     H. J. Lu, M. Matz, M. Girkar, J. Hubička, A. Jaeger, M. Mitchell (editors): System V Application Binary Interface, AMD64
-        Architecture Processor Supplement (the levels x86-64-v2, v3 and v4, there since 2020).
+        Architecture Processor Supplement, 2020 (the levels x86-64-v2, v3 and v4).
 """
 
 import os
@@ -31,10 +31,11 @@ import warp as wp
 TARGET_VARIABLE, WIDTH_VARIABLE = "WRT_TARGET", "WRT_WIDTH"
 
 WIDTHS = (4, 8, 16)
-"""Lanes that can be asked for."""
+"""Supported lane counts."""
 
 AVX2 = frozenset({"abm", "avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "movbe"})
 AVX512 = AVX2 | {"avx512bw", "avx512cd", "avx512dq", "avx512f", "avx512vl"}
+"""Features of the levels x86-64-v3 and v4, as `/proc/cpuinfo` names them."""
 
 
 @dataclass(frozen=True)
@@ -42,9 +43,9 @@ class Target:
     """A CPU to compile for.
 
     Attributes:
-        flags: of Clang's compiler proper, which Warp runs without the driver that translates `-march`.
-        needs: features that this CPU must have, as `/proc/cpuinfo` names them.
-        simd_bits: width of the widest float32 SIMD registers that code for it uses; None for those of this CPU.
+        flags: options of Clang's compiler proper (cc1), which Warp runs without the driver that translates `-march`.
+        needs: features that this CPU must have, as named in `/proc/cpuinfo`.
+        simd_bits: width of the widest float32 SIMD registers that the code uses; None for those of this CPU.
     """
 
     flags: tuple[str, ...]
@@ -57,12 +58,12 @@ TARGETS = {
     "x86-64-v3": Target(("-target-cpu", "x86-64-v3"), AVX2, 256),
     "x86-64-v4": Target(("-target-cpu", "x86-64-v4", "-mprefer-vector-width=512"), AVX512, 512),
 }
-"""Targets by name. Clang prefers registers of 256 bits for "x86-64-v4", as suits the first CPUs of that kind."""
+"""Targets by name. For "x86-64-v4" Clang prefers registers of 256 bits by default, which suits the first CPUs of that level."""
 
 
 @cache
 def cpu_information(*names: str) -> str | None:
-    """The value of the first line of `/proc/cpuinfo` with one of these names; None where there is none."""
+    """The value of the first line of `/proc/cpuinfo` with one of these names; None if there is no such line."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8") as text:
             for line in text:
@@ -74,20 +75,20 @@ def cpu_information(*names: str) -> str | None:
 
 
 def cpu_name() -> str:
-    """The processor's name as the operating system gives it."""
+    """Name of the processor according to the operating system."""
     return cpu_information("model name") or platform.processor() or platform.machine()
 
 
 def cpu_features() -> frozenset[str]:
-    """SIMD extensions of this CPU that matter here, as far as the operating system tells."""
+    """The SIMD extensions of this CPU that targets refer to, as far as the operating system reports them."""
     return frozenset((cpu_information("flags", "Features") or "").split())
 
 
 def target_name() -> str:
-    """Key in `TARGETS` of what kernels are compiled for.
+    """Key in `TARGETS` of the current target.
 
     Raises:
-        ValueError: the environment names none, or one that this CPU cannot run.
+        ValueError: the environment names an unknown target, or one that this CPU cannot run.
     """
     name = os.environ.get(TARGET_VARIABLE) or "native"
     if name not in TARGETS:
@@ -99,16 +100,16 @@ def target_name() -> str:
 
 
 def simd_bits() -> int:
-    """Width of the widest float32 SIMD registers that kernels use: 512, 256 or 128; 128 if unknown."""
+    """Width in bits of the widest float32 SIMD registers that kernels use: 512, 256 or 128; 128 if unknown."""
     features = cpu_features()
     return TARGETS[target_name()].simd_bits or (512 if "avx512f" in features else 256 if "avx" in features else 128)
 
 
 def lane_width() -> int:
-    """Lanes of the loops of CPU kernels where nobody asks for others: 4, 8 or 16.
+    """Default number of lanes of CPU kernel loops: 4, 8 or 16.
 
     Raises:
-        ValueError: the environment asks for a width that is none of `WIDTHS`, or for a target that `target_name` refuses.
+        ValueError: the environment names a width that is not in `WIDTHS`, or a target that `target_name` refuses.
     """
     asked = os.environ.get(WIDTH_VARIABLE)
     if not asked:
@@ -119,15 +120,15 @@ def lane_width() -> int:
 
 
 def choose(target: str | None = None, width: int | None = None) -> None:
-    """Sets target and width for this process and those that it starts; to be called before Warp starts. None: as it is.
+    """Sets target and width for this process and its children; must be called before Warp starts. None keeps a setting.
 
     Args:
         target: key in `TARGETS`.
         width: one of `WIDTHS`.
 
     Raises:
-        ValueError: unknown target or width, or a target that this CPU cannot run; nothing has changed.
-        RuntimeError: Warp has started, and kernels may have been compiled for another target.
+        ValueError: unknown target or width, or a target that this CPU cannot run. The settings are then unchanged.
+        RuntimeError: Warp has started, so kernels may have been compiled for another target.
     """
     wanted = {TARGET_VARIABLE: target, WIDTH_VARIABLE: None if width is None else str(width)}
     wanted = {name: value for name, value in wanted.items() if value is not None and value != os.environ.get(name)}
@@ -149,15 +150,15 @@ def choose(target: str | None = None, width: int | None = None) -> None:
 
 
 def has_started() -> bool:
-    """Whether `wp.init` has run, which is when Warp takes flags for the last time for kernels that are defined already."""
+    """Whether `wp.init` has run; compiler flags that are set later do not apply to kernels that are already defined."""
     return getattr(wp._src.context, "runtime", None) is not None
 
 
 def apply_environment() -> None:
-    """Makes Warp compile CPU kernels for the target that the environment names; its other flags stay.
+    """Sets Warp's flags so that CPU kernels are compiled for the target in the environment; other flags are kept.
 
     Raises:
-        ValueError: as of `lane_width`.
+        ValueError: as in `lane_width`.
     """
     lane_width()
     name = target_name()
@@ -166,7 +167,7 @@ def apply_environment() -> None:
 
 
 def _without_target(flags: str) -> list[str]:
-    """Compiler flags but those that say what to compile for."""
+    """Compiler flags without those that select the target."""
     words = flags.split()
     named = {i + offset for i, word in enumerate(words) if word == "-target-cpu" for offset in (0, 1)}
     about = ("-march=", "-mprefer-vector-width=")

@@ -1,31 +1,21 @@
-"""A ray against the W child boxes of a wide node: the lane loop of every BVH traversal, and the keys that it leaves behind.
+"""One ray against the W child boxes of a wide node: the lane loop of every BVH traversal, and the sort keys of the children.
 
-A traversal keeps one row of W keys for each level of the tree that it is in: what is left to visit there. A key is the
-bits of the t at which the child's box is entered, which is not negative, with the child's lane in the lowest log2(W) bits:
-the least key, as an integer, is the nearest child, and no list of children is ever sorted. Cutting off the low bits only
-makes the entry earlier, which is safe. `NO_CHILD` is above all keys, and a NaN as a number: `NaN <= t` is false.
+A traversal keeps one row of W keys per level of its current path: the children that remain to be visited. A key is the bit
+pattern of the t at which the ray enters the child's box, which is not negative, with the lane of the child in the lowest
+log2(W) bits. The smallest key, compared as an integer, is the nearest child, so children are never sorted. Replacing the low
+bits only makes the entry earlier, which is conservative. `NO_CHILD` is greater than every key; read as a float it is a NaN, so
+`NaN <= t` is false.
 
-The loop's twin in plain Warp is `wrt.kernels.simd.boxes.slab_interval`, to which the tests compare it bit for bit.
+`wrt.kernels.simd.boxes.slab_interval` is the scalar form of the loop; tests compare the two bit for bit.
 
-**Tried: boxes in bytes.** Eight bits a plane on a grid of the node, whose origin and three powers of two stand before them,
-rounded outward by the arithmetic that reads them (Mahovsky and Wyvill 2006; Ylitie, Karras, Laine 2017): two lines of the cache
-a node instead of six, and the same hits to the bit. (Measured on one thread of a Zen 4, 16 children a node, random and ambient
-rays, `single` and `stream`, meshes of 0.07 to 3.2 million triangles.) Nothing gets faster:
-* bytes have to become floats, and these positions: a node in the cache takes 10 ns instead of 5, and one that comes from memory
-  1.1 times as long, for its six lines come at the same time. With the ray's origin folded into the grid's, which would need a
-  slack of its own, it is no better;
-* looser boxes: 3 in 100 more nodes and 4 in 100 more leaves; 1.8 times the leaves for ambient rays of the atrium's walls;
-* together, 0.99 to 1.06 of the time for meshes of 0.8 and 3.2 million triangles, 1.04 to 1.19 for smaller ones, 1.04 to 1.42 in
-  the atrium. All nodes take a twentieth of what the records take, so few of them are ever out of the cache.
-
-The same for triangles (after Benthin et al. 2018), their boxes in two lines before the nine of a block: 37 to 47 in 100 blocks
-need not be read. Streams took 1.0 to 1.27 of the time, single rays 0.96 to 1.14, and 0.90 only if random in the largest mesh.
+**Limits.** Boxes are stored as float32. Quantised boxes (Mahovsky and Wyvill 2006; Ylitie et al. 2017) and compressed leaves
+(Benthin et al. 2018) were tried and are not faster here (notebooks/records/2026-11-22-box-formats.md).
 
 References:
-    J. Mahovsky, B. Wyvill: Memory-conserving bounding volume hierarchies with coherent raytracing.
-        Computer Graphics Forum 25(2), 2006.
-    H. Ylitie, T. Karras, S. Laine: Efficient incoherent ray traversal on GPUs through compressed wide BVHs.
-        High Performance Graphics 2017.
+    J. Mahovsky, B. Wyvill: Memory-conserving bounding volume hierarchies with coherent raytracing. Computer Graphics Forum
+        25(2), 2006.
+    H. Ylitie, T. Karras, S. Laine: Efficient incoherent ray traversal on GPUs through compressed wide BVHs. High Performance
+        Graphics 2017.
     C. Benthin, I. Wald, S. Woop, A. T. Áfra: Compressed-leaf bounding volume hierarchies. High Performance Graphics 2018.
 """
 
@@ -40,7 +30,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NO_CHILD_CONSTANT = 0x7FFFFFFF
 NO_CHILD = wp.constant(NO_CHILD_CONSTANT)
-"""Key of a child that is missed, done, or not there."""
+"""Key of a child that the ray misses, that has been visited, or that does not exist."""
 
 _RAY = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];
@@ -111,9 +101,10 @@ def _head(width: int) -> str:
 
 @cache
 def ray_boxes(width: int) -> wp.Function:
-    """`wp.func(bounds, node, slabs, t_min, t_max, keys, first) -> least key`: one ray x W boxes.
+    """`wp.func(bounds, node, slabs, t_min, t_max, keys, first) -> smallest key`: one ray x W boxes.
 
-    Writes the keys of the children whose widened box the ray meets within [t_min, t_max] to keys[first .. first + W - 1].
+    Writes W keys to keys[first .. first + W - 1]: those of the children whose widened box the ray meets within [t_min, t_max],
+    and `NO_CHILD` for the others.
     """
 
     @wp.func_native(_head(width) + _KEYS)
@@ -132,7 +123,7 @@ def ray_boxes(width: int) -> wp.Function:
 
 @cache
 def nearest_child(width: int) -> wp.Function:
-    """`wp.func(keys, first) -> least of W keys`."""
+    """`wp.func(keys, first) -> smallest of W keys`."""
 
     @wp.func_native(_head(width) + _NEAREST)
     def nearest_child_native(keys: wp.array(dtype=int), first: int) -> int: ...
@@ -142,7 +133,8 @@ def nearest_child(width: int) -> wp.Function:
 
 @cache
 def met_boxes(width: int) -> wp.Function:
-    """`wp.func(bounds, node, slabs, t_min, t_max, entry) -> mask` of the boxes met; `entry` is where, in all lanes."""
+    """`wp.func(bounds, node, slabs, t_min, t_max, entry) -> mask` of the boxes that the ray meets; `entry` gets the t of entry
+    of every lane."""
     Lanes = lanes(width)
 
     @wp.func_native(_head(width) + _MASK)
@@ -160,5 +152,5 @@ def met_boxes(width: int) -> wp.Function:
 
 @wp.func
 def entry_of(key: int, width: int):
-    """The t at which a key's child is entered, or a hair before; NaN for `NO_CHILD`."""
+    """The t at which the child of a key is entered, rounded down by at most the lane bits; NaN for `NO_CHILD`."""
     return wp.cast(key & -width, wp.float32)

@@ -1,9 +1,9 @@
-"""The few native loops: W lanes at a time, in portable C++ that Clang and NVRTC turn into what the device has.
+"""Building blocks of the native lane loops: W lanes at a time, in portable C++ for Clang and NVRTC.
 
-Warp's own vector types are unrolled, not vectorised; a plain loop over W floats with selects instead of branches compiles
-to full SIMD width. Control flow stays in Python kernels: only the W-wide bodies are here or are made from the pieces here.
-Nothing in this project is compiled with fused multiply-add (`fuse_fp=False`): a triangle tested alone, in a block, by
-another engine or on another device gives the same bits.
+Warp unrolls its own vector types instead of vectorising them. A plain loop over W floats, with selects instead of branches,
+compiles to full SIMD width. Control flow stays in Python kernels; only the bodies of W lanes are written in C++, here or from
+the pieces here. The project is compiled without fused multiply-add (`fuse_fp=False`), so a triangle test gives the same bits
+for one triangle, for a block, in every traversal and on every device.
 """
 
 from functools import cache
@@ -44,11 +44,14 @@ FOR_LANES = """
 #endif
 #endif
 """
-"""Head of a lane snippet: `WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise as a loop (unrolled first, it
-would be put together again lane by lane, at a third of the speed). W is a constant of the snippet. `WRT_LANES(name, pointer)`
-names the W floats at a pointer: on the CPU it is the pointer, on CUDA they are loaded four at a time, so a block of W floats
-must begin at a multiple of 16 bytes if W is a multiple of 4, of 8 bytes if it is even. `WRT_SCALAR` before a loop keeps
-Clang from making gathers of it. `WRT_FETCH(pointer)` asks for a cache line, on CPUs."""
+"""Head of a lane snippet.
+
+`WRT_FOR_LANES(i)` is a loop over W lanes that Clang must vectorise before it unrolls it; the opposite order gives much slower
+code. W is a constant of the snippet. `WRT_LANES(name, pointer)` names the W floats at a pointer. On the CPU it is the pointer;
+on CUDA the floats are loaded four at a time, so a block of W floats must be aligned to 16 bytes if W is a multiple of 4, to 8
+bytes if W is even. `WRT_SCALAR` before a loop prevents Clang from vectorising it with gathers. `WRT_FETCH(pointer)` prefetches
+a cache line, on CPUs.
+"""
 
 BITS = """
 #if defined(__CUDA_ARCH__)
@@ -63,9 +66,9 @@ BITS = """
 
 
 def lane_bits(lanes: str = "W") -> str:
-    """C++ of `wrt_bits(flags)`: a bit for each of the lanes' ints that is not 0; lanes: the name of the constant.
+    """C++ of `wrt_bits(flags)`: one bit for each lane whose int is not 0. lanes: the name of the constant.
 
-    That is one comparison; a loop that collects bits by `|=` becomes a chain of shuffles.
+    This compiles to one comparison; a loop that collects bits by `|=` becomes a chain of shuffles.
     """
     return f"""
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
@@ -97,7 +100,7 @@ def lane_bits(lanes: str = "W") -> str:
 #endif
 """)
 def lowest_bit(mask: wp.uint32) -> int:
-    """Index of the lowest bit set; `mask` must not be 0."""
+    """Index of the lowest set bit; `mask` must not be 0."""
     ...
 
 
@@ -109,7 +112,7 @@ def lowest_bit(mask: wp.uint32) -> int:
 #endif
 """)
 def count_bits(mask: wp.uint32) -> int:
-    """Number of bits set."""
+    """Number of set bits."""
     ...
 
 
@@ -120,5 +123,5 @@ def lanes(width: int) -> type:
 
 
 def native_width(device: wp.Device) -> int:
-    """Lanes that suit the device: on the CPU `lane_width`, on CUDA 2 (a thread there is one ray)."""
+    """Lane count that suits the device: `lane_width` on the CPU, 2 on CUDA, where one thread traces one ray."""
     return 2 if device.is_cuda else lane_width()

@@ -1,8 +1,8 @@
-"""Records of floats into lanes, and lanes into records: 16 at a time, as a transposition.
+"""Transposes 16 records of floats to lanes and back.
 
-What is read as a whole lies together, word after word; what is computed 16 at a time lies lane beside lane. To go from the
-one to the other takes a gather or a scatter for each word, and those are slow. 16 records of 16 words are a matrix that 16
-vector loads bring in, 64 shuffles turn over (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores put away.
+A record that is read as a whole has its words in sequence; numbers that are computed 16 at a time have their lanes in sequence.
+Converting between the two needs one gather or scatter per word, which is slow. 16 records of 16 words are a matrix: 16 vector
+loads, 64 shuffles (four rounds of exchanges between rows 1, 2, 4 and 8 apart) and 16 stores transpose it.
 
 References:
     J. O. Eklundh: A fast computer method for matrix transposing. IEEE Transactions on Computers C-21(7), 1972.
@@ -10,7 +10,7 @@ References:
 
 
 def _turn(distance: int) -> str:
-    """C++ that swaps the parts of rows `distance` apart whose columns have the other bit: Eklundh's transposition, a step."""
+    """C++ of one step of Eklundh's transposition: swaps blocks of rows `distance` apart."""
     low = ", ".join(str(j if not j & distance else j - distance + 16) for j in range(16))
     high = ", ".join(str(j + distance if not j & distance else j + 16) for j in range(16))
     return "".join(

@@ -1,19 +1,19 @@
-"""Ways to find hits: one file per traversal, and the table of them.
+"""Traversals: one file per algorithm, and the table of them.
 
-**Contract.** A traversal makes, for a frozen `TraversalConfig`, a kernel with the parameters
-`(first, tree, triangles, rays, hits, counters)`: `tree` is the struct of the kind of tree for which it is made, `triangles`
-the blocks that its leaves name, `rays` and `hits` are `wrt.kernels.layout.ray_batch`, `counters` is written only where the
-config asks for it. One skeleton serves every query that it answers through `wp.static` switches; closest and any hits are
-answered by all, counts and all hits by those that say so (`wrt.kernels.traversal.crossings`). Every traversal gives the same
-hits to the bit (`wrt.kernels.simd.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
+**Contract.** For a frozen `TraversalConfig`, a traversal makes a kernel with the parameters `(first, tree, triangles, rays,
+hits, counters)`: `tree` is the struct of the tree kind, `triangles` are the blocks to which its leaves refer, `rays` and `hits`
+are structs of `wrt.kernels.layout.ray_batch`, `counters` is written only if the config enables it. One skeleton serves every
+query through `wp.static` switches. All traversals answer closest-hit and any-hit queries; counts and all hits are answered by
+those that list them in `queries` (`wrt.kernels.traversal.crossings`). Every traversal gives the same hits to the bit
+(`wrt.kernels.simd.boxes`, the consistency rule); ties go to the smaller t, then to the smaller primitive id.
 
-Kernels that are built around one ray's walk elsewhere (`wrt.kernels.query.device_functions`, `wrt.kernels.query.exact_closest`,
-`wrt.kernels.query.skip_triangle`) find it in `walk_table`.
+Kernels elsewhere that are built around the walk of one ray (`wrt.kernels.query.device_functions`,
+`wrt.kernels.query.exact_closest`, `wrt.kernels.query.skip_triangle`) take it from `walk_table`.
 
-Scenes of instances are walked on two levels by kernels of their own, made of the same parts: `instances` for single rays,
-`instance_packets`, and `instance_batches` for streams.
+Scenes of instances have two-level kernels made of the same parts: `instances` for single rays, `instance_packets` for packets,
+and `instance_batches` for streams.
 
-To add a traversal: write its file, add one line to `TRAVERSALS`; tests, command line and benchmarks pick it up.
+To add a traversal, write its file and add one line to `TRAVERSALS`; tests, command line and benchmarks use the table.
 """
 
 from collections.abc import Callable, Mapping
@@ -34,25 +34,26 @@ from wrt.kernels.traversal.traversal_config import ALL, NEAREST_QUERIES, QUERIES
 
 
 def one_ray(config: TraversalConfig) -> int:
-    """An item of the kernel is a ray."""
+    """Rays per item of a kernel that traces one ray per item."""
     return 1
 
 
 @dataclass(frozen=True)
 class Traversal:
-    """A way to find hits.
+    """A traversal algorithm.
 
     Attributes:
         name: key in `TRAVERSALS`.
         paper: authors, title, year.
-        kernels: for each kind of tree that it walks, "kdtree", "bvh" or "none" (all triangles), config -> kernel.
-        rays_per_item: config -> consecutive rays that one item of the kernel traces; the last item may have fewer.
-        packets: whether rays go in packets: `packet`, `shared_origin` and `culling` of the config matter.
-        mailbox: whether `mailbox` of the config matters, on a kd-tree.
-        streams: whether rays go in streams: `stream` of the config matters.
-        wide: whether a kd-tree is walked in its wide form, which has the layout of a BVH (`wrt.builders.convert.wide_kdtree`).
-        counters: struct of the work that its kernels count, at the first ray of an item.
-        queries: for each kind of tree that answers more than the nearest queries, what it answers.
+        kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
+        rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
+        packets: whether rays are traced in packets: `packet`, `shared_origin` and `culling` of the config apply.
+        mailbox: whether `mailbox` of the config applies, on a kd-tree.
+        streams: whether rays are traced in streams: `stream` of the config applies.
+        wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH
+            (`wrt.builders.convert.wide_kdtree`).
+        counters: struct of the work counters that its kernels write, at the first ray of an item.
+        queries: for each tree kind on which it answers more than closest-hit and any-hit queries, the queries that it answers.
     """
 
     name: str
@@ -67,16 +68,19 @@ class Traversal:
     queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def answers(self, query: str, tree: str) -> bool:
-        """Whether it answers a query on a kind of tree."""
+        """Whether it answers a query on a tree kind."""
         return query in self.queries.get(tree, NEAREST_QUERIES)
 
     def culls_backfaces(self, tree: str) -> bool:
-        """Whether it can cull back faces on a kind of tree: those do that answer every query, as they test hits one by one."""
+        """Whether it can cull back faces on a tree kind.
+
+        Traversals that answer every query can, because they test hits one by one.
+        """
         return tree in self.kernels and self.answers(ALL, tree)
 
     @property
     def trees(self) -> tuple[str, ...]:
-        """Kinds of tree that it walks."""
+        """Tree kinds that it supports."""
         return tuple(self.kernels)
 
 
@@ -160,3 +164,4 @@ TRAVERSALS: dict[str, Traversal] = {
         ),
     )
 }
+"""Traversals by name."""

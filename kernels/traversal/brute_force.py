@@ -1,4 +1,4 @@
-"""Brute force: every ray against every triangle. The judge of every tree and every traversal; O(rays x triangles)."""
+"""Brute force: every ray against every triangle, the reference for every tree and traversal; O(rays x triangles)."""
 
 from functools import cache
 
@@ -21,13 +21,16 @@ class AllTriangles:
 
     count: int
     low: wp.vec3
-    """Bounds of the scene."""
+    """`low` and `high` bound the scene."""
     high: wp.vec3
 
 
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
-    """The kernel for one specialisation; it uses the test's scalar form, so it also checks the lane form."""
+    """The kernel for one specialisation.
+
+    It uses the scalar form of the triangle test, so comparisons also check the lane form.
+    """
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
     take, crossing = take_crossing(config), config.crossing

@@ -1,26 +1,27 @@
-"""Crossings: what the queries "count", "all" and "next" do with a hit, and how a kd-tree reports each of them once.
+"""Crossings: how the queries "count", "all" and "next" process a hit, and how a kd-tree reports each crossing once.
 
-**Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the same hit comes out. A
-count has no such luck. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one
-leaf of a BVH; but in a kd-tree it is listed in each leaf that it reaches into.
+**Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the result is the same. A
+count would be wrong. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one leaf
+of a BVH; but a kd-tree lists a triangle in each leaf that it overlaps.
 
-**Ideas.** A mailbox that remembers triangles would have to remember all that a ray has crossed. Instead a crossing is
-reported only in the leaf that owns it. The interval of a leaf on the ray, which a hit's t must lie in, rules out nearly all
-others. Intervals are conservative (`wrt.kernels.simd.boxes`), so neighbours overlap by a hair, in which a hit has several
-leaves. Of those that list its triangle and whose intervals hold its t, the first one in the order of the nodes owns it. A leaf
-that asks looks for an earlier one: on the way from the root to it, wherever that goes to the right child, in the left one if
-that holds t.
+**Idea.** A mailbox would have to remember every triangle that a ray has crossed. Instead, a crossing is reported only in the
+leaf that owns it. The interval of a leaf on the ray must contain the t of the hit, which excludes nearly all other leaves.
+Intervals are conservative (`wrt.kernels.simd.boxes`), so those of neighbours overlap slightly, and a hit in the overlap has
+several leaves. Of the leaves that list its triangle and whose intervals contain its t, the first one in the order of the nodes
+owns it. A leaf tests for an earlier one: on the path from the root to the leaf, at each node where the path goes to the right
+child, it searches the left child if its interval contains t.
 
-**Why once.** Which leaf is first depends on nothing but the ray, t and the triangle, and a leaf whose interval holds t is
-visited. There is one. In a tree of whole boxes, go down from the root: where the triangle straddles the plane, t is in the near
-interval or beyond its end, and so behind the far one's start; where it does not, its box lies on one side, t is in the interval
-of the box, and rounding is monotone. Where triangles are clipped, see `wrt.builders.kdtree.phases.split_clipping`.
+**Uniqueness and existence.** The first leaf depends only on the ray, t and the triangle, and a leaf whose interval contains t
+is visited. Such a leaf exists. In a tree without split clipping, descend from the root: if the triangle straddles the plane, t
+is in the near interval, or beyond its end and so after the start of the far interval. If the triangle does not straddle the
+plane, its box lies on one side, t is in the interval of the box, and rounding is monotone. For clipped triangles see
+`wrt.builders.kdtree.phases.split_clipping`.
 
-The next crossing needs none of that, nor does the nearest hit that is not with a given triangle
-(`wrt.kernels.traversal.single.skip_step`): found in two leaves it is still the same one.
+The next crossing does not need this, nor does the nearest hit that is not with a given triangle
+(`wrt.kernels.traversal.single.skip_step`): if it is found in two leaves, it is still the same hit.
 
-**Cost.** A leaf asks only about a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one in
-many thousands.
+**Cost.** A leaf searches only for a hit in the overlap with its neighbours, which is as wide as the slack of the boxes: one hit
+in many thousands.
 """
 
 from functools import cache
@@ -45,7 +46,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def place_of(hits: wp.ref[HitBatch], i: int, number: int):
-    """Where a hit of ray i goes; -1 if there is no room."""
+    """Element for hit `number` of ray i; -1 if it does not fit."""
     place = i * hits.room + number
     if hits.room == 0:
         place = hits.begins[i] + number
@@ -56,7 +57,7 @@ def place_of(hits: wp.ref[HitBatch], i: int, number: int):
 
 @wp.func
 def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
-    """Keeps the first of the crossings that come after the one that was passed."""
+    """Keeps the first crossing that follows the given one."""
     is_later = t > passed.t or (t == passed.t and primitive > passed.primitive)
     if is_later and improves(t, primitive, passed.t, best):
         best.t = t
@@ -68,7 +69,7 @@ def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primiti
 
 @cache
 def take_crossing(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: one more hit of ray i."""
+    """`wp.func(hits, i, best, t, primitive, u, v) -> best`: processes one more hit of ray i."""
     if config.query == NEXT:
         return take_next
     if config.skipping:
@@ -91,9 +92,9 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
 
 @cache
 def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: the hits in one block.
+    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: processes the hits in one block.
 
-    node: the leaf. hits: `results_of(config)`. interval: of t in which the ray, number i, is in it; bounds included.
+    node: the leaf. hits: `results_of(config)`. interval: closed interval of t in which ray i is in the leaf.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
@@ -137,9 +138,10 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
 
 @wp.func
 def overlap(slabs: wp.ref[RaySlabs]):
-    """No less than what the intervals of two children share, rounding included; inf or NaN for a ray parallel to an axis.
+    """Upper bound of the overlap of the intervals of two children, rounding included; inf or NaN for a ray parallel to an axis.
 
-    (A ray that stays in the widened plane has all of its interval in both children.)"""
+    A ray that stays in the widened plane has its whole interval in both children.
+    """
     widest = float(0.0)
     for axis in range(3):
         width = wp.abs(slabs.origin_in[axis] - slabs.origin_out[axis]) * wp.abs(slabs.inverse[axis])
@@ -149,15 +151,15 @@ def overlap(slabs: wp.ref[RaySlabs]):
 
 @wp.func
 def holds(crossing: wp.vec3, is_left: bool, t: float):
-    """Whether the interval of a child, as bounded by its parent's plane, holds t; crossing: see `cross_plane`."""
+    """Whether the interval of a child, as bounded by its parent's plane, contains t; crossing: see `cross_plane`."""
     is_near = is_left == (not (crossing[0] < 0.0))
     return (is_near and not (t > crossing[1])) or (not is_near and not (t < crossing[2]))
 
 
 @cache
 def is_listed(width: int) -> wp.Function:
-    """`wp.func(tree, root, triangles, primitive, slabs, t) -> bool`: whether a leaf at or below a node
-    has the triangle and holds t."""
+    """`wp.func(tree, root, triangles, primitive, slabs, t) -> bool`: whether a leaf at or below a node lists the triangle and
+    contains t."""
 
     @wp.func
     def search(tree: KdNodes, root: int, triangles: TriangleBlocks, primitive: int, slabs: wp.ref[RaySlabs], t: float):
@@ -191,9 +193,9 @@ def is_listed(width: int) -> wp.Function:
 
 @cache
 def owns_crossing(width: int) -> wp.Function:
-    """`wp.func(tree, leaf, interval, triangles, slot, slabs, t) -> bool`: whether this leaf is the one to report a crossing.
+    """`wp.func(tree, leaf, interval, triangles, slot, slabs, t) -> bool`: whether this leaf reports the crossing.
 
-    leaf: a leaf that has the triangle in the slot. interval: of t there, which holds t.
+    leaf: a leaf that lists the triangle in the slot. interval: its interval of t, which contains t.
     """
     search = is_listed(width)
 

@@ -1,26 +1,25 @@
-"""Brute force over triangle fans: every ray against every fan, after Galin and Akkouche 2005.
+"""Brute force over triangle fans: every ray against every fan (Galin and Akkouche 2005).
 
-**Idea.** With s from a fan's centre to the origin and n = s x D, a rim vertex at e from the centre is on one side or the other
-of the plane through ray and centre, by the sign of n . e. Two neighbours on the rim on the same side: the ray passes their
-triangle. So a triangle costs one dot product, which the next one uses again. Where the signs differ, with N = e_k x e_(k+1):
+**Idea.** Let s be the vector from a fan's centre to the origin, and n = s x D. The sign of n . e tells on which side of the
+plane through ray and centre a rim vertex at e (relative to the centre) lies. If two neighbours on the rim are on the same side,
+the ray misses their triangle. A triangle therefore costs one dot product, which the next triangle reuses. If the signs differ,
+with N = e_k x e_(k+1):
 
     u = -(n . e_(k+1)) / (N . D)    v = (n . e_k) / (N . D)    t = -(N . s) / (N . D)
 
-weigh the two rim vertices and tell where. Both triangles at a spoke see it by the same number, so no ray passes between them
-there; at the rim it may.
+are the weights of the two rim vertices and the distance. Both triangles at a spoke use the same number, so no ray passes
+between them there; at the rim a ray may.
 
-**Data.** A centre and M + 1 rim vertices for M triangles, as positions, or (`edges`) as vectors from the centre, which saves
-their subtraction: nothing else is done of every rim vertex. Normals would be read only where signs differ.
+**Data.** A centre and M + 1 rim vertices for M triangles, as positions or (`edges`) as vectors from the centre, which saves the
+subtraction, the only other operation per rim vertex. Precomputed normals would be read only where signs differ. Speed:
+notebooks/records/2026-11-21-fan-traversal.md.
 
-**Speed.** A view of the teapot against all its triangles took 0.57 of the time of Moeller and Trumbore's test one by one, 0.55
-with edges, where that test with precomputed edges and normal took 0.75; of the wood, whose fans are small, 0.77 and 0.71. The
-paper reports nearly 40 % saved.
-
-**Departures.** The determinant is compared with nothing: what a division by zero gives is rejected by the comparisons. The
-matrix form of the survey that passes the formula on has the signs of u and v exchanged.
+**Differences from the paper.** The determinant is not compared with a threshold: the comparisons reject the results of a
+division by zero. The matrix form of the formula in Rahikainen (2013, equation 2.17) has the signs of u and v exchanged.
 
 References:
     E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (equations 2.17 and 2.18).
 """
 
 from functools import cache
@@ -36,21 +35,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class FanSet:
-    """Fans on the device; `wrt.builders.triangle_fans.TriangleFans` says how they lie."""
+    """Fans on the device; `wrt.builders.triangle_fans.TriangleFans` documents the layout."""
 
     count: int
     first: wp.array(dtype=int)
     centre: wp.array(dtype=wp.vec3)
     """Relative to the scene's centre."""
     rim: wp.array(dtype=wp.vec3)
-    """Likewise, or from the fan's centre."""
+    """Relative to the scene's centre or, with `edges`, to the fan's centre."""
     primitive: wp.array(dtype=int)
     corner: wp.array(dtype=int)
 
 
 @wp.func
 def meet(direction: wp.vec3, s: wp.vec3, e: wp.vec3, following: wp.vec3, x: float, x_following: float):
-    """(t, u, v) for the triangle of two rim vertices on either side of the ray; t is NaN for a miss."""
+    """(t, u, v) for the triangle of two rim vertices on opposite sides of the ray; t is NaN for a miss."""
     normal = cross(e, following)
     scale = 1.0 / dot(normal, direction)
     u = -x_following * scale
@@ -63,7 +62,7 @@ def meet(direction: wp.vec3, s: wp.vec3, e: wp.vec3, following: wp.vec3, x: floa
 
 @wp.func
 def weight(corner: int, vertex: int, u: float, v: float):
-    """Weight of the triangle's vertex 1 or 2, if u and v weigh the rim vertices."""
+    """Weight of the triangle's vertex 1 or 2, where u and v are the weights of the rim vertices."""
     after = (vertex - corner + 6) % 3
     flipped = corner >= 3
     return wp.where(after == 0, (1.0 - u) - v, wp.where((after == 1) != flipped, u, v))
@@ -71,7 +70,7 @@ def weight(corner: int, vertex: int, u: float, v: float):
 
 @cache
 def make_kernel(edges: bool) -> wp.Kernel:
-    """Closest hits. `edges`: whether the rim is given from the fan's centre."""
+    """The kernel for closest hits. `edges`: whether the rim is given relative to the fan's centre."""
 
     def brute_force_fans(first: int, fans: FanSet, rays: RayBatch, hits: HitBatch):
         i = first + wp.tid()

@@ -1,6 +1,6 @@
-"""One ray against one block of W triangles: the innermost step that all single-ray traversals share.
+"""One ray against one block of W triangles: the innermost step of all single-ray traversals.
 
-Ties go to the smaller t, then to the smaller primitive id, so the order in which blocks are met never shows.
+Ties go to the smaller t, then to the smaller primitive id, so the result does not depend on the order of blocks.
 """
 
 from functools import cache
@@ -30,47 +30,51 @@ class Candidate:
     """The best hit so far."""
 
     t: float
-    """Its t; before the first hit, the ray's t_max."""
+    """t of the hit; before the first hit, the ray's t_max."""
     primitive: int
-    """-1 before the first hit. In queries for all crossings, their number so far less one; there t stays the ray's t_max."""
+    """-1 before the first hit. In queries for all crossings, their number so far minus one; t then stays the ray's t_max."""
     u: float
     v: float
 
 
 @wp.struct
 class Counters:
-    """Work done for one ray; that of a packet stands at its first ray."""
+    """Work done for one ray; the work of a packet is recorded at its first ray."""
 
     nodes: int
     """Inner nodes visited."""
     leaves: int
     """Leaves visited, empty ones included."""
     triangles: int
-    """Triangles that the ray, or at least one vector of a packet, was tested against; unused lanes of a block do not count."""
+    """Triangles that the ray, or at least one vector of a packet, was tested against; unused lanes of a block are not
+    counted."""
     boxes: int
-    """Wide trees: tests of a ray, or of a packet as a whole, against a child's box."""
+    """Wide trees: tests of a ray, or of a packet as a whole, against the box of a child."""
     culled: int
-    """Packets: triangles of the leaves visited that no ray was tested against."""
+    """Packets: triangles in visited leaves that no ray was tested against."""
     lanes: int
-    """Packets: pairs of a ray and a triangle that were tested, idle lanes included."""
+    """Packets: ray-triangle lanes tested, idle lanes included."""
     active: int
-    """Packets: those of them whose ray meets the triangle's box, before its best hit so far."""
+    """Packets: those of them whose ray meets the triangle's box before its best hit so far."""
     avoided: int
-    """Triangles not tested again, because a mailbox remembered them."""
+    """Triangles that were not tested again because a mailbox remembered them."""
 
 
 @wp.struct
 class CounterRows:
-    """Where kernels write counters. It is a struct because Warp compiles a kernel that has an array of one dimension among its
-    parameters twice for CPUs, for arrays with and without gaps: for a third more time, and kernels a tenth slower."""
+    """The array to which kernels write counters.
+
+    It is wrapped in a struct because Warp compiles a CPU kernel with a one-dimensional array parameter twice, for contiguous
+    and for strided arrays; that takes longer and gives slower code (notebooks/records/2026-11-21-single-rays.md).
+    """
 
     rows: wp.array(dtype=Counters)
-    """(rays,), or anything where nothing is counted."""
+    """(rays,); any length if counting is off."""
 
 
 @wp.func
 def start(t_max: float):
-    """No hit yet."""
+    """The candidate before the first hit."""
     best = Candidate()
     best.t = t_max
     best.primitive = -1
@@ -79,20 +83,20 @@ def start(t_max: float):
 
 @wp.func
 def improves(t: float, primitive: int, t_min: float, best: Candidate):
-    """Whether a hit at t (NaN: none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
+    """Whether a hit at t (NaN for none) replaces the best so far. The range is closed: t_min <= t <= t_max."""
     return t >= t_min and (t < best.t or (t == best.t and (best.primitive < 0 or primitive < best.primitive)))
 
 
 @wp.func
 def enter(slabs: RaySlabs, low: wp.vec3, high: wp.vec3, t_min: float, t_max: float):
-    """(entry, leave): the part of the ray's range in which it is inside the scene's box; empty if entry > leave."""
+    """(entry, leave): the part of the ray's range inside the scene's box; empty if entry > leave."""
     interval = slab_interval(slabs, low, high)
     return wp.vec2(wp.max(interval[0], t_min), wp.min(interval[1], t_max))
 
 
 @cache
 def store_best(config: TraversalConfig) -> wp.Function:
-    """`wp.func(hits, i, best)` that writes the answer to the query for ray number i."""
+    """`wp.func(hits, i, best)`: writes the result of the query for ray number i."""
     any_hit, crossing = config.query == ANY, config.crossing
 
     @wp.func
@@ -119,7 +123,7 @@ BOX_INTERVAL = """
         at = at < leave ? at : leave;
 """
 """C++: enter .. leave, the interval of t in which a ray (ix, in_x, out_x ..: its `RaySlabs`, back_x: ix < 0) is in the widened
-box low .. high; `at` is clamped to it, as by `clamp_to_box`."""
+box low .. high; `at` is clamped to it, as in `clamp_to_box`."""
 
 _CLAMP = """
     const float* r = &records.data[(size_t)block * (COMPONENTS * W)];
@@ -155,7 +159,7 @@ _FRONT = """
         const double along_z = (ux * vy - uy * vx) * (double)(1.0f / slabs.inverse.c[2]);
         const bool front = (along_x + along_y) + along_z < 0.0;
 """
-"""C++ that sets `front` from the vertices ax .. cz: the direction comes from where every traversal has it."""
+"""C++ that sets `front` from the vertices ax .. cz; the direction is derived from `RaySlabs`, which every traversal has."""
 
 
 @wp.func_native(f"""
@@ -166,7 +170,7 @@ _FRONT = """
     return front;
 """)
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
-    """Whether a ray comes from the side from which a triangle is wound counter-clockwise; not if it is seen edge-on."""
+    """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
     ...
 
 
@@ -174,8 +178,8 @@ def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
 def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.Function:
     """`wp.func(records, block, slabs, mask, t, t_min, t_max) -> mask`: `clamp_to_box` for the W candidates of a block.
 
-    Which of the lanes in `mask` are hits by the consistency rule, with t_min <= t <= t_max; `t` is clamped in place. If back
-    faces are culled, only those that the ray meets from their front.
+    Returns the lanes of `mask` that are hits by the consistency rule, with t_min <= t <= t_max; `t` is clamped in place. If
+    back faces are culled, only hits from the front are returned.
     """
     Lanes = lanes(width)
     constants = (
@@ -199,7 +203,7 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
 
 @cache
 def triangle_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate by the test's scalar form; t NaN for none."""
+    """`wp.func(records, slot, state, slabs) -> vec3 (t, u, v)`: one candidate, by the scalar test; t is NaN for none."""
     test = TRIANGLE_TESTS[config.triangle_test]
     RayState, intersect, width = test.ray_state, test.forms(config.crossing).intersect, config.width
     load, load_vertices = test.record.load, load_corners(test.record.components)
@@ -211,7 +215,7 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
         if hit[0] != hit[0]:
             return hit
         corners = load_vertices(records, slot, wp.static(width))
-        if wp.static(culling):  # noqa: SIM102  (joined by `and`, both would be computed)
+        if wp.static(culling):  # noqa: SIM102  (Warp evaluates both operands of `and`)
             if not comes_from_front(slabs, corners):
                 return wp.vec3(wp.nan, 0.0, 0.0)
         return wp.vec3(clamp_to_box(slabs, corners_low(corners), corners_high(corners), hit[0]), hit[1], hit[2])
@@ -258,7 +262,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def slot_by_slot(config: TraversalConfig) -> wp.Function:
-    """The same by the test's scalar form, one triangle after the other: every exit of a test is a branch."""
+    """The same as `block_step` by the scalar test, one triangle after the other: every early exit of a test is a branch."""
     width, any_hit = config.width, config.query == ANY
     RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)
 

@@ -1,4 +1,4 @@
-"""Which step tests a leaf's triangles where it takes more, or other, than the closest of them (`TraversalConfig.own_step`)."""
+"""Selects the block step for configs that need more than the closest hit in a block (`TraversalConfig.own_step`)."""
 
 import warp as wp
 
@@ -8,5 +8,5 @@ from wrt.kernels.traversal.traversal_config import EXACT, TraversalConfig
 
 
 def make_own_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`."""
+    """A block step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`."""
     return (exact_step if config.query == EXACT else crossing_step)(config, Tree)

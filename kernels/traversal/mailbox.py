@@ -1,37 +1,34 @@
-"""Mailboxes: what has been tested already need not be tested again (survey, section 4.1).
+"""Mailboxes: a ray or packet remembers the triangles that it has tested and does not test them again.
 
-**Problem.** A triangle that straddles a splitting plane is in several leaves of a kd-tree; a ray, or a packet, that visits
-two of them tests it twice.
+**Problem.** A triangle that straddles a splitting plane is in several leaves of a kd-tree. A ray or packet that visits two of
+them tests it twice.
 
-**Ideas.** Arnaldi, Priol and Bouatouch kept the last ray's number with each object. Threads would fight over these numbers,
-so the memory moved to the ray. *Hashed* (Wald et al. 2001): a table a ray, a triangle's slot follows from its id, and a newer
-triangle drives out an older one. *Inverse* (Shevtsov et al. 2007): the ids of the last eight triangles, in a ring; every
-triangle is compared with all eight at once.
+**Ideas.** Arnaldi, Priol and Bouatouch stored the number of the last ray with each object. Several threads would write to these
+numbers at the same time, so later methods store the memory with the ray. *Hashed* (Wald et al. 2001): a table per ray; the slot
+of a triangle follows from its id, and a new triangle replaces the old one. *Inverse* (Shevtsov et al. 2007): the ids of the
+last eight triangles, in a ring; every triangle is compared with all eight at once. Rahikainen (2013, section 4.1) surveys the
+methods.
 
-**Granularity: triangles.** Every leaf has blocks of its own, so a block is never met twice by one ray; its triangles are.
-* A packet asks for the triangles of a block that its culling has left, a few of W, and each that it need not test saves
-  P / W vector tests.
-* A single ray tests W triangles at once, whether one is new or all: it can skip a block only if all of its triangles are
-  known. A ring of eight does not even hold a block of sixteen.
+**Granularity: triangles.** Every leaf has blocks of its own, so a ray never meets a block twice; it meets its triangles twice.
+* A packet filters the triangles of a block that culling has left, usually a few of W. Each triangle that is skipped saves P / W
+  vector tests.
+* A single ray tests W triangles at once, so it can skip a block only if all of its triangles are known. A ring of eight does
+  not even hold a block of sixteen.
 
-**Measured** (one core of a Zen 5, the bunny, blocks of 16). Packets of 64: 1 to 4 % of a leaf's triangles are avoided, which
-is 12 to 21 % of those that culling has left; camera rays run at 0.97 to 1.08 times the speed without, shadow rays at 0.9
-times. Single rays can almost never skip a block of 16 and pay for asking: 0.65 to 0.86 times; with blocks of 4, at most 2 %
-are avoided, at 0.8 to 0.92 times. Shevtsov et al. report 10 to 23 % for the inverse mailbox: as many are spared here, but
-testing them takes little of the time. So "none" is the default.
+Forgetting a triangle is always correct: the same hit is found again and replaces nothing.
 
-Forgetting and testing again is always right: the same hit is found again, and replaces nothing.
+**Limits.** Mailboxes do not pay on the CPUs measured, so "none" is the default
+(notebooks/records/2026-11-21-kdtree-packets.md).
 
-**Contract.** A mailbox is an array of ints of one ray or packet, all 0 at first, and `filter(width)`, a
-`wp.func(ids, block, mask, mailbox) -> mask` that takes the triangles which it remembers out of the mask, and notes the others.
+**Contract.** A mailbox is an array of ints for one ray or packet, initially 0, and `filter(width)`, a `wp.func(ids, block,
+mask, mailbox) -> mask` that removes remembered triangles from the mask and remembers the others.
 
 References:
-    B. Arnaldi, T. Priol, K. Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes.
-        The Visual Computer 3, 1987.
+    B. Arnaldi, T. Priol, K. Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes. The Visual Computer
+        3, 1987.
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
-    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures.
-        GraphiCon 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013.
 """
 
 from collections.abc import Callable
@@ -45,12 +42,12 @@ from wrt.kernels.simd.lanes import FOR_LANES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 RING = 8
-"""Triangles that an inverse mailbox remembers."""
+"""Number of triangles in an inverse mailbox."""
 
 SLOTS = 64
-"""Of a hashed mailbox, a power of two."""
+"""Slots of a hashed mailbox, a power of two."""
 
-# Memory holds id + 1, so that 0 is nobody.
+# Entries are id + 1; 0 is an empty entry.
 _HASHED = """
     const int* id = ids.data + (size_t)block * W;
     unsigned fresh = 0;
@@ -84,7 +81,7 @@ def _lanes(width: int) -> str:
 
 @cache
 def hashed_filter(width: int) -> wp.Function:
-    """A table of `SLOTS` ids."""
+    """A hash table of `SLOTS` ids."""
 
     @wp.func_native(_lanes(width) + _HASHED)
     def hashed(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
@@ -94,7 +91,7 @@ def hashed_filter(width: int) -> wp.Function:
 
 @cache
 def inverse_filter(width: int) -> wp.Function:
-    """A ring of `RING` ids, and behind them the place of the next."""
+    """A ring of `RING` ids, followed by the position of the next entry."""
 
     @wp.func_native(_lanes(width) + _INVERSE)
     def inverse(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
@@ -104,7 +101,7 @@ def inverse_filter(width: int) -> wp.Function:
 
 @cache
 def no_filter(width: int) -> wp.Function:
-    """Everything is new."""
+    """A filter that keeps every triangle."""
 
     @wp.func
     def none(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)):
@@ -115,12 +112,12 @@ def no_filter(width: int) -> wp.Function:
 
 @dataclass(frozen=True)
 class Mailbox:
-    """A way to remember triangles.
+    """A method to avoid repeated triangle tests.
 
     Attributes:
         name: key in `MAILBOXES`.
         paper: authors, title, year.
-        size: ints of memory; at least one, for an array must not be empty.
+        size: number of ints; at least one, because an array must not be empty.
         filter: width -> `wp.func(ids, block, mask, mailbox) -> mask`.
     """
 
@@ -145,3 +142,4 @@ MAILBOXES: dict[str, Mailbox] = {
         ),
     )
 }
+"""Mailboxes by name."""

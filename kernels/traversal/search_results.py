@@ -1,4 +1,4 @@
-"""What a search carries along besides its ray: where its hits go, or what it has to know to find them."""
+"""State of a search besides its ray: the destination of its hits, or the data that it needs to find them."""
 
 import warp as wp
 
@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Passed:
-    """For the query `NEXT`: only crossings that come after this one count, by t, then by triangle."""
+    """For the query `NEXT`: only crossings after this one count, ordered by t, then by triangle."""
 
     t: float
     primitive: int
@@ -19,7 +19,7 @@ class Passed:
 
 @wp.struct
 class ExactSearch:
-    """For the query `EXACT`: the ray and the triangles as they were given, and the nearest hit so far."""
+    """For the query `EXACT`: ray and triangles in float64, as the caller gave them, and the closest hit so far."""
 
     origin: wp.vec3d
     direction: wp.vec3d
@@ -27,7 +27,7 @@ class ExactSearch:
     vertices: wp.array(dtype=wp.vec3d)
     faces: wp.array(dtype=wp.vec3i)
     t: wp.float64
-    """Before the first hit, the ray's t_max."""
+    """t of the closest hit; before the first hit, the ray's t_max."""
     primitive: int
     """-1 before the first hit."""
     u: wp.float64
@@ -36,16 +36,16 @@ class ExactSearch:
 
 @wp.struct
 class Skipping:
-    """For configs that are `skipping`: what the ray passes through."""
+    """For configs with `skipping`: the triangle that the ray ignores."""
 
     t_min: float
-    """The ray's."""
+    """t_min of the ray."""
     skipped: int
-    """The triangle; -1 if there is none."""
+    """The ignored triangle; -1 if there is none."""
 
 
 def results_of(config: TraversalConfig) -> type:
-    """The struct that a specialisation's walk takes as `hits`; queries of whole batches store their hits there."""
+    """The struct that the walk of a specialisation takes as `hits`; batch queries store their hits there."""
     if config.skipping:
         return Skipping
     return {NEXT: Passed, EXACT: ExactSearch}.get(config.query, HitBatch)

@@ -1,4 +1,4 @@
-"""What a traversal kernel is specialised for, and what its caller may ask of it."""
+"""The specialisation key of a traversal kernel, and the queries."""
 
 from dataclasses import dataclass
 
@@ -9,14 +9,14 @@ ANY = "any"
 COUNT = "count"
 ALL = "all"
 QUERIES = (CLOSEST, ANY, COUNT, ALL)
-"""Closest hit (t, primitive, uv), only whether there is any hit, the number of crossings, or all of them."""
+"""Closest hit (t, primitive, uv); whether there is any hit; the number of crossings; all crossings."""
 
 NEXT, EXACT = "next", "exact"
-"""Queries of the single-ray walks alone: the crossing that follows a given one (`wrt.kernels.query.device_functions`), and the
-closest hit in float64 (`wrt.kernels.query.exact_closest`)."""
+"""Queries that only the single-ray walks answer: the crossing that follows a given one (`wrt.kernels.query.device_functions`),
+and the closest hit in float64 (`wrt.kernels.query.exact_closest`)."""
 
 NEAREST_QUERIES = (CLOSEST, ANY)
-"""Those that need one hit: a triangle test's inclusive forms answer them."""
+"""Queries that need one hit; the inclusive forms of the triangle tests answer them."""
 
 
 @dataclass(frozen=True)
@@ -25,23 +25,23 @@ class TraversalConfig:
 
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
-        width: triangles a block, and children of a wide node, 1 to 16.
+        width: triangles per block and children per wide node, 1 to 16.
         query: one of `QUERIES`, or `NEXT` or `EXACT`.
-        coherent: whether neighbouring rays are expected to take the same way through the tree; only speed depends on it.
-        counters: whether work per ray is counted (`wrt.kernels.traversal.leaf.Counters`).
-        levels: inner nodes on a path that the stack has room for; at least the depth of a wide tree.
-        packet: rays of a packet, a multiple of the width.
+        coherent: whether neighbouring rays are expected to take similar paths through the tree; affects only speed.
+        counters: whether work is counted per ray (`wrt.kernels.traversal.leaf.Counters`).
+        levels: greatest number of inner nodes on a path, the size of the stack; at least the depth of a wide tree.
+        packet: rays per packet, a multiple of the width.
         shared_origin: whether all rays of the batch start at the same point.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
-        stream: rays of a stream, 1 to 4096.
+        stream: rays per stream, 1 to 4096.
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`.
-        block: on CUDA, threads of a block, if stacks may lie in its shared memory; else 0.
-        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); the traversal "single" can take
-            them for the nearest queries.
+        block: on CUDA, threads per block if stacks may be in shared memory; else 0.
+        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); supported by the traversal
+            "single" for `NEAREST_QUERIES`.
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
-        skipping: whether each ray passes through one triangle (`wrt.kernels.query.skip_triangle`); walks of "closest", "any"
+        skipping: whether each ray ignores one triangle (`wrt.kernels.query.skip_triangle`); for the walks of "closest", "any"
             and "count".
-        one_by_one: whether a ray that goes alone meets the triangles of a leaf one after the other, by the test's scalar form.
+        one_by_one: whether a ray that is traced alone is tested against the triangles of a leaf one by one, by the scalar test.
     """
 
     triangle_test: str
@@ -63,10 +63,10 @@ class TraversalConfig:
 
     @property
     def crossing(self) -> bool:
-        """Whether each crossing of a surface is wanted exactly once."""
+        """Whether each crossing of a surface must be reported exactly once."""
         return self.query in (COUNT, ALL, NEXT)
 
     @property
     def own_step(self) -> bool:
-        """Whether leaves are tested by a step that takes more, or other, than the closest of its triangles."""
+        """Whether leaves need another step than the one that finds the closest hit in a block."""
         return self.crossing or self.query == EXACT or self.skipping

@@ -1,44 +1,37 @@
-"""Lockstep traversal of a kd-tree: each lane of a vector walks its own ray. For rays that have nothing in common.
+"""Lockstep traversal of a kd-tree: each lane of a vector walks its own ray; for incoherent rays.
 
-**Problem.** A single ray waits: for the node that it loads, for the processor that guessed the wrong child or the wrong end
-of a loop. Neighbouring rays share ways, so packets of them amortise that; random rays, or ambient occlusion, do not.
+**Problem.** A single ray waits for the node that it loads and for mispredicted branches. Neighbouring rays share their paths,
+so packets amortise the waiting; random rays and ambient occlusion rays do not.
 
-**Idea.** What incoherent rays have in common is the program. GPUs run one ray a lane: Foley and Sugerman walked kd-trees so,
-without a stack, Horn et al. with a short one; Aila and Laine found that what a lane does (step, or test a leaf) has to be
-arranged for the lanes to stay together. Here the lanes are those of the CPU's vectors. Rays need not be coherent, nor agree
-in the signs of their directions, as they must in Wald's packets; nodes, axes and stacks differ from lane to lane.
+**Idea.** Incoherent rays share only the program. GPUs run one ray per lane: Foley and Sugerman traversed kd-trees without a
+stack, Horn et al. with a short one. Aila and Laine found that the work of the lanes (a step, or the test of a leaf) must be
+scheduled so that the lanes stay together. Here the lanes are those of the CPU's vectors. Rays need not be coherent or agree in
+the signs of their directions, unlike in the packets of Wald et al.; nodes, axes and stacks differ from lane to lane.
 
 **Phases**, repeated until the item's run of rays is used up:
-1. refill: lanes without a ray take the next ones of the run;
-2. step: all lanes at inner nodes take a step, again and again (`wrt.kernels.traversal.lockstep.lockstep_lanes`); lanes at
-   leaves wait, until no more than half of those that have a ray still step: Aila and Laine's "while-while" with a threshold;
-3. test: the blocks of the leaves reached, one ray against W triangles as single rays do; the first blocks of all lanes, then
-   the second ones, so that neighbours in this loop do not wait for each other's best hit;
-4. pop: the next waiting cell, by the rule of `wrt.kernels.traversal.single.single_kdtree`; where none is left, the hit is
-written.
+1. refill: idle lanes take the next rays of the run;
+2. step: all lanes at inner nodes take steps (`wrt.kernels.traversal.lockstep.lockstep_lanes`). Lanes at leaves wait until at
+   most half of the lanes with a ray are still stepping: Aila and Laine's "while-while" loop with a threshold;
+3. test: the blocks of the leaves reached, one ray against W triangles, as for single rays. The first blocks of all lanes are
+   tested first, then the second ones, so that neighbouring iterations do not depend on each other's best hit;
+4. pop: the next cell on the lane's stack, by the rule of `wrt.kernels.traversal.single.single_kdtree`; if there is none, the
+hit is written.
 
-A step computes what a single ray's step computes, from the same numbers: nodes, leaves and triangles visited are the same,
+A step computes what the step of a single ray computes, from the same numbers: nodes, leaves and triangles visited are the same,
 and so are the hits, to the bit.
 
-**Measured** (Zen 5; bunny, the same tree): random rays 1.7 times as fast as `single`, ambient occlusion 1.5 times; 75 and 68
-of 100 lanes take a step in a step. It is now so cheap that finer trees pay: 1.85 and 1.7 times with
-`wrt.KdTree(block_cost=1.5, empty_factor=1.0)`. Two vectors of lanes are a tenth faster than one: one waits for its nodes
-while the other computes. Sorting a run by octant, or by the origin's cell, gained nothing even when the sorting was not
-counted; nor did fetching the blocks of leaves ahead.
+**Use.** For lazy trees, and for batches too small to pay for the wide form of a kd-tree, in which streams are faster
+(`wrt.builders.convert.wide_kdtree`). Steps are cheap, so finer trees pay (`wrt.KdTree(block_cost=1.5, empty_factor=1.0)`).
+Figures: notebooks/records/2026-11-21-single-rays.md.
 
-**Where it is used.** For trees that are lazy, and for batches too small to pay for the wide form of a kd-tree, through which
-streams are 2 to 3 times as fast (`wrt.builders.convert.wide_kdtree`): what is left to gain here is bounded by a tree whose
-every step waits for a load of its own, 18 of them and 4 leaves a random ray of the bunny, where a wide node decides as much in
-four.
-
-**Limits.** Camera rays gain nothing, shadow rays to a point light lose a tenth: one by one, they are guessed well. On CUDA a
-thread has all lanes, in a loop: right, but slow; there each of the hardware's lanes should have a ray, which is what `single`
-does. A run is 64 rays a lane, so small batches occupy few threads.
+**Limits.** Camera rays gain nothing, and shadow rays to a point light lose, because their branches are predicted well in
+`single`. On CUDA one thread processes all lanes in a loop, which is correct but slow; there each hardware lane should have a
+ray, as in `single`. A run is 64 rays per lane, so small batches occupy few threads.
 
 References:
     T. Foley, J. Sugerman: KD-tree acceleration structures for a GPU raytracer. Graphics Hardware 2005.
-    D. R. Horn, J. Sugerman, M. Houston, P. Hanrahan: Interactive k-d tree GPU raytracing. Symposium on Interactive 3D
-        Graphics and Games (I3D) 2007.
+    D. R. Horn, J. Sugerman, M. Houston, P. Hanrahan: Interactive k-d tree GPU raytracing. Symposium on Interactive 3D Graphics
+        and Games (I3D) 2007.
     T. Aila, S. Laine: Understanding the efficiency of ray traversal on GPUs. High Performance Graphics 2009.
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
 """
@@ -60,11 +53,11 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 RAYS_PER_LANE = 64
-"""Rays of an item, a lane: enough that the end of a run, when lanes go empty, does not matter."""
+"""Rays of an item per lane: enough that idle lanes at the end of a run do not matter."""
 
 
 def lane_count(config: TraversalConfig) -> int:
-    """Rays under way at a time: two vectors, if blocks are as wide as suits the device."""
+    """Lanes of a group: two vectors, if the block width is the native width."""
     return 2 * config.width
 
 
@@ -102,7 +95,7 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
                 best[lane] = found
                 group.best[lane] = found.t
                 if wp.static(any_hit) and found.primitive >= 0:
-                    group.word1[lane] = LEAF  # as if the leaf had no more triangles
+                    group.word1[lane] = LEAF  # no more triangles to test in this leaf
                     group.top[lane] = -1
             untested = filled_lanes(group, 1) & untested
 
@@ -111,8 +104,10 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
 
 @cache
 def boarding(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, rays, i, lane, group, states, slabs, t_min, best) -> bool`: gives a lane ray number i; False if that does
-    not meet the scene, and then `best` is its answer."""
+    """`wp.func(tree, rays, i, lane, group, states, slabs, t_min, best) -> bool`: loads ray number i into a lane.
+
+    Returns False if the ray misses the scene; `best` is then its result.
+    """
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, RayState = test.prepare, test.ray_state
     Walks, board_lane = walks(lane_count(config)), board(lane_count(config))
@@ -165,7 +160,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: CounterRows,
     ):
-        """Item: a run of consecutive rays."""
+        """Traces a run of consecutive rays. Item: a run."""
         upcoming = (first + wp.tid()) * wp.static(run)
         end = wp.min(upcoming + wp.static(run), rays.count)
         group = Walks()
@@ -175,7 +170,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         states = wp.zeros(shape=(wp.static(count),), dtype=RayState)
         t_min = wp.zeros(shape=(wp.static(count),), dtype=float)
         best = wp.zeros(shape=(wp.static(count),), dtype=Candidate)
-        resting_place = tree.nodes.shape[0] - 1  # depth first, the last node is a leaf: lanes without a ray take no step
+        resting_place = tree.nodes.shape[0] - 1  # in depth-first order the last node is a leaf: idle lanes take no step
         for lane in range(wp.static(count)):
             group.node[lane] = resting_place
             group.top[lane] = -1

@@ -1,14 +1,13 @@
-"""Many walks through a kd-tree at once: the lane loops of `wrt.kernels.traversal.lockstep.lockstep_kernel`.
+"""Simultaneous walks through a kd-tree: the lane loops of `wrt.kernels.traversal.lockstep.lockstep_kernel`.
 
-Each of L lanes walks a ray of its own. Node, interval and ray are vectors over the lanes, so a step through inner nodes
-is a handful of vector instructions, whichever nodes, axes and directions the lanes have. It is `step_selecting` of
-`wrt.kernels.traversal.single.single_kdtree`, formula for formula.
+Each of L lanes walks its own ray. Node, interval and ray are vectors over the lanes, so a step through inner nodes is a few
+vector instructions, whatever nodes, axes and directions the lanes have. The formulas are those of `step_selecting` of
+`wrt.kernels.traversal.single.single_kdtree`.
 
-**The log.** A stack a lane, indexed by the lane's own size, would need a scatter for every vector that is written. Here
-all lanes write to the same row, whether they have something to say or not, and the next step writes to the next row:
-plain stores. A row that matters is linked from the lane's `top`, and by its `below` to the lane's row before it. When
-all rows are used, the linked ones are moved to the front: no lane links more than the tree's depth, so at least half of the
-rows are free again.
+**The log.** A stack per lane, indexed by the lane's own size, would need a scatter for every vector that is written. Here all
+lanes write to the same row, whether they have an entry to push or not, and the next step writes to the next row: plain stores.
+The valid rows of a lane form a linked list, from the lane's `top` through the field `below`. When all rows are used, the linked
+ones are moved to the front. No lane links more rows than the tree's depth, so at least half of the rows become free.
 
     log[((row * 4 + field) * L) + lane]    fields: far node, its entry, its leave (bits of float32), row below or -1
 """
@@ -24,15 +23,15 @@ from wrt.kernels.simd.lanes import FOR_LANES, lanes
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ROWS = 2 * MAX_TREE_DEPTH
-"""Rows of the log."""
+"""Number of rows of the log."""
 
 FIELDS = 4
-"""Numbers a lane in a row."""
+"""Fields per lane in a row."""
 
 
 @cache
 def walks(count: int) -> type:
-    """The struct of `count` walks; a vector each, by lane."""
+    """The struct of `count` walks; a vector over the lanes for each number."""
     Floats = lanes(count)
     Ints = wp.types.vector(length=count, dtype=wp.int32)
 
@@ -55,13 +54,13 @@ def walks(count: int) -> type:
         word1: Ints
         nodes: Ints
 
-    Walks.__doc__ = """`RaySlabs` of the rays by component; then, of the walks:
+    Walks.__doc__ = """The `RaySlabs` of the rays by component, and the state of the walks:
 
-    node, entry, leave: where a walk is, and the interval of t in which its ray may be there.
-    best: t of the best hit so far, or t_max.
-    top: row of the log that is to be visited next, -1 if none is.
-    word0, word1: the words of the node; see `wrt.kernels.layout.kdtree_nodes`.
-    nodes: inner nodes visited, if they are counted.
+    node, entry, leave: current node, and the interval of t in which the ray may be inside it.
+    best: t of the best hit so far; before the first hit t_max.
+    top: row of the log with the next cell, -1 if there is none.
+    word0, word1: words of the node; see `wrt.kernels.layout.kdtree_nodes`.
+    nodes: number of inner nodes visited, if work is counted.
     """
     return wp.struct(Walks)
 
@@ -87,7 +86,7 @@ _BOARD = """
 
 @cache
 def board(count: int) -> wp.Function:
-    """`func(walks, lane, slabs, interval, t_max)`: puts a ray that meets the scene in `interval` at the root of the tree."""
+    """`func(walks, lane, slabs, interval, t_max)`: places a ray at the root; `interval` is its interval in the scene's box."""
     Walks = walks(count)
 
     @wp.func_native(_BOARD)
@@ -163,8 +162,11 @@ _ADVANCE = """
 
 @cache
 def advance(count: int, counting: bool) -> wp.Function:
-    """`func(nodes, walks, log, row, least) -> uint32`: steps until fewer than `least` lanes are at inner nodes, or the log
-    is full. Returns the mask of the lanes that are at a leaf; `row` is the log's next free one."""
+    """`func(nodes, walks, log, row, least) -> uint32`: steps until fewer than `least` lanes are at inner nodes, or the log is
+    full.
+
+    Returns the mask of the lanes at leaves; `row` is the next free row of the log.
+    """
     Walks = walks(count)
 
     @wp.func_native(
@@ -190,8 +192,11 @@ _FILLED = """
 
 @cache
 def filled(count: int, width: int) -> wp.Function:
-    """`func(walks, blocks) -> uint32`: takes so many blocks off the front of every leaf; the mask of leaves with triangles
-    left. What it gives and does for lanes at inner nodes means nothing."""
+    """`func(walks, blocks) -> uint32`: removes `blocks` blocks from the front of every leaf; returns the mask of leaves with
+    triangles left.
+
+    Results for lanes at inner nodes are undefined.
+    """
     Walks = walks(count)
 
     @wp.func_native(f"{FOR_LANES}    constexpr int W = {count}, TRIANGLES = {width};{_FILLED}")
@@ -249,11 +254,12 @@ _POP = """
 
 @cache
 def pop(count: int) -> wp.Function:
-    """`func(walks, log, arrived) -> uint32`: brings the lanes of the mask to the next cell that waits for them; the mask of
-    those for which none does.
+    """`func(walks, log, arrived) -> uint32`: moves the lanes of the mask to the next cell in their log.
 
-    A cell whose entry lies beyond the best hit is dropped, and what lies beyond it is cut off one that is visited. Most lanes
-    find their cell at the first look, which is vectors; those that drop one go on by themselves."""
+    Returns the mask of the lanes that have none. A cell whose entry lies beyond the best hit is dropped, and the interval of a
+    visited cell is clipped to the best hit. Most lanes find their cell at the first attempt, in vectors; lanes that drop a cell
+    continue one by one.
+    """
     Walks = walks(count)
 
     @wp.func_native(f"{FOR_LANES}    constexpr int W = {count};{_POP}")
@@ -281,9 +287,10 @@ _COMPACT = """
 
 @cache
 def compact(count: int) -> wp.Function:
-    """`func(walks, log) -> int`: moves what waits to the log's first rows; the first free one.
+    """`func(walks, log) -> int`: moves the linked rows to the start of the log; returns the first free row.
 
-    Oldest first: the k-th oldest is in row k or a later one, so nothing is overwritten before it is moved."""
+    Rows are moved oldest first: the k-th oldest is in row k or later, so no row is overwritten before it is moved.
+    """
     Walks = walks(count)
 
     @wp.func_native(f"    constexpr int W = {count}, DEPTH = {MAX_TREE_DEPTH};{_COMPACT}")

@@ -1,25 +1,25 @@
-"""Packets: several rays that go through a tree together (survey, chapter 3).
+"""Ray packets: several rays that traverse a tree together.
 
-A packet of P rays lives in one local array, component by component (`layout`), with intervals over its rays beside it
-(`bounds`). `load` and `store` bring rays in and hits out, `block` tests the rays against the triangles of a leaf, W rays at
-a time, and a *culling* decides for all rays at once which child boxes and which triangles none of them can hit. A packet that
-meets too much goes on in parts (`parting`).
+A packet of P rays is one local array, component by component (`layout`), with intervals over its rays (`bounds`). `load` and
+`store` move rays in and hits out. `block` tests the rays against the triangles of a leaf, W rays at a time. A *culling* decides
+for all rays at once which child boxes and which triangles no ray can hit. A packet whose rays diverge is split (`parting`).
 
-**Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` looks at W child boxes, `triangles` at
-the W triangles of a block, `start` gets a packet ready for its walk, `leaf` looks at its rays again before a leaf is
-tested. They must keep whatever any ray may hit, and the keys of boxes must not be later than any ray's computed entry.
-`interval` and `vertex` compute lower and upper bounds of the rays' own numbers (rounding is monotone, so the same
-expressions on the ends of intervals bound the rounded values too); those that work with planes are widened by more than
-rounding can move a hit. So culling never shows in the hits (`wrt.kernels.simd.boxes`, the consistency rule).
+**Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` tests W child boxes, `triangles` tests the W
+triangles of a block, `start` prepares a packet for its traversal, `leaf` inspects its rays before a leaf is tested. They must
+keep everything that any ray may hit, and the keys of boxes must not be later than the computed entry of any ray. `interval` and
+`vertex` compute lower and upper bounds of the rays' own numbers; rounding is monotone, so the same expressions on the ends of
+intervals bound the rounded values too. The cullings that use planes are widened by more than rounding can move a hit. Culling
+therefore never changes the hits (`wrt.kernels.simd.boxes`, the consistency rule).
 
-To add a culling: write its file, add one line to `CULLINGS`; tests, command line and benchmarks pick it up. What the loops
-over W boxes or triangles compute stands in `twins` for one of them, in plain Warp, to be read and to be compared with.
+To add a culling, write its file and add one line to `CULLINGS`; tests, command line and benchmarks use the table. `twins` has a
+scalar form of each loop over W boxes or triangles, in plain Warp, for reading and for comparison in tests.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
     S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
         UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 3, a survey of packets and
+        culling).
 """
 
 from collections.abc import Callable
@@ -54,19 +54,22 @@ from wrt.kernels.triangle import TriangleTest
 
 @dataclass(frozen=True)
 class Culling:
-    """A way to cull for a whole packet; its functions are made for a layout.
+    """A culling method for whole packets; its functions are made for a layout.
 
     Attributes:
         name: key in `CULLINGS`.
         paper: authors, title, year.
         boxes: `wp.func(boxes, node, packet, bounds, keys, first) -> key of the nearest child`.
-        triangles: `wp.func(records, block, bounds) -> mask` of the triangles to be tested.
-        accurate: whether `triangles` looks at the vertices, so that it holds only for tests that find no hits beside them.
-        slopes: whether it looks at the bounds of slopes, or at where lines go through a plane across the main axis.
-        every_ray: whether `boxes` tests each ray on its own, rather than the packet as a whole.
-        start: `wp.func(low, high, packet, bounds)`, once a packet; low, high: the scene.
-        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, once a leaf, whose box is that of a lane of a node: how
-            many rays meet it, or any number above `FEW`. Up to `FEW` are listed in `bounds.few`, and nothing else is set.
+        triangles: `wp.func(records, block, bounds) -> mask` of the triangles that must be tested.
+        accurate: whether `triangles` uses the vertices, so that it is valid only for triangle tests that find no hits outside
+            the triangle.
+        slopes: whether the culling needs bounds of the slopes, or of the points in which lines cross a plane normal to the main
+            axis.
+        every_ray: whether `boxes` tests each ray instead of the packet as a whole.
+        start: `wp.func(low, high, packet, bounds)`, called once per packet; low, high: bounds of the scene.
+        leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
+            number of rays that meet the box, or any number above `FEW`. If it is at most `FEW`, the rays are listed in
+            `bounds.few`, and no other bounds are updated.
     """
 
     name: str
@@ -81,11 +84,11 @@ class Culling:
 
     @property
     def needs_boxes(self) -> bool:
-        """Whether it looks at the boxes of leaves, which only a bounding volume hierarchy has."""
+        """Whether the culling uses the boxes of leaves, which only a bounding volume hierarchy has."""
         return self.leaf is not no_leaf
 
     def holds_for(self, test: TriangleTest) -> bool:
-        """Whether it keeps whatever the test may find."""
+        """Whether the culling keeps every hit that the test may find."""
         return test.accurate or not self.accurate
 
 
@@ -148,3 +151,4 @@ CULLINGS: dict[str, Culling] = {
         ),
     )
 }
+"""Culling methods by name."""

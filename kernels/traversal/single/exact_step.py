@@ -1,27 +1,28 @@
-"""The nearest hit in float64, found through a tree in float32.
+"""The closest hit in float64, found through a float32 tree.
 
-**Problem.** A tree and its boxes in float32 are half as large and twice as fast as in float64, and precise enough to tell which
-triangles a ray may meet. They do not tell which it meets first where two are closer together than float32 resolves, nor where
-it passes an edge, nor t to more than seven digits. To compute the winner's t once more in float64 mends only the last of these.
+**Problem.** A float32 tree is half as large as a float64 tree, faster to traverse, and precise enough to find the
+triangles that a ray may hit. It does not decide which of two triangles is hit first if they are closer together than float32
+resolves, nor on which side of an edge the ray passes, nor t to more than seven digits. Recomputing the t of the float32 hit in
+float64 would solve only the last problem.
 
-**Idea.** Boxes are conservative: the slack that `wrt.kernels.simd.boxes` gives them, 16 roundings of half a unit in the last
-place of the ray's reach, also covers that origin, direction and vertices were rounded to float32 (one each) and the box test's
-own rounding (three). So every triangle that the exact ray meets lies in a leaf that the rounded ray visits, and its own box is
-met, no later than at its exact t. There, the triangle is tested in float64, with the ray and the vertices as they were given:
-the answer is that of brute force in float64 over all triangles.
+**Idea.** Boxes are conservative: the slack of `wrt.kernels.simd.boxes`, 16 roundings of half a unit in the last place of the
+ray's reach, also covers the rounding of origin, direction and vertices to float32 (one each) and the rounding of the box test
+(three). Every triangle that the exact ray hits therefore lies in a leaf that the rounded ray visits, and the rounded ray enters
+its box no later than at its exact t. In the leaf the triangle is tested in float64, with ray and vertices as the caller gave
+them. The result is that of brute force in float64 over all triangles.
 
-**Bounds on t.** A walk in float32 goes by the rounded t of the best hit, and of both ends of the range. They need no margin.
-Along any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|: the slack makes the entry of every box
-around the hit earlier than t by 2^-20 t at least, 16 times what rounding t to float32 takes away, and the six roundings above
-leave ten. The last step of the entry is a rounding itself, and rounding is monotone: the entry is at most float32(t), where
-float32 has few digits left near zero too. Likewise boxes are left no earlier than float32(t_min).
+**Bounds on t.** The float32 walk uses the rounded t of the best hit and of both ends of the range. These need no margin. Along
+any axis, a hit at t is at most the reach away, so t <= reach |1 / direction|. The slack makes the entry of every box around the
+hit earlier than t by at least 2^-20 t, which is 16 times the rounding of t to float32; the six roundings above leave ten. The
+last step of computing the entry is itself a rounding, and rounding is monotone: the entry is at most float32(t), also near
+zero, where float32 has few digits. Likewise boxes are left no earlier than float32(t_min).
 
-**Test.** Woop's: the vertices are sheared so that the ray is an axis; three signed areas about it say whether it passes
-through. An area is the difference of two products, and rounding is monotone, so its sign is right or it is zero. Zero counts
-as inside: no ray slips through at an edge or a vertex.
+**Test.** Woop's test: the vertices are sheared so that the ray is an axis; three signed areas decide whether it passes through.
+An area is the difference of two products, and rounding is monotone, so its sign is correct or it is zero. Zero counts as
+inside: no ray passes through at an edge or a vertex.
 
-**Limits.** Where a triangle is so thin that even float64 cannot tell where along it a ray passes (lower than 1e-16 of the ray's
-reach), its t may come out before its box is met; whether that hit is found then depends on the tree.
+**Limits.** If a triangle is so thin that even float64 cannot locate the ray along it (its height is below 1e-16 of the ray's
+reach), its t may precede the entry of its box. Whether that hit is found then depends on the tree.
 
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
@@ -45,7 +46,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def shear(point: wp.vec3d, origin: wp.vec3d, direction: wp.vec3d, axis: int):
-    """A point as seen along the ray: (x, y) about it, and the t at which it passes by. axis: `dominant_axis(direction)`."""
+    """A point in the sheared frame of the ray: (x, y) relative to the ray, and its t. axis: `dominant_axis(direction)`."""
     x = (axis + 1) % 3
     y = (axis + 2) % 3
     t = (point[axis] - origin[axis]) / direction[axis]
@@ -54,7 +55,7 @@ def shear(point: wp.vec3d, origin: wp.vec3d, direction: wp.vec3d, axis: int):
 
 @wp.func
 def dominant_axis(direction: wp.vec3d):
-    """Axis of the largest component."""
+    """Axis of the component with the largest absolute value."""
     size = wp.vec3d(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
     axis = wp.where(size[1] > size[0], 1, 0)
     return wp.where(size[2] > wp.max(size[0], size[1]), 2, axis)
@@ -62,7 +63,7 @@ def dominant_axis(direction: wp.vec3d):
 
 @wp.func
 def test_exactly(search: wp.ref[ExactSearch], primitive: int):
-    """Tests a triangle in float64 and keeps the hit if it is the nearest so far; at the same t the smaller triangle wins."""
+    """Tests a triangle in float64 and keeps the hit if it is the closest so far; at the same t the smaller triangle id wins."""
     axis = dominant_axis(search.direction)
     face = search.faces[primitive]
     a = shear(search.vertices[face[0]], search.origin, search.direction, axis)
@@ -87,9 +88,9 @@ def test_exactly(search: wp.ref[ExactSearch], primitive: int):
 
 @cache
 def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """A block's step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`, `hits` being the search.
+    """A block step with the parameters of `wrt.kernels.traversal.crossings.crossing_step`; `hits` is the search.
 
-    The candidate that it returns holds the exact t, rounded, for the walk to go by.
+    It returns a candidate with the exact t, rounded to float32, which the walk uses.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState, meet_boxes = lanes(width), test.ray_state, clamp_block(test.record, width)

@@ -1,9 +1,9 @@
-"""The walk of a wide tree that keeps a row of keys for each level: nearest child first, whatever its leaves hold.
+"""The walk of a wide tree with a row of keys per level: nearest child first, whatever the leaves contain.
 
-A level of the tree that a ray is in keeps the keys of its W children (`wrt.kernels.simd.box_lanes`); the next child is their
-minimum, found in the lanes. The search is done with a level as soon as its least key lies beyond the best hit. Leaves hold
-triangles (`wrt.kernels.traversal.single.single_bvh`), instances (`wrt.kernels.traversal.two_level.instance_single`) or whole
-trees in spaces of their own (`wrt.kernels.traversal.two_level.fuzzy_boxes`).
+Each level of the current path keeps the keys of its W children (`wrt.kernels.simd.box_lanes`); the next child is their minimum,
+computed in the lanes. A level is done as soon as its smallest key lies beyond the best hit. Leaves contain triangles
+(`wrt.kernels.traversal.single.single_bvh`), instances (`wrt.kernels.traversal.two_level.instance_single`) or whole trees in
+spaces of their own (`wrt.kernels.traversal.two_level.fuzzy_boxes`).
 """
 
 from functools import cache
@@ -23,13 +23,14 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @cache
 def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.Function) -> wp.Function:
-    """`wp.func(tree, root, slabs, t_min, search, hits, i, best, work) -> best`: what is below a node, for ray number i.
+    """`wp.func(tree, root, slabs, t_min, search, hits, i, best, work) -> best`: traverses the subtree of a node, for ray number
+    i.
 
     Args:
-        config: the specialisation; a tree is at least 2 wide.
-        levels: inner nodes on a path of the tree.
-        Search: struct of what leaves need.
-        visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf.
+        config: the specialisation; a node has at least 2 children.
+        levels: greatest number of inner nodes on a path of the tree.
+        Search: struct of the search state that leaves need.
+        visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: processes a leaf.
     """
     width, counting, any_hit, Results = max(config.width, 2), config.counters, config.query == ANY, results_of(config)
     test_boxes, nearest, row = ray_boxes(width), nearest_child(width), levels * width

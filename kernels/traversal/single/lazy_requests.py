@@ -1,14 +1,14 @@
-"""Which parts of a tree rays ask for that are not built yet.
+"""Finds the unbuilt parts of a lazy tree that rays need.
 
-A tree that is built lazily (`wrt.builders.kdtree.lazy.lazy_kdtree`) has a skeleton: the planes above its cells. A leaf of the
-skeleton with triangles is a cell that waits to be built, its "first block" the cell's number; one without triangles is built,
-or empty. Rays that have been traced through what is built walk the skeleton as `single` would, from the near end of their range
-to their hit, and name the first waiting cells that they reach. A ray that names none has its final answer: what could come
-before its hit was there when it was traced.
+A lazily built tree (`wrt.builders.kdtree.lazy.lazy_kdtree`) has a skeleton: the planes above its cells. A leaf of the skeleton
+with triangles is a cell that is not built yet; its "first block" is the number of the cell. A leaf without triangles is built,
+or empty. After rays have been traced through the built part, they traverse the skeleton as `single` does, from the start of
+their range to their hit, and mark the first unbuilt cells on the way. A ray that marks none has its final answer: everything
+that could precede its hit was built when it was traced.
 
 References:
-    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
-        IEEE Symposium on Interactive Ray Tracing 2007.
+    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies. IEEE Symposium on
+        Interactive Ray Tracing 2007.
 """
 
 import warp as wp
@@ -26,12 +26,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 UNTRACED = wp.constant(0)
 TO_HIT = wp.constant(1)
 TO_ANY = wp.constant(2)
-"""How far a ray asks: to the end of its range, to its closest hit, or not at all if it has one."""
+"""Range in which a ray needs cells: its whole range, up to its closest hit, or none if it has any hit."""
 
 
 @wp.func
 def asks_until(how: int, ray: Ray, hits: HitBatch, i: int):
-    """The t up to which a ray asks for cells; below every t if it does not ask."""
+    """The t up to which a ray needs cells; below every t if it needs none."""
     bound = ray.t_max
     if how == TO_HIT:
         bound = wp.min(bound, hits.t[i])
@@ -42,7 +42,7 @@ def asks_until(how: int, ray: Ray, hits: HitBatch, i: int):
 
 @wp.func
 def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dtype=wp.uint8)):
-    """Marks up to `most` waiting cells that the ray reaches first; returns their number."""
+    """Marks up to `most` unbuilt cells that the ray reaches first; returns their number."""
     slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, skeleton.low, skeleton.high))
     interval = enter(slabs, skeleton.low, skeleton.high, ray.t_min, bound)
     cell = Cell()
@@ -65,7 +65,7 @@ def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dt
             step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
         else:
             if kdtree.leaf_triangles(node) > 0:
-                asked[kdtree.first_block(node)] = wp.uint8(1)  # by several threads perhaps: they write the same
+                asked[kdtree.first_block(node)] = wp.uint8(1)  # several threads may write here, all the same value
                 found += 1
             searching = size > 0 and found < most
             if searching:
@@ -87,7 +87,10 @@ def ask_for_cells(
     asked: wp.array(dtype=wp.uint8),
     unfinished: wp.array(dtype=wp.bool),
 ):
-    """Item: a ray. asked: (cells,) zeros, 1 for cells that are wanted; unfinished: (rays,) whether the ray wants any."""
+    """Marks the unbuilt cells that a ray needs. Item: a ray.
+
+    asked: (cells,) initially 0; set to 1 for the cells that are needed. unfinished: (rays,) whether the ray needs any.
+    """
     i = first + wp.tid()
     ray = load_ray(rays, i)
     bound = asks_until(how, ray, hits, i)

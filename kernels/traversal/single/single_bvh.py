@@ -1,18 +1,18 @@
 """Single-ray traversal of a wide BVH: W boxes at a time, then W triangles at a time.
 
-**Problem.** One ray has little to compute in a binary tree between two decisions. With W children a node, a step tests W
-boxes in the lanes of one loop, and the tree is log2(W) times shallower (Wald, Benthin, Boulos 2008; Dammertz, Hanika,
-Keller 2008; Ernst, Greiner 2008).
+**Problem.** In a binary tree, one ray has little to compute between two decisions. With W children per node, a step tests W
+boxes in the lanes of one loop, and the tree is log2(W) times shallower (Wald, Benthin and Boulos 2008; Dammertz, Hanika and
+Keller 2008; Ernst and Greiner 2008).
 
 **Two forms of the step.** The children that a ray meets are not sorted onto a stack: the length of that list, and every
-comparison in it, is a branch that the processor cannot guess. A level of the tree keeps its W keys and the next child is their
-minimum, found in the lanes (`wrt.kernels.traversal.single.key_walk`). (Measured on two cores of a Zen 5, random rays: 1.3 times
-as fast as the sorted stack.) Up to four children, and on CUDA, where a thread's lanes are a loop, the ray goes on to the
-nearest child and keeps the others on a stack, with their entries, in any order.
+comparison in the sort, is a branch that the processor cannot predict. Each level keeps its W keys, and the next child is their
+minimum, computed in the lanes (`wrt.kernels.traversal.single.key_walk`). Up to four children, and on CUDA, where the lanes of a
+thread are a loop, the ray continues with the nearest child and pushes the others on a stack, with their entries, unsorted.
+Figures: notebooks/records/2026-11-21-single-rays.md.
 
 References:
-    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
-        IEEE Symposium on Interactive Ray Tracing 2008.
+    I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs. IEEE
+        Symposium on Interactive Ray Tracing 2008.
     H. Dammertz, J. Hanika, A. Keller: Shallow bounding volume hierarchies for fast SIMD ray tracing of incoherent rays.
         Eurographics Symposium on Rendering 2008.
     M. Ernst, G. Greiner: Multi bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2008.
@@ -43,17 +43,17 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 STACKED = 4
-"""Children a node up to which the waiting ones are kept on a stack."""
+"""Greatest number of children per node for which the walk uses a stack instead of keys."""
 
 
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     return make_walk_with_stack(config) if config.width <= STACKED else make_walk_with_keys(config)
 
 
 @cache
 def leaf_search(triangle_test: str) -> type:
-    """The struct of what tests of triangles in leaves need of a ray and of its scene."""
+    """The struct of the search state that leaf tests need: the triangles and the ray."""
 
     class LeafSearch:
         triangles: TriangleBlocks
@@ -67,7 +67,7 @@ def leaf_search(triangle_test: str) -> type:
 
 @cache
 def begin_search(triangle_test: str) -> wp.Function:
-    """`wp.func(triangles, ray, slabs) -> search`."""
+    """`wp.func(triangles, ray, slabs) -> search`: the initial search state of a ray."""
     LeafSearch, prepare = leaf_search(triangle_test), TRIANGLE_TESTS[triangle_test].prepare
 
     @wp.func
@@ -119,9 +119,9 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
 
 @cache
 def inner_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, node, slabs, t_min, t_max, stack, waiting) -> child`: goes on from an inner node.
+    """`wp.func(tree, node, slabs, t_min, t_max, stack, waiting) -> child`: a step from an inner node.
 
-    The nearest child that the ray meets, or `EMPTY_LANE`; the others wait.
+    Returns the nearest child that the ray meets, or `EMPTY_LANE`; the others are pushed on the stack.
     """
     test_boxes, Lanes, width = met_boxes(config.width), lanes(config.width), config.width
     push = stack_of(config).push
@@ -156,15 +156,15 @@ def inner_step(config: TraversalConfig) -> wp.Function:
 
 
 def stack_of(config: TraversalConfig) -> WaitingStack:
-    """Room for all children that may wait on a path."""
+    """A stack with room for all children that a path can push."""
     return waiting_stack(config.levels * (config.width - 1) + 1, config.block)
 
 
 @cache
 def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
-    """The walk with a stack of children that wait.
+    """The walk with a stack of children.
 
-    Goes down to a leaf before it tests one: the threads of a CUDA warp do the same thing at the same time for longer.
+    It descends to a leaf before it tests one, so that the threads of a CUDA warp stay in the same phase for longer.
     """
     begin, test_leaf = begin_search(config.triangle_test), make_leaf(config)
     step, stacked = inner_step(config), stack_of(config)
@@ -202,7 +202,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
-    """The walk with a row of keys for each level."""
+    """The walk with a row of keys per level."""
     LeafSearch, Results, begin = leaf_search(config.triangle_test), results_of(config), begin_search(config.triangle_test)
     walk_keys = make_key_walk(config, config.levels, LeafSearch, make_leaf(config))
 

@@ -1,30 +1,31 @@
-"""Single-ray traversal of a kd-tree with a stack (survey, chapter 5), robust by construction.
+"""Single-ray traversal of a kd-tree with a stack, robust by construction.
 
-**Problem.** The classic recursive traversal compares the parameter of a splitting plane with the ray's interval in a node
-and is wrong where they are equal: a ray whose origin lies on the plane, a ray that stays in the plane, an entry and an
-exit both on it (Havran 2001).
+**Problem.** The classic recursive traversal compares the t of a splitting plane with the ray's interval in a node. It is wrong
+if they are equal: for a ray whose origin lies on the plane, a ray that stays in the plane, an entry and an exit both on the
+plane (Havran 2001; Rahikainen 2013, chapter 5).
 
-**Here.** Each child gets an interval of its own and is visited if that is not empty. The near child (by the sign of the
-direction, not by the side on which the origin lies) ends where the plane is left, the far one starts where it is entered,
-and both are computed with the plane widened by the slack of `wrt.kernels.simd.boxes`: they overlap by a hair.
-* Plane behind the origin: the near interval ends below t_min, only the far child is visited. Beyond the exit: only near.
-* Ray parallel to the plane: the parameter is +-inf; the child that holds the origin gets the whole interval, the other
-  none. Origin exactly in the widened plane: NaN, which bounds nothing, so both get the whole interval.
-* A triangle in the splitting plane lies in one child only; its t equals the plane's parameter, which both intervals hold.
+**Solution.** Each child gets its own interval and is visited if that is not empty. The near child (by the sign of the
+direction, not by the side of the origin) ends at the t at which the plane is left, the far child starts at the t at which it is
+entered. Both are computed with the plane widened by the slack of `wrt.kernels.simd.boxes`, so the two intervals overlap
+slightly.
+* Plane behind the origin: the near interval ends below t_min, and only the far child is visited. Plane beyond the exit: only
+  the near child is visited.
+* Ray parallel to the plane: t is +-inf; the child that contains the origin gets the whole interval, the other child none.
+  Origin exactly in the widened plane: NaN, which gives no bound, so both children get the whole interval.
+* A triangle in the splitting plane is in one child only; its t equals the t of the plane, which both intervals contain.
 
-The entry of a cell is never later than the t of a hit on a triangle in it (the consistency rule), so a waiting cell whose
-entry lies beyond the best hit is dropped; at a tie it is visited, because a smaller primitive id may win there. The search
-goes on to the next waiting cell, not to its end: where children overlap, an outer cell may start before an inner one.
+The entry of a cell is never later than the t of a hit on a triangle in it (the consistency rule). A cell on the stack whose
+entry lies beyond the best hit is therefore dropped; at a tie it is visited, because a smaller primitive id may win there. The
+search then continues with the next cell on the stack: children overlap, so an outer cell may start before an inner one.
 
-**Two forms of the step.** With branches, the processor guesses the next node and works ahead of the comparisons: right
-for neighbouring rays, which take the same way. For rays that have nothing in common it guesses wrong every second time and
-throws the work away: there both outcomes are computed and one is selected. (Measured on two cores of a Zen 5: camera rays
-1.4 times as fast with branches, random rays 1.2 times as fast without.) `TraversalConfig.coherent` chooses; the hits are
-the same.
+**Two forms of the step.** With branches, the processor predicts the next node and executes ahead of the comparisons, which is
+right for neighbouring rays, because they take the same path. For incoherent rays every second prediction is wrong and the work
+is discarded, so there both outcomes are computed and one is selected. `TraversalConfig.coherent` chooses the form; the hits are
+the same. Figures: notebooks/records/2026-11-21-single-rays.md.
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
 """
 
 from functools import cache
@@ -48,6 +49,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ALL_LANES = wp.constant(wp.uint32(0xFFFFFFFF))
+"""Mask of all triangles of a block."""
 
 
 @wp.struct
@@ -70,7 +72,7 @@ def step_guessing(
     stack_leave: wp.array(dtype=float),
     size: wp.ref[int],
 ):
-    """One step through an inner node, with branches. crossing: see `cross_plane`, bounded by the cell's interval."""
+    """One step through an inner node, with branches. crossing: see `cross_plane`, clipped to the cell's interval."""
     near = int(left)
     far = int(right)
     if crossing[0] < 0.0:
@@ -100,7 +102,7 @@ def step_selecting(
     stack_leave: wp.array(dtype=float),
     size: wp.ref[int],
 ):
-    """The same step without a branch: the sign bit of the direction swaps the children, the far one is always written."""
+    """The same step without branches: the sign bit of the direction swaps the children, and the far child is always written."""
     swap = (left ^ right) & (wp.cast(crossing[0], wp.int32) >> 31)
     near = left ^ swap
     far = right ^ swap
@@ -116,7 +118,7 @@ def step_selecting(
 
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
     own_step, Results = config.own_step, results_of(config)
     test_block = make_own_step(config, KdNodes) if own_step else block_step(config)

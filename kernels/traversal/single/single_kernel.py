@@ -1,4 +1,4 @@
-"""The kernel around a walk of one ray at a time: the same for every kind of tree."""
+"""The kernel around a walk that traces one ray at a time, for every kind of tree."""
 
 from collections.abc import Callable
 
@@ -11,12 +11,12 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 
 def make_ray_kernel(config: TraversalConfig, Tree: type, make_walk: Callable[[TraversalConfig], wp.Function]) -> wp.Kernel:
-    """A kernel for one specialisation: item, a ray.
+    """A kernel for one specialisation that traces one ray per item.
 
     Args:
-        config: of the walk.
-        Tree: the struct of the tree.
-        make_walk: makes `wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one.
+        config: the specialisation of the walk.
+        Tree: struct of the tree.
+        make_walk: makes `wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid.
     """
     walk, store, counting = make_walk(config), store_best(config), config.counters
 

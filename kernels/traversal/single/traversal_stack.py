@@ -1,8 +1,8 @@
-"""The children that wait during a walk, each with the t at which it is entered: a stack of a ray's own.
+"""The traversal stack of a single ray: children to be visited, each with its t of entry.
 
-On the CPU it lies in local memory. Warp clears local memory, which costs nothing beside a walk there, but on CUDA that is
-hundreds of stores a ray, and took a third of a camera ray's time. There the stack lies in the block's shared memory, which
-nobody clears, word by word for all threads of the block, so that neighbouring threads never meet in a bank.
+On the CPU the stack is in local memory. Warp clears local memory, which is negligible there, but on CUDA it is hundreds of
+stores per ray (notebooks/records/2026-11-21-single-rays.md). There the stack is in the block's shared memory, which is not
+cleared, interleaved word by word for all threads of the block, so that neighbouring threads use different banks.
 """
 
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SHARED_BYTES = 48 * 1024
-"""Shared memory that a block has without asking."""
+"""Shared memory in bytes that a block can use by default."""
 
 
 @dataclass(frozen=True)
 class WaitingStack:
-    """The functions of a stack.
+    """The functions of a traversal stack.
 
     Attributes:
         local: ints of local memory that it needs.
@@ -34,13 +34,13 @@ class WaitingStack:
 
 
 def fits(size: int, threads: int) -> bool:
-    """Whether stacks of so many children for a block of so many threads fit into its shared memory."""
+    """Whether the stacks of `threads` threads, of `size` children each, fit into the shared memory of a block."""
     return 0 < 8 * size * threads <= SHARED_BYTES
 
 
 @cache
 def waiting_stack(size: int, threads: int) -> WaitingStack:
-    """A stack of up to `size` children; `threads` of a CUDA block, or 0 for local memory."""
+    """A stack of up to `size` children; `threads`: threads per CUDA block, or 0 for local memory."""
     if fits(size, threads):
         local, step = 1, threads
         place = f"__shared__ int words[{2 * size * threads}]; return (unsigned long long)(words + threadIdx.x);"

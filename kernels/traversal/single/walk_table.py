@@ -1,4 +1,4 @@
-"""The single-ray walks, for whoever builds a kernel of its own around one."""
+"""The table of single-ray walks, for kernels that are built around one."""
 
 from collections.abc import Callable
 
@@ -14,4 +14,4 @@ WALKS: dict[str, tuple[type, Callable[[TraversalConfig], wp.Function]]] = {
     "bvh": (WideNodes, single_bvh.make_walk),
     "kdtree": (KdNodes, single.make_walk),
 }
-"""For each kind of tree its struct, and the factory of the walk through it."""
+"""For each kind of tree its struct and the factory of its walk."""

@@ -1,37 +1,19 @@
-"""Streams through a wide BVH: a list of rays against the W children of a node, depth first.
+"""Stream traversal of a wide BVH: a list of rays against the W children of a node, depth first.
 
-A list is words: a ray's number, and above it a bit for each inner child that the ray meets. The lists of the nodes on the
-path follow one another on a stack of words, each as long as its node's survivors; the list of a child is collected from its
-parent's words when its turn comes, so that no ray is ever in more than one list a level and `levels` lists of a whole stream
-are all the room that there has to be. Keys say which child comes next, as for a single ray (`wrt.kernels.simd.box_lanes`), but
-a key is that of the first of the rays to enter.
+An element of a list is a word: the number of a ray and, above it, one bit for each inner child that the ray meets. The lists of
+the nodes on the path are stored one after the other on a stack of words, each as long as the number of rays that its node's
+filter kept. The list of a child is collected from the words of its parent when the child is visited, so no ray is in more than
+one list per level, and `levels` lists of a whole stream are enough memory. Keys give the next child, as for a single ray
+(`wrt.kernels.simd.box_lanes`), but a key is that of the first ray to enter.
 
-Where any hit will do, the nearest child is as good a guess as another. Rays to a light start on a surface, which is near and
-hides nothing: for alike ones the farthest child comes first, which takes 0.94 to 0.96 of the time (bunny, dragon, atrium).
-Ambient rays do not care, to 1 %; the child that a ray is longest in cost 1.1 times the time.
+Any-hit queries do not need the nearest child first. Rays to a light start on a surface, which is near and occludes nothing, so
+for coherent rays the farthest child is visited first.
 
-Leaves are tested as soon as their parent's list is filtered: their pairs come from 16 leaves at once, where a leaf of its own
-would have a handful of rays, and what they hit shortens the rays for the inner children, which are filtered later.
+Leaves are tested as soon as the list of their parent has been filtered. Their pairs then come from up to 16 leaves at once,
+whereas a single leaf has only a few rays, and their hits shorten the rays for the inner children, which are filtered later.
 
-**Measured** (one thread of a Zen 5, Stanford bunny, 16 children a node, the rays of `wrt bench` at 512 x 512; nanoseconds a
-ray, and in brackets the share of the lists' lanes that hold rays):
-
-    stream of        64           256          1024         4096        single rays    packets
-    far           48 (0.97)    46 (0.97)    41 (0.98)    48 (0.99)         63            24
-    near          73 (0.99)    72 (0.99)    73 (0.99)    73 (1.00)        108            25
-    random       182 (0.48)   143 (0.74)   106 (0.90)    84 (0.97)        147           153
-    ao           120 (0.88)   107 (0.95)   103 (0.98)   102 (0.99)        181           186
-
-The triangle tests' lanes hold triangles to 0.91 whatever the stream: blocks are built so. Splitting a stream by octants, so
-that its rays agree on the order of children, saved three to five leaves in a hundred and lost a quarter of the speed to
-shorter lists; fetching nodes and the blocks of waiting pairs ahead of their turn gained nothing, and a cache line of its own
-for what box tests read of a ray made streams 1.04 to 1.07 times as slow, as there are more lines then. The table is of a time
-when candidates were tested one by one; 16 at a time (`wrt.kernels.traversal.stream.stream_candidates`), random rays take 0.74
-to 0.83 of that and ambient ones 0.81 to 0.97 (bunny, dragons of 202,520 and 810,080 triangles, atrium).
-
-**What is left** (a thread of a Zen 4, which takes two cycles for a vector of 16 floats). A ray at a node is 6 subtractions, 6
-products and 6 comparisons of vectors and 11 numbers of the ray to spread: 13 cycles at least, and a block 21; ambient rays in
-the atrium are at 1.4 nodes and meet half a block each. To load the rays takes as long as a node and a half.
+Figures, lane utilisation, and variants that were tried: notebooks/records/2026-11-21-streams.md and
+notebooks/records/2026-11-22-stream-candidates.md.
 
 References: see `wrt.kernels.traversal.stream.stream_kernel`.
 """
@@ -61,6 +43,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 BELOW_ALL_KEYS = wp.constant(-0x80000000)
+"""Less than every key: the last key visited, before the first child of a node."""
 
 
 @cache
@@ -136,7 +119,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 
 @cache
 def list_valid(triangle_test: str) -> wp.Function:
-    """`wp.func(stream, count, words) -> int`: the numbers of the first `count` rays that are valid; how many they are."""
+    """`wp.func(stream, count, words) -> int`: writes the numbers of the valid ones of the first `count` rays; returns how
+    many."""
     StreamRay = stream_ray(triangle_test)
 
     @wp.func_native("""

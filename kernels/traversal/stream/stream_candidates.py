@@ -1,16 +1,17 @@
-"""Candidates of a stream: rays with triangles that their lines meet, and which of them are hits.
+"""Candidates of a stream: pairs of a ray and a triangle that its line meets, and the evaluation of which of them are hits.
 
-**Problem.** A candidate is a ray and a triangle somewhere in memory: some hundred instructions, a triangle's id that no cache
-has yet, and up to three decisions that nobody can guess (is it in the ray's range, does the ray have a better hit, are there
-more). One by one, that was a third of the time of random and ambient rays, and most of it was waiting.
+**Problem.** A candidate is a ray and a triangle somewhere in memory. Its evaluation is about a hundred instructions, a load of
+the triangle's id that misses the caches, and up to three unpredictable branches (is the hit in the ray's range, does the ray
+have a better hit, are there more candidates). One at a time, this is a large part of the time of incoherent rays, most of it
+latency.
 
-**Idea.** Candidates are independent until the last step, so 16 of them, of any rays and triangles, are worked out at a time,
-a lane each. Rays come in by vector loads and a transposition (`wrt.kernels.simd.transpose`), triangles word by word; gathers
-took longer. Of 16 candidates, those that are in the range of their rays are left, and are taken over one after the other, so
-that a ray with several of them ends with the best.
+**Idea.** Candidates are independent until the last step, so 16 of them, of any rays and triangles, are evaluated at a time, one
+per lane. Rays are loaded by vector loads and a transposition (`wrt.kernels.simd.transpose`), triangles word by word, which is
+faster than gathers. Candidates within the range of their rays are then merged one after the other, so that a ray with several
+of them keeps the best. Figures: notebooks/records/2026-11-22-stream-candidates.md.
 
-A test says how it works in these lanes (`TestForm.candidate_lanes`). For other tests, for queries for all hits and where back
-faces are culled, candidates are tested one after the other by the scalar form (`triangle_step`), with the same bits.
+A triangle test supplies its code for these lanes in `TestForm.candidate_lanes`. For other tests, for queries for all hits, and
+with back-face culling, candidates are evaluated one after the other by the scalar test (`triangle_step`), with the same bits.
 """
 
 from functools import cache
@@ -85,7 +86,7 @@ _TAKE_CLOSEST = """
 
 @cache
 def test_in_lanes(config: TraversalConfig) -> wp.Function:
-    """`func(records, primitives, rays, pairs, count)`: the first `count` candidates, and what they are to their rays."""
+    """`func(records, primitives, rays, pairs, count)`: evaluates the first `count` candidates and merges their hits."""
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     StreamRay, words = stream_ray(config.triangle_test), ray_words(config.triangle_test)
     code = _TEST.replace("CANDIDATE_LANES", test.candidate_lanes).replace("VERTEX_BOX", vertex_box("corner[0]", "i"))
@@ -120,14 +121,17 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     best.v = pick(best.v, hit.c[2]);
 """)
 def take_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
-    """Takes over a hit (t, u, v) if it `improves` the best so far, bit by bit: a select that is written as such may become a
-    branch, which cost random rays of the atrium a twelfth of their time."""
+    """Replaces the best hit by the hit (t, u, v) if that `improves` it.
+
+    It uses bit operations, because the compiler may turn a select into a branch, which is slower for incoherent rays
+    (notebooks/records/2026-11-22-stream-candidates.md).
+    """
     ...
 
 
 @cache
 def test_alone(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, k, slot, hits, i)`: one candidate, of ray k of the stream and i of the batch."""
+    """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
     any_hit, crossing, take = config.query == ANY, config.crossing, take_crossing(config)
@@ -152,7 +156,7 @@ def test_alone(config: TraversalConfig) -> wp.Function:
         best = Candidate()
         t_min = get(stream, k, slabs, state, best)
         if wp.static(any_hit) and best.primitive >= 0:
-            return  # it has had its hit
+            return  # the ray already has a hit
         hit = candidate(triangles.records, slot, state, slabs)
         primitive = load_int(triangles.primitive, slot)
         if wp.static(crossing):
@@ -167,9 +171,9 @@ def test_alone(config: TraversalConfig) -> wp.Function:
 
 @cache
 def candidate_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, count, hits, begin)`: the first `count` candidates.
+    """`wp.func(triangles, stream, pairs, count, hits, begin)`: evaluates the first `count` candidates.
 
-    hits, begin: as of `wrt.kernels.traversal.stream.stream_pairs.pair_tester`.
+    hits, begin: as in `wrt.kernels.traversal.stream.stream_pairs.pair_tester`.
     """
     StreamRay, test = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test]
     if test.candidate_lanes and not config.crossing and not config.cull_backfaces:

@@ -1,29 +1,21 @@
-"""Streams through a kd-tree: lists of rays with their intervals, filtered by one plane after another.
+"""Stream traversal of a kd-tree: lists of rays with their intervals, filtered by one plane after another.
 
-The lanes hold rays: their data is gathered by number, 16 at a time. A list carries for each ray the interval of t in which
-it is inside the node, because in a kd-tree that is all that says whether a ray is active. An inner node makes two lists of
-one: that of the near child takes its place, that of the far child waits on a stack until the near one is done, and is then
-filtered by the best hits.
+The lanes hold rays; their data is gathered by number, 16 rays at a time. A list has, for each ray, the interval of t in which
+it is inside the node, because in a kd-tree only this interval tells whether a ray is active. An inner node splits a list into
+two: the list of the near child replaces it, the list of the far child is pushed on a stack and, when the near child is done,
+popped and filtered by the best hits.
 
-**Octants.** Which child is near depends on the sign of the direction, so a stream is split by octants before it enters the
-tree (a counting sort of numbers) and the lists of an octant go down together: one node, one axis and one order for all lanes.
-Keeping an order for each ray instead would need a list for each order at every node.
+**Octants.** The sign of the direction decides which child is near. A stream is therefore split by octants before it enters the
+tree (a counting sort of ray numbers), and the lists of one octant descend together: one node, one axis and one order for all
+lanes. A separate order per ray would need one list per order at every node.
 
-**Room.** Every ray of a list may have a far child waiting at each level of a tree of up to `MAX_TREE_DEPTH` levels. The stack
-has room for `STACK_LISTS` times the stream; so a list that enters the tree is at most `STACK_LISTS / MAX_TREE_DEPTH` of the
-stream, and an octant with more rays goes in pieces.
+**Memory.** Every ray of a list may have a far child on the stack at each level of a tree of up to `MAX_TREE_DEPTH` levels. The
+stack has room for `STACK_LISTS` times the stream, so a list that enters the tree has at most `STACK_LISTS / MAX_TREE_DEPTH` of
+the stream's rays, and an octant with more rays is traced in several lists.
 
-**Measured** as in `wrt.kernels.traversal.stream.stream_bvh`:
-
-    stream of        64           256          1024         4096        single rays    lockstep
-    far           88 (0.84)    72 (0.89)    69 (0.92)    73 (0.93)         81            78
-    near         160 (0.92)   129 (0.94)   124 (0.96)   126 (0.97)        142           169
-    random       832 (0.08)   660 (0.11)   502 (0.16)   358 (0.26)        326           190
-    ao           436 (0.28)   324 (0.42)   271 (0.55)   224 (0.76)        383           256
-
-The tree is deep and the octants cut a stream in eight: random rays leave a handful of rays in a list before they come to a
-leaf, and for those a lane that walks by itself (`wrt.kernels.traversal.lockstep.lockstep_kernel`) is the better use of a
-vector. The triangle tests' lanes hold triangles to 0.96.
+**Limits.** The tree is deep, and the octants divide a stream by eight. Lists of random rays are down to a few rays before they
+reach a leaf; for them lockstep traversal (`wrt.kernels.traversal.lockstep.lockstep_kernel`) uses the lanes better. Figures:
+notebooks/records/2026-11-21-streams.md.
 
 References: see `wrt.kernels.traversal.stream.stream_kernel`.
 """
@@ -54,7 +46,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 STACK_LISTS = 16
-"""Rays that the stack has room for, in streams."""
+"""Size of the stack in rays, as a multiple of the stream."""
 
 _SORT = """
     int first[8] = {}, last = 0;
@@ -88,13 +80,13 @@ _ENTER = """
 
 @wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.data[first + i]; pairs.leaves.c[i] = leaf; }")
 def pair_up(list: wp.array(dtype=int), first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
-    """Pairs of rays of a list with a leaf."""
+    """Writes pairs of the rays of a list and a leaf."""
     ...
 
 
 @cache
 def enter_scene(triangle_test: str) -> wp.Function:
-    """`wp.func(rays, order, begin, end, low, high, list, entry, leave) -> count`: the rays that meet the scene's box."""
+    """`wp.func(rays, order, begin, end, low, high, list, entry, leave) -> count`: lists the rays that meet the scene's box."""
     StreamRay = stream_ray(triangle_test)
 
     @wp.func_native(_ENTER)
@@ -115,7 +107,7 @@ def enter_scene(triangle_test: str) -> wp.Function:
 
 @cache
 def leaf_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: the rays of a list against a leaf."""
+    """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: tests the rays of a list against a leaf."""
     StreamRay, test_pairs, width = stream_ray(config.triangle_test), pair_tester(config), config.width
     most_triangles = MAX_LEAF_TRIANGLES // width * width
 
@@ -149,9 +141,9 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, order, begin, end, ...)`: traces the rays order[begin .. end - 1], all of an octant.
+    """`wp.func(tree, triangles, stream, order, begin, end, ...)`: traces the rays order[begin .. end - 1], all of one octant.
 
-    list, entry, leave: room for them; far_rays, far_entry, far_leave: the stack.
+    list, entry, leave: memory for a list and its intervals; far_rays, far_entry, far_leave: the stack.
     """
     StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
     split, recall = filter_plane(config.triangle_test), filter_hits(config.triangle_test)

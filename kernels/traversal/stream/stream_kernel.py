@@ -1,39 +1,37 @@
-"""Streams: hundreds of rays, filtered node by node into compact lists of active ones (survey, section 3.4).
+"""Stream traversal: hundreds of rays, filtered node by node into compact lists of active rays.
 
-**Problem.** A packet goes where any of its rays goes, and takes all of them along: once the rays part company, most lanes
-compute nothing. A single ray has few lanes' worth of work between two decisions, and waits for each of them.
+**Problem.** A packet visits every node that any of its rays visits, with all of them; once the rays diverge, most lanes are
+idle. A single ray has few lanes' worth of work between two decisions, and waits for each of them.
 
-**Idea.** Tracing is filtering. A stream of rays comes to a node; a filter tests all of them and appends those that pass to
-the stream of each child. Only active rays go on, lists hold their numbers without gaps, and it does not matter whether the
-rays that meet at a node are neighbours: the longer the stream, the fuller the vectors. At a leaf the rays are filtered by
-the triangles in the same way (Gribble and Ramani 2008; Wald et al. 2007).
+**Idea.** Tracing is filtering. A stream of rays reaches a node; a filter tests all of them and appends those that pass to the
+stream of each child. Only active rays continue, and the lists of their numbers are compact, so rays that meet at a node need
+not be neighbours: the longer the stream, the fuller the vectors. At a leaf the rays are filtered by the triangles in the same
+way (Gribble and Ramani 2008; Wald et al. 2007; Rahikainen 2013, section 3.4).
 
-**Here.** A stream has up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its rays lie in a local
-array (`stream_ray`), everything else is lists of their numbers.
-* In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray; what a stream brings is
-  that the tests follow one another without a decision between them, and that the children's lists are compacted 16 rays
-  at a time.
+**Implementation.** A stream has up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its rays are in a
+local array (`stream_ray`); everything else is lists of their numbers.
+* In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray. The gain of a stream is that
+  there is no decision between consecutive tests, and that the children's lists are compacted 16 rays at a time.
 * In the kd-tree (`stream_kdtree`) the lanes hold rays, as in the papers.
-* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): which triangles of a block does the ray's line meet? One ray x W
-  triangles: lists are too short at leaves for W rays x one triangle (4096 random rays make 5,500 pairs with the bunny's 4,437
-  leaves), and blocks are full. The candidates that are left are worked out 16 at a time, whosever they are
-  (`stream_candidates`).
+* At leaves, pairs (ray, leaf) are filtered (`stream_pairs`): which triangles of a block does the ray's line meet? One ray is
+  tested against W triangles, because lists at leaves are too short for W rays x one triangle (about one ray per leaf for random
+  rays), and blocks are full. The remaining candidates are evaluated 16 at a time, across rays (`stream_candidates`).
 
-**What we changed.** The papers simulate a machine that gathers and compacts W rays at a time; CPUs have such instructions
-now, and where they do not, the compaction is a loop without a branch. Finished rays (any hit) and rays whose best hit lies
-before a child drop out in the BVH when the child's list is filtered by its boxes, as these intervals end at the best hit; in
-the kd-tree when its list is taken from the stack.
+**Differences from the papers.** The papers simulate a machine that gathers and compacts W rays at a time. Current CPUs have
+such instructions; elsewhere the compaction is a loop without branches. Finished rays (any hit), and rays whose best hit lies
+before a child, are dropped in the BVH when the child's list is filtered by its boxes, because these intervals end at the best
+hit; in the kd-tree when its list is popped from the stack.
 
-**Limits.** A list is ordered for all its rays: a child is visited when the first of them enters it, so that some rays meet
-nodes that a single ray would skip. A stream takes some hundred bytes a ray of local memory, and a thread to itself: on CUDA,
-where it compiles but has not been measured, that is the wrong shape. Neighbouring rays are better off in packets, whose
-culling spares them most tests.
+**Limits.** The order of children is the same for all rays of a list: a child is visited when the first of them enters it, so
+some rays visit nodes that a single ray would skip. A stream needs some hundred bytes of local memory per ray and occupies one
+thread; this does not suit CUDA, where it compiles but has not been measured. Neighbouring rays are faster in packets, whose
+culling avoids most of their tests.
 
 References:
-    I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets
-        and on-the-fly re-ordering. Technical report UUSCI-2007-012, University of Utah, 2007.
+    I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets and
+        on-the-fly re-ordering. Technical report UUSCI-2007-012, University of Utah, 2007.
     C. P. Gribble, K. Ramani: Coherent ray tracing via stream filtering. IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.4).
 """
 
 import ctypes
@@ -50,56 +48,57 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LIST_LANES = 16
-"""Numbers of a list that are filtered at a time, whatever the tree's width."""
+"""Elements of a list that are filtered at a time, independent of the tree's width."""
 
 RAY_BITS = 16
-"""Bits of a ray's number in a list of the BVH; the children's bits are above."""
+"""Bits of a ray's number in a list of the BVH; the bits of the children are above."""
 
 
 @wp.struct
 class StreamCounters:
-    """Work done for one stream, at the number of its first ray.
+    """Work done for one stream, recorded at the number of its first ray.
 
     A vector of a list is full if all its lanes hold rays. The lanes of a triangle test hold the W triangles of a block.
     """
 
     nodes: int
-    """Rays tested at inner nodes: a list of n rays counts n."""
+    """Rays tested at inner nodes: a list of n rays counts as n."""
     leaves: int
     """Pairs (ray, leaf)."""
     triangles: int
-    """Triangles tested, each for each ray."""
+    """Pairs of a ray and a triangle that were tested."""
     traversal_slots: int
-    """Lanes of the vectors by which lists were filtered."""
+    """Lanes of the vectors that filtered lists."""
     traversal_active: int
-    """Those that held a ray."""
+    """Those of them that held a ray."""
     intersection_slots: int
     """Lanes of the triangle tests."""
     intersection_active: int
-    """Those that held a triangle."""
+    """Those of them that held a triangle."""
 
 
 @wp.struct
 class StreamCounterRows:
-    """Where kernels write them: `wrt.kernels.traversal.leaf.CounterRows` says why it is a struct."""
+    """The array to which kernels write stream counters; `wrt.kernels.traversal.leaf.CounterRows` explains why it is in a
+    struct."""
 
     rows: wp.array(dtype=StreamCounters)
 
 
 @wp.func
 def round_up(count: int):
-    """Lanes of the vectors that a list of so many rays fills."""
+    """Number of lanes of the vectors that a list of `count` rays fills."""
     return (count + wp.static(LIST_LANES - 1)) & wp.static(-LIST_LANES)
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """Rays of a stream; an item of the kernel is one or several (`RayBatch.run`)."""
+    """Rays of a stream; an item of the kernel is one or more streams (`RayBatch.run`)."""
     return config.stream
 
 
 @cache
 def stream_ray(triangle_test: str) -> type:
-    """The struct of a ray of a stream: all that tests need of it, and its best hit."""
+    """The struct of a ray of a stream: the data that tests need, and its best hit."""
     RayState = TRIANGLE_TESTS[triangle_test].ray_state
 
     class StreamRay:
@@ -108,7 +107,7 @@ def stream_ray(triangle_test: str) -> type:
         best: Candidate
         state: RayState
 
-    StreamRay.__doc__ = """A ray as box and triangle tests want it. `best.t` is -inf if it needs no (more) tests."""
+    StreamRay.__doc__ = """The data of a ray for box and triangle tests. `best.t` is -inf if it needs no more tests."""
     return wp.struct(StreamRay)
 
 
@@ -119,7 +118,7 @@ def ray_words(triangle_test: str) -> int:
 
 @cache
 def get_ray(triangle_test: str) -> wp.Function:
-    """`wp.func(stream, k, slabs, state, best) -> t_min`: reads a ray's parts."""
+    """`wp.func(stream, k, slabs, state, best) -> t_min`: loads ray k of a stream."""
     StreamRay = stream_ray(triangle_test)
     RayState = TRIANGLE_TESTS[triangle_test].ray_state
 
@@ -139,7 +138,7 @@ def get_ray(triangle_test: str) -> wp.Function:
 
 @cache
 def store_stream(config: TraversalConfig) -> wp.Function:
-    """`wp.func(stream, begin, count, hits)`: writes the answers of the rays begin .. begin + count - 1."""
+    """`wp.func(stream, begin, count, hits)`: writes the results of the rays begin .. begin + count - 1."""
     StreamRay = stream_ray(config.triangle_test)
     store_one = store_best(config)
 

@@ -69,12 +69,12 @@ _FILTER_BOXES = """
 def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function:
     """`func(bounds, children, node, rays, words, first, count, keys, row, pairs, tested, survivors) -> int`.
 
-    Filters a list, words[first .. first + count - 1], through the W boxes of a node. A ray whose interval up to its best hit
-    meets a child's box is active there: for a leaf, (ray, leaf) goes to `pairs`; for inner children, their bits go into
-    the ray's word above its number. Words without such a bit are dropped, in place, and keys[row ..] are lowered to those of
-    the rays that enter first; if `far_first`, keys are the other way round, and those of the rays that enter last count.
-    Stops when the pairs may run out of room, and goes on at `tested` when it is called again. How many pairs there are is
-    returned.
+    Filters the list words[first .. first + count - 1] by the W boxes of a node. A ray is active in a child if its interval, up
+    to its best hit, meets the child's box. For a leaf, (ray, leaf) is appended to `pairs`; for inner children, their bits are
+    set in the ray's word above its number. Words without such a bit are removed in place, and keys[row ..] are lowered to those
+    of the rays that enter first. With `far_first` the order of keys is reversed, and those of the rays that enter last are
+    kept. The filter stops when `pairs` may become full; when it is called again it continues at `tested`. Returns the number of
+    pairs.
     """
     StreamRay = stream_ray(triangle_test)
     constants = f"    constexpr int W = {width}, PAIRS = {PAIRS}, NO_CHILD = {NO_CHILD_CONSTANT};\n"
@@ -118,7 +118,7 @@ def filter_boxes(width: int, triangle_test: str, far_first: bool) -> wp.Function
 """
 )
 def collect_child(words: wp.array(dtype=int), first: int, count: int, lane: int) -> int:
-    """The rays of a list that are active in the child of a lane, appended behind the list; how many."""
+    """Appends the rays of a list that are active in the child of a lane behind the list; returns their number."""
     ...
 
 
@@ -132,8 +132,10 @@ _NEXT_CHILD = """
 
 @cache
 def next_child(width: int) -> wp.Function:
-    """`func(keys, row, last) -> key`: the least of W keys above `last`; no key is ever taken out of the row, because a
-    vector that is loaded just after one of its lanes was stored waits for the store."""
+    """`func(keys, row, last) -> key`: the least of W keys above `last`.
+
+    Keys are never removed from the row, because a vector load just after a store to one of its lanes waits for the store.
+    """
 
     @wp.func_native(f"{FOR_LANES}    constexpr int W = {width}, NO_CHILD = {NO_CHILD_CONSTANT};{_NEXT_CHILD}")
     def next_child_native(keys: wp.array(dtype=int), row: int, last: int) -> int: ...
@@ -179,9 +181,9 @@ _FILTER_PLANE = """
 def filter_plane(triangle_test: str) -> wp.Function:
     """`func(axis, position, rays, list, entry, leave, count, far_rays, far_entry, far_leave, top, far_count) -> near count`.
 
-    Filters a list of rays with one sign along the axis, and the intervals in which they are inside the node, through a
-    plane. The rays of the near child take the list's place, those of the far one are written to the stack from `top` on; the
-    step of `wrt.kernels.traversal.single.single_kdtree`, formula for formula.
+    Filters a list of rays with one sign along the axis, and their intervals in the node, by a plane. The rays of the near child
+    replace the list, those of the far child are written to the stack from `top` on. The formulas are those of the step of
+    `wrt.kernels.traversal.single.single_kdtree`.
     """
     StreamRay = stream_ray(triangle_test)
 
@@ -228,8 +230,10 @@ _FILTER_HITS = """
 
 @cache
 def filter_hits(triangle_test: str) -> wp.Function:
-    """`func(rays, far_rays, far_entry, far_leave, top, count, list, entry, leave) -> count`: takes a list from the stack,
-    without the rays whose best hit lies before their entry, and cuts off what lies beyond it."""
+    """`func(rays, far_rays, far_entry, far_leave, top, count, list, entry, leave) -> count`: pops a list from the stack.
+
+    Rays whose best hit lies before their entry are removed, and the other intervals are clipped to the best hit.
+    """
     StreamRay = stream_ray(triangle_test)
 
     @wp.func_native(LISTS + _FILTER_HITS)

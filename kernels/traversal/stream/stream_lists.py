@@ -1,9 +1,8 @@
-"""The lists of streams, and how they are compacted.
+"""The lists of streams, and their compaction.
 
-A list is compacted without a branch: every number is written to the end of the new list, and the end moves on only past
-those that stay. Where the compiler knows AVX-512, one instruction does that for 16 numbers. Both write up to 16 numbers
-past the end, so every list has `LIST_LANES` numbers of room behind it; a list may be compacted in place, because what is
-written never reaches past what has been read.
+A list is compacted without branches: every number is written to the end of the new list, and the end advances only past those
+that stay. With AVX-512 one instruction does that for 16 numbers. Both methods write up to 16 numbers past the end, so every
+list has `LIST_LANES` spare elements. A list may be compacted in place, because the writes never pass the reads.
 """
 
 from functools import cache
@@ -16,23 +15,24 @@ from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PAIRS = 256
-"""Pairs, and candidates, that wait at most before they are tested; lists have room for those that one more step finds."""
+"""Greatest number of pairs, and of candidates, before they are tested; the lists also have room for those that one more step
+finds."""
 
 PairList = wp.types.vector(length=PAIRS + 2 * LIST_LANES, dtype=wp.int32)
 
 
 @wp.struct
 class Pairs:
-    """Lists of pairs of a ray and something that it may meet."""
+    """Lists of pairs: (ray, leaf) to be tested, and (ray, triangle) candidates."""
 
     rays: PairList
-    """Rays of the pairs to be tested, and"""
+    """Ray of each pair to be tested."""
     leaves: PairList
-    """their leaves: child words of `wrt.kernels.layout.bvh_nodes`."""
+    """Leaf of each pair: a child word of `wrt.kernels.layout.bvh_nodes`."""
     candidate_rays: PairList
-    """Rays whose line meets a triangle, and"""
+    """Ray of each candidate: its line meets the triangle."""
     candidates: PairList
-    """the triangle's slot in its block."""
+    """Slot of the candidate's triangle: block * W + lane."""
 
 
 @wp.func_native("leaf = pairs.leaves.c[p]; return pairs.rays.c[p];")
@@ -43,7 +43,7 @@ def load_pair(pairs: wp.ref[Pairs], p: int, leaf: wp.ref[int]) -> int:
 
 @wp.func_native("pairs.rays.c[p] = ray; pairs.leaves.c[p] = leaf;")
 def store_pair(pairs: wp.ref[Pairs], p: int, ray: int, leaf: int):
-    """Puts a pair into its place."""
+    """Stores a pair at index p."""
     ...
 
 
@@ -71,8 +71,8 @@ LISTS = f"""{FOR_LANES}
     }};
 #endif
 """
-"""Head of a list snippet. `wrt_bits(flags)`: a bit for each of L flags that is not 0.
-`wrt_append(to, from, mask)`: the numbers of the mask, in order; returns how many."""
+"""Head of a list snippet. `wrt_bits(flags)`: one bit for each of L flags that is not 0. `wrt_append(to, from, mask)`: appends
+the numbers selected by the mask, in order; returns how many."""
 
 
 _APPEND_CANDIDATES = """
@@ -85,11 +85,11 @@ _APPEND_CANDIDATES = """
 
 @cache
 def append_candidates(width: int) -> wp.Function:
-    """`func(primitives, pairs, count, ray, block, mask) -> int`: a ray with the triangles of a mask of a block, appended to the
-    candidates 0 .. count - 1; how many they are then.
+    """`func(primitives, pairs, count, ray, block, mask) -> int`: appends candidates of a ray and the triangles in the mask of a
+    block.
 
-    The ids of the block's triangles are asked for: no cache has them yet when the candidates' turn comes, and without it random
-    rays took up to 1.2 times as long. (Asking for the blocks themselves ahead of their turn gained nothing.)
+    Returns the new number of candidates. The ids of the triangles are prefetched, because they are not in a cache when the
+    candidates are evaluated (notebooks/records/2026-11-22-stream-candidates.md).
     """
 
     @wp.func_native(f"{LISTS}    constexpr int W = {width};{_APPEND_CANDIDATES}")

@@ -1,11 +1,10 @@
-"""Rays of a batch into a stream, 16 at a time.
+"""Loads rays of a batch into a stream, 16 at a time.
 
-A stream's rays lie one after the other, each with all its numbers: that is how filters and tests read them. Here they are
-worked out component by component, 16 rays to a vector, and then turned over (`TRANSPOSE`), so that a ray is written by one
-or two vector stores. What a triangle test wants of a ray is among them if it says how (`TestForm.prepare_lanes`); other tests
-prepare ray after ray. The arithmetic is that of `load_ray`, `ray_slabs` and `prepare`, number for number.
-
-Ray after ray it took 250 instructions, which is half the time of ambient rays that end at the next column.
+The rays of a stream are stored one after the other, each with all its numbers, because filters and tests read them like that.
+Here they are computed component by component, 16 rays to a vector, and then transposed (`TRANSPOSE`), so that a ray is written
+by one or two vector stores. The per-ray data of the triangle test is included if the test supplies `TestForm.prepare_lanes`;
+other tests prepare one ray after the other. The arithmetic is that of `load_ray`, `ray_slabs` and `prepare`, to the bit.
+Figures: notebooks/records/2026-11-21-streams.md.
 """
 
 from functools import cache
@@ -23,7 +22,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 COMMON_WORDS = 14
-"""4-byte words of a `stream_ray` before the test's state: slabs, t_min, best."""
+"""4-byte words of a `stream_ray` before the state of the triangle test: slabs, t_min, best."""
 
 
 RAYS_TO_LANES = (
@@ -64,7 +63,8 @@ RAYS_TO_LANES = (
     }
 """
 )
-"""C++: the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min and t."""
+"""C++ that loads the `here` rays of `batch` from `first` on, at most L: ox, oy, oz (relative to the centre), dx, dy, dz, t_min
+and t."""
 
 VALID_LANE = """
         const float x = dx[k], y = dy[k], z = dz[k], px = ox[k], py = oy[k], pz = oz[k];
@@ -74,7 +74,7 @@ VALID_LANE = """
             & (px - px == 0.0f) & (py - py == 0.0f) & (pz - pz == 0.0f)
             & (size >= SHORTEST) & (t_min[k] >= 0.0f) & (t_min[k] <= t[k]);
 """
-"""C++ for a ray k of those: its numbers, and whether it is `valid`, as `load_ray` tells."""
+"""C++ that loads ray k of those and sets `valid`, as `load_ray` does."""
 
 _LOAD = """
     const float INF = __builtin_bit_cast(float, 0x7f800000);
@@ -111,14 +111,19 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
 
 @cache
 def load_stream(triangle_test: str) -> wp.Function:
-    """`wp.func(rays, begin, count, low, high, stream)`: brings in the rays begin .. begin + count - 1; low, high: the scene."""
+    """`wp.func(rays, begin, count, low, high, stream)`: loads the rays begin .. begin + count - 1; low, high: bounds of the
+    scene.
+
+    Raises:
+        ValueError: a ray with the state of this triangle test does not fit into one or two vectors of 16 words.
+    """
     test = TRIANGLE_TESTS[triangle_test]
     StreamRay, RayState, prepare = stream_ray(triangle_test), test.ray_state, test.prepare
     room = 6 * LIST_LANES
     prepared = bool(test.prepare_lanes)
     words = ray_words(triangle_test)
     if not 16 <= words <= (32 if prepared else words):
-        raise ValueError(f"a ray of {triangle_test!r} has {words} words in a stream; one or two vectors of 16 are written")
+        raise ValueError(f"triangle test {triangle_test!r} needs {words} words per ray; streams store 16 to 32 words per ray")
     constants = f"""{FOR_LANES}{TRANSPOSE}
     constexpr int L = {LIST_LANES}, RAY_WORDS = {words}, WORDS = {words if prepared else COMMON_WORDS};
     constexpr float SLACK = {SLACK!r}f;
@@ -156,7 +161,7 @@ def load_stream(triangle_test: str) -> wp.Function:
             here = load_lanes(rays, begin + place, count - place, low, high, stream, place, own)
             if wp.static(not prepared):
                 for k in range(here):
-                    # of a ray that misses, numbers that nobody reads
+                    # the state of an invalid ray is never read
                     put_state(stream, place + k, prepare(vector(own, k, 0), vector(own, k, 3)))
             place += here
 

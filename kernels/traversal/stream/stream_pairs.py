@@ -1,10 +1,9 @@
 """Pairs (ray, leaf) of a stream: the intersection filter.
 
-Round by round, a block of each leaf: triangles that the ray's line meets become candidates, pairs (ray, triangle), without a
-branch. Each comparison ends a long chain of arithmetic, and a wrong guess would throw away what has been done for the next
-pairs meanwhile: with a branch, random rays took 1.6 times as long altogether. Whether a candidate is a hit is worked out for
-16 of them at a time (`wrt.kernels.traversal.stream.stream_candidates`). To filter by the ray's range as well, along its main
-axis or by the triangles' boxes, spares up to half of the candidates and took 1.1 to 1.3 times as long.
+Each round tests one block of each leaf. Triangles that the ray's line meets become candidates, pairs (ray, triangle), without a
+branch: each comparison ends a long chain of arithmetic, and a mispredicted branch would discard the work already started for
+the next pairs. Candidates are evaluated 16 at a time (`wrt.kernels.traversal.stream.stream_candidates`). Filtering by the ray's
+range as well removes candidates but is slower (notebooks/records/2026-11-22-stream-candidates.md).
 
 References: see `wrt.kernels.traversal.stream.stream_kernel`.
 """
@@ -30,11 +29,11 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @cache
 def line_filter(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, count, tested, left, work) -> found`: one block of each of `count` pairs, from
-    `tested` on.
+    """`wp.func(triangles, stream, pairs, count, tested, left, work) -> found`: tests one block of each pair tested .. count -
+    1.
 
-    Lists the candidates, and stops when there may be no more room for them. The pairs with blocks that remain take the first
-    places of the list; `left` is how many they are.
+    Lists the candidates and returns their number; stops when the candidate list may become full. Pairs with blocks that remain
+    are moved to the front of the pair list; `left` is their number.
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
@@ -43,7 +42,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
 
     @wp.func
     def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
-        t = Lanes()  # which nothing reads
+        t = Lanes()  # t, u and v are not used
         u = Lanes()
         v = Lanes()
         return intersect_block(triangles.records, block, state, t, u, v)
@@ -88,9 +87,9 @@ def line_filter(config: TraversalConfig) -> wp.Function:
 
 @cache
 def pair_tester(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first so many pairs to the end.
+    """`wp.func(triangles, stream, pairs, number, hits, begin, work)`: tests the first `number` pairs completely.
 
-    hits, begin: where all hits go, if that is the query, and the number of the stream's first ray.
+    hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
     """
     StreamRay = stream_ray(config.triangle_test)
     find_candidates, test_candidates, counting = line_filter(config), candidate_tester(config), config.counters

@@ -1,20 +1,22 @@
-"""A tree of fuzzy boxes: clusters of triangles that move nearly as one, each with a tree in a space that moves along.
+"""Trees of fuzzy boxes: clusters of triangles that move nearly rigidly, each with a tree in a space that moves along.
 
-**Idea (Guenther et al. 2006).** What a cluster does is an affine motion that its triangles share, and a rest. In the space that
-the affine maps carry along, the rest is small: boxes around all that a triangle does there in all frames, fuzzy boxes, hold a
-tree that is built once. A frame is a map for each cluster, and where the triangles are. A ray is brought into the cluster's
-space to walk its tree.
+**Idea** (Guenther et al. 2006). The motion of a cluster is an affine motion shared by its triangles, plus a residual. In the
+space that follows the affine map, the residual is small. Boxes around all positions of a triangle in that space over all
+frames, the fuzzy boxes, form a tree that is built once. A frame is one map per cluster and the positions of the triangles. A
+ray is transformed into the cluster's space to traverse its tree.
 
-**What we changed.** Triangles are not brought there: a leaf is tested in the scene, with the ray as it is. So the hits are
-those of any other tree over the frame's triangles, to the bit, and neighbours in different clusters have no crack between them.
+**Differences from the paper.** Triangles are not transformed: a leaf is tested in the scene, with the original ray. The hits
+are therefore those of any other tree over the frame's triangles, to the bit, and there is no crack between neighbours in
+different clusters.
 
-**Why none is lost.** A fuzzy box encloses the image of the box of its triangle in the scene, not of the triangle alone. Boxes
-in the scene are widened by a slack (`wrt.kernels.simd.boxes`), a share of the reach there; its image is at most the slack times
-the greatest sum of a row's absolute values of the map (`Cluster.stretch`). Boxes in the cluster's space are widened by that
-and, as anywhere, by the same share of the reach in there, which covers the rounding of the ray on its way. So the boxes on the
-way to a triangle are entered no later than the triangle's own, and what a walk skips lies beyond its best hit.
+**Why no hit is lost.** A fuzzy box encloses the image of the box of its triangle in the scene, not only the image of the
+triangle. Boxes in the scene are widened by a slack (`wrt.kernels.simd.boxes`), a fraction of the reach there. The image of the
+slack is at most the slack times the greatest row sum of the absolute values of the map (`Cluster.stretch`). Boxes in the
+cluster's space are widened by that amount and, as everywhere, by the same fraction of the reach in that space, which covers the
+rounding of the transformed ray. The boxes on the path to a triangle are therefore entered no later than the triangle's own, and
+everything that a walk skips lies beyond its best hit.
 
-The upper tree is over the boxes of the clusters in the scene. It and the trees below are walked as any other
+The upper tree is over the boxes of the clusters in the scene. It and the trees below are walked like any other wide tree
 (`wrt.kernels.traversal.single.key_walk`).
 
 References:
@@ -45,17 +47,17 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Cluster:
-    """Where a cluster's space is in a frame."""
+    """The space of a cluster in a frame, and its tree."""
 
     to_own: wp.mat33d
-    """A point p relative to the scene's centre goes to to_own (p - origin)."""
+    """A point p relative to the scene's centre maps to to_own (p - origin) in the cluster's space."""
     origin: wp.vec3d
     stretch: float
-    """Greatest sum of a row's absolute values of `to_own`."""
+    """Greatest row sum of the absolute values of `to_own`."""
     root: int
-    """Its tree's in the nodes of all clusters."""
+    """Root of its tree among the nodes of all clusters."""
     low: wp.vec3
-    """Its tree's box, in its own space."""
+    """`low` and `high` bound its tree, in its own space."""
     high: wp.vec3
 
 
@@ -64,9 +66,9 @@ class FuzzyNodes:
     """The trees of a frame."""
 
     top: WideNodes
-    """Boxes of the clusters relative to the scene's centre; a leaf has one."""
+    """Boxes of the clusters relative to the scene's centre; one cluster per leaf."""
     order: wp.array(dtype=int)
-    """(leaves * width,) the cluster of each leaf, first of its block."""
+    """(leaves * width,) cluster of each leaf, at the first element of its block."""
     clusters: wp.array(dtype=Cluster)
     parts: WideNodes
     """Trees of all clusters, each in its own space."""
@@ -74,7 +76,7 @@ class FuzzyNodes:
 
 @wp.func
 def own_slabs(cluster: Cluster, ray: Ray, far: float):
-    """The ray in a cluster's space, for tests of its fuzzy boxes; far: the reach in the scene."""
+    """The ray in a cluster's space, for tests of its fuzzy boxes; far: reach of the ray in the scene."""
     origin = wp.vec3(cluster.to_own * (wp.vec3d(ray.origin) - cluster.origin))
     direction = wp.vec3(cluster.to_own * wp.vec3d(ray.direction))
     return ray_slabs(origin, direction, reach(origin, cluster.low, cluster.high) + cluster.stretch * far)
@@ -82,7 +84,7 @@ def own_slabs(cluster: Cluster, ray: Ray, far: float):
 
 @cache
 def fuzzy_search(triangle_test: str) -> type:
-    """The struct of what visits to clusters need."""
+    """The struct of the search state that visits to clusters need."""
 
     class FuzzySearch:
         tree: FuzzyNodes
@@ -96,7 +98,7 @@ def fuzzy_search(triangle_test: str) -> type:
 
 @cache
 def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
     FuzzySearch, width = fuzzy_search(config.triangle_test), config.width
     walk_keys = make_key_walk(config, config.levels, leaf_search(config.triangle_test), make_leaf(config))
 
@@ -119,7 +121,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, a valid one."""
+    """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     FuzzySearch, begin = fuzzy_search(config.triangle_test), begin_search(config.triangle_test)
     walk_keys = make_key_walk(config, config.levels, FuzzySearch, make_visit(config))
 

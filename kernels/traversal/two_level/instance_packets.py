@@ -1,13 +1,12 @@
-"""Two levels for neighbouring rays: a packet goes down the tree of instances together, and into each that one of them may meet.
+"""Two-level traversal for neighbouring rays: a packet traverses the tree of instances and the geometries below.
 
 The upper tree is culled by intervals over the packet's rays (`wrt.kernels.traversal.packet.culling.interval_culling`), with the
-slack that `wrt.kernels.traversal.two_level.instance_single` explains. At an instance all rays of the packet are transformed, in
-one loop and to the same bits as a single ray, and make a packet of the instance's own, which is traced as in a scene of one
-mesh: it culls, and is taken apart where its rays part company. What it finds shortens the rays, and the packet's way, before
-    the next instance.
+slack that `wrt.kernels.traversal.two_level.instance_single` derives. At an instance all rays of the packet are transformed in
+one loop, to the same bits as a single ray. They form a packet of the instance, which is traced as in a scene of one mesh: it is
+culled, and split where its rays diverge. Its hits shorten the rays, and the packet's range, before the next instance.
 
-**Cost.** Rays that miss the instance are transformed for nothing; but nothing is sorted or listed, and the upper tree costs a
-packet what it costs a ray elsewhere.
+**Cost.** Rays that miss the instance are transformed in vain, but nothing is sorted or listed, and the upper tree costs a
+packet about as much as it costs a single ray.
 
 References: see `wrt.kernels.traversal.packet.core.packet_bvh`.
 """
@@ -62,10 +61,11 @@ _TRANSFORM = """
 
 @cache
 def transform_packet(packet_rays: int) -> wp.Function:
-    """`wp.func(rays, number, bound, place, slot, own)`: P rays of a batch, by their numbers, in the space of an instance.
+    """`wp.func(rays, number, bound, place, slot, own)`: transforms P rays of a batch, by their numbers, to the space of an
+    instance.
 
-    The arithmetic of `wrt.kernels.layout.instance_maps.object_ray`. own: from `slot` on, gets rays from their t_min up to
-    `bound`.
+    The arithmetic is that of `wrt.kernels.layout.instance_maps.object_ray`. own: receives the rays from `slot` on, from their
+    t_min up to `bound`.
     """
 
     @wp.func_native(f"{FOR_LANES}    constexpr int P = {packet_rays};\n{DIRECTION_LANES}{_TRANSFORM}")
@@ -83,10 +83,10 @@ def transform_packet(packet_rays: int) -> wp.Function:
 
 @cache
 def make_begin(config: TraversalConfig) -> wp.Function:
-    """`wp.func(top, rays, begin, number, bound, room, bounds)`: the packet at a place in the order of packets.
+    """`wp.func(top, rays, begin, number, bound, room, bounds)`: loads the packet at a place in the order of packets.
 
-    number, bound: get each ray's number, and its t_max, -inf if it is not valid. bounds: get the packet's, with the slack of
-    the upper tree.
+    number, bound: receive the number of each ray and its t_max, -inf if it is invalid. bounds: receives the bounds of the
+    packet, with the slack of the upper tree.
     """
     load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet
 
@@ -110,7 +110,7 @@ def make_begin(config: TraversalConfig) -> wp.Function:
                 if ray.valid:
                     bound[k] = ray.t_max
                     farthest = wp.max(farthest, wp.max(wp.abs(ray.origin)))
-        # the reach of each ray in this box is at least `stretch` times that in the scene
+        # each ray's reach in this box is at least `stretch` times its reach in the scene
         corner = top.stretch * (size + farthest)
         load(rays, begin, wp.vec3(-corner, -corner, -corner), wp.vec3(corner, corner, corner), room, bounds)
 
@@ -119,9 +119,10 @@ def make_begin(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_take(config: TraversalConfig) -> wp.Function:
-    """`wp.func(placement, found, slot, number, bound, hits) -> t_max`: what a packet found in an instance, from `slot` on.
+    """`wp.func(placement, found, slot, number, bound, hits) -> t_max`: merges the hits of a packet in an instance, from `slot`
+    on.
 
-    Shortens the rays, and returns the greatest t at which a hit would still count.
+    Shortens the rays, and returns the greatest t at which a hit still counts.
     """
     packet_rays, any_hit = config.packet, config.query == ANY
 
@@ -160,7 +161,7 @@ def make_take(config: TraversalConfig) -> wp.Function:
 def make_visit(config: TraversalConfig) -> wp.Function:
     """`wp.func(top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work) -> t_max`.
 
-    Traces the packet through one instance. own, found: where its transformed rays and their hits go, from `slot` on.
+    Traces the packet through one instance. own, found: receive its transformed rays and their hits, from `slot` on.
     """
     step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
     keep_leaf = occluder.keep_leaf(packet_layout(config))
@@ -192,7 +193,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
                     own.t_max[slot + k] = -INFINITY
         batch = own
         batch.count = slot + wp.static(packet_rays)
-        keep_leaf(room, 0)  # what the last packet met is of another instance
+        keep_leaf(room, 0)  # the last packet's leaf is in another instance's tree
         step(part.tree, part.tree, part.triangles, batch, slot, room, memory, found, counters, work)
         return take(placement, found, slot, number, bound, hits)
 
@@ -201,7 +202,10 @@ def make_visit(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
-    """The kernel for one specialisation; levels: inner nodes on a path of the upper tree. An item is a run of packets."""
+    """The kernel for one specialisation. An item is a run of packets.
+
+    levels: greatest number of inner nodes on a path of the upper tree.
+    """
     begin_packet, visit, cull = make_begin(config), make_visit(config), cull_boxes(packet_layout(config))
     width, packet_rays, size, run = config.width, config.packet, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)

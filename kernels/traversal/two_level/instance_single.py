@@ -1,23 +1,22 @@
-"""Two levels: a tree of instances, and in each instance that a ray reaches the tree of its geometry, one ray at a time.
+"""Two-level traversal, one ray at a time: a tree of instances above the trees of their geometries.
 
-**Here.** The upper tree is a wide BVH over the boxes of the instances in the scene, one instance a leaf, walked as
-`wrt.kernels.traversal.single.key_walk` walks any: nearest box first, and nothing beyond the best hit. At a leaf the ray is
-brought into the geometry's space (`wrt.kernels.layout.instance_maps`), and the geometry's own tree, of either kind, is walked
-by the same function that walks a scene of one mesh: with t_max where the best hit so far is.
+The upper tree is a wide BVH over the boxes of the instances in the scene, one instance per leaf.
+`wrt.kernels.traversal.single.key_walk` walks it like any other: nearest box first, and nothing beyond the best hit. At a leaf
+the ray is transformed to the geometry's space (`wrt.kernels.layout.instance_maps`), and the geometry's own tree, of either
+kind, is walked by the same function as in a scene of one mesh, with t_max at the best hit so far.
 
 **The consistency rule on two levels.** A hit counts if the transformed ray meets the triangle's widened box
-(`wrt.kernels.simd.boxes`), whose slack is a share of the reach in the geometry's space. In the scene that slack is stretched by
-the
-map: by at most the product of the norms of the map and of its inverse, the greatest sum of a row's absolute values. Twice
-that share of the reach in the scene (the factor 2 leaves room for rounding the transformed ray and the instance's box) is the
-slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). So no instance is passed over, or
-seems to start beyond, a hit that its own tree finds: the answer is that of every instance asked one after the other.
+(`wrt.kernels.simd.boxes`), whose slack is a fraction of the reach in the geometry's space. In the scene the map stretches that
+slack by at most the product of the norms of the map and of its inverse, where the norm is the greatest row sum of absolute
+values. Twice that fraction of the reach in the scene (the factor 2 leaves room for the rounding of the transformed ray and of
+the instance's box) is the slack of the upper tree's boxes, for the worst of all instances (`InstanceTree.stretch`). No instance
+is therefore skipped, or entered too late, if its own tree finds a hit: the result is that of visiting every instance in turn.
 
 References:
     S. M. Rubin, T. Whitted: A 3-dimensional representation for fast rendering of complex scenes. SIGGRAPH 1980 (a hierarchy of
         spaces, rays transformed on the way down).
     I. Wald, C. Benthin, P. Slusallek: Distributed interactive ray tracing of dynamic scenes. IEEE Symposium on Parallel and
-        Large-Data Visualization and Graphics 2003 (two levels of trees, of which only the upper is built again).
+        Large-Data Visualization and Graphics 2003 (two levels of trees, of which only the upper is rebuilt).
 """
 
 from functools import cache
@@ -45,17 +44,17 @@ class InstanceTree:
     """The upper level."""
 
     tree: WideNodes
-    """Boxes relative to the scene's centre; a leaf has one instance."""
+    """Boxes relative to the scene's centre; one instance per leaf."""
     order: wp.array(dtype=int)
-    """(leaves * width,) the instance of each leaf, first of its block."""
+    """(leaves * width,) instance of each leaf, at the first element of its block."""
     placements: wp.array(dtype=Placement)
     stretch: float
-    """By what a ray's reach is multiplied for the slack of the boxes."""
+    """Factor of a ray's reach for the slack of the boxes."""
 
 
 @wp.struct
 class BvhPart:
-    """What is traversed of a geometry."""
+    """A geometry with a BVH: tree and triangles."""
 
     tree: WideNodes
     triangles: TriangleBlocks
@@ -63,19 +62,19 @@ class BvhPart:
 
 @wp.struct
 class KdTreePart:
-    """What is traversed of a geometry."""
+    """A geometry with a kd-tree: tree and triangles."""
 
     tree: KdNodes
     triangles: TriangleBlocks
 
 
 PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
-"""For each kind of tree the struct of a geometry."""
+"""Struct of a geometry for each tree kind."""
 
 
 @cache
 def take_hits(config: TraversalConfig) -> wp.Function:
-    """`wp.func(placement, found, t_min, hits, i, best) -> best`: what a walk found in an instance, as a hit of the scene."""
+    """`wp.func(placement, found, t_min, hits, i, best) -> best`: merges the hits that a walk found in an instance."""
     crossing, storing = config.crossing, config.query == ALL
 
     @wp.func
@@ -97,7 +96,7 @@ def take_hits(config: TraversalConfig) -> wp.Function:
 
 @cache
 def instance_search(kind: str) -> type:
-    """The struct of what visits to instances need; kind: of the geometries' trees, key of `PARTS`."""
+    """The struct of the search state that visits to instances need; kind: tree kind of the geometries, a key of `PARTS`."""
 
     class InstanceSearch:
         top: InstanceTree
@@ -112,9 +111,9 @@ def instance_search(kind: str) -> type:
 
 @cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
-    """`wp.func(tree, child, search, hits, i, best, work) -> best`: a leaf of the upper tree, for `make_key_walk`."""
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
     InstanceSearch, walk, take = instance_search(kind), WALKS[kind][1](config), take_hits(config)
-    width = max(config.width, 2)  # of the upper tree
+    width = max(config.width, 2)  # children per node of the upper tree
 
     @wp.func
     def visit(
@@ -140,12 +139,12 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 @cache
 def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
-    """`wp.func(top, parts, origin, ray, mask, hits, i, work) -> best` for ray number i, a valid one.
+    """`wp.func(top, parts, origin, ray, mask, hits, i, work) -> best` for ray number i, which must be valid.
 
     Args:
         config: the specialisation of the walks through geometries.
-        kind: of the geometries' trees, key of `PARTS`.
-        levels: inner nodes on a path of the upper tree.
+        kind: tree kind of the geometries, a key of `PARTS`.
+        levels: greatest number of inner nodes on a path of the upper tree.
     """
     Part, InstanceSearch = PARTS[kind], instance_search(kind)
     walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
@@ -175,9 +174,9 @@ def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.F
 
 @cache
 def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """The kernel for one specialisation; arguments as those of `make_walk_instances`.
+    """The kernel for one specialisation; arguments as in `make_walk_instances`.
 
-    Lists of all hits go to the places from `HitBatch.begins` on: a ray's hits have to be counted first.
+    Lists of all hits are written from `HitBatch.begins` on, so the hits of each ray must be counted first.
     """
     Part, walk, store = PARTS[kind], make_walk_instances(config, kind, levels), store_best(config)
     counting, storing = config.counters, config.query == ALL

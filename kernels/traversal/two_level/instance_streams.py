@@ -1,17 +1,18 @@
-"""Two levels for many rays that have little in common: those that reach the same instance are brought together.
+"""Two-level traversal for many incoherent rays: rays that reach the same instance are grouped and traced as a batch.
 
-**Problem.** Streams are fast because many rays do the same thing at the same time. Rays that leave a tree of instances one by
-one have lost their company, and those of one stream that meet an instance are a handful.
+**Problem.** Streams are fast because many rays do the same work at the same time. Rays that leave the upper tree one by one no
+longer form a stream, and only a few rays of one stream reach the same instance.
 
-**Idea.** Rounds. First each ray lists the nearest instances whose boxes it meets, up to `ROOM` of them, with the t of its
-entry. In round k every ray whose k-th entry is not beyond its best hit goes to its k-th instance: rays are counted by
-instance, the counts are summed, and the rays, transformed, are copied to the places of their instance. There they are an
-ordinary batch, and streams walk the tree of the mesh; what they find shortens the rays for the rounds to come. Rays with more
-than `ROOM` boxes list the next when they have done with the first. So rays go front to back, each of them, and stop as soon as
-a single ray would.
+**Idea.** Rounds. First each ray lists the nearest instances whose boxes it meets, up to `ROOM` of them, with the t of entry. In
+round k every ray whose k-th entry is not beyond its best hit goes to its k-th instance: rays are counted by instance, the
+counts are scanned, and the transformed rays are copied to the positions of their instance. There they are an ordinary batch,
+and streams traverse the tree of the mesh. The hits shorten the rays for later rounds. Rays that meet more than `ROOM` boxes
+list the next ones when they have finished the first. Each ray therefore visits instances front to back, and stops as early as a
+single ray would.
 
-**Cost.** A round copies 32 bytes a ray there and 16 back, and looks at all rays; where few are left, these go one by one
-(`wrt.kernels.traversal.two_level.instance_single`). Most rays of a scene whose instances stand apart are done after two rounds.
+**Cost.** A round copies 32 bytes per ray to the instances and 16 bytes back, and reads the state of all rays. When few rays are
+left, they are traced one by one (`wrt.kernels.traversal.two_level.instance_single`). If the instances of a scene are disjoint,
+most rays are done after two rounds.
 
 References:
     M. Pharr, C. Kolb, R. Gershbein, P. Hanrahan: Rendering complex scenes with memory-coherent ray tracing. SIGGRAPH 1997 (rays
@@ -38,44 +39,44 @@ from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTre
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ROOM = wp.constant(8)
-"""Instances that a ray lists at a time."""
+"""Greatest number of instances in the list of a ray."""
 
 
 @wp.struct
 class Search:
-    """What N consecutive rays of a batch have before them. A ray's list is sorted by entry, then by instance."""
+    """Search state of N consecutive rays of a batch. The list of a ray is sorted by entry, then by instance."""
 
     begin: int
     """Number of the first ray."""
     bound: wp.array(dtype=float)
-    """(N,) t beyond which nothing matters: that of the best hit, or t_max; -inf for a ray that is done."""
+    """(N,) t of the best hit, or t_max; -inf for a ray that is done."""
     size: wp.array(dtype=int)
     """(N,) length of the list."""
     instance: wp.array(dtype=int)
-    """(ROOM * N,) k-th instances from k N on."""
+    """(ROOM * N,) k-th instances of all rays from element k N on."""
     entry: wp.array(dtype=float)
-    """(ROOM * N,) where their boxes begin, or a hair before."""
+    """(ROOM * N,) t of entry into their boxes, rounded down."""
 
 
 @wp.struct
 class Sorted:
-    """A round's rays, in the geometries' spaces, instance after instance."""
+    """The rays of a round in the spaces of the geometries, ordered by instance."""
 
     rays: RayBatch
     order: wp.array(dtype=int)
-    """Number of each of them in the batch."""
+    """Number of each ray in the batch."""
     instance: wp.array(dtype=int)
 
 
 @wp.func
 def precedes(entry: float, instance: int, other_entry: float, other: int):
-    """Whether an instance comes before another one."""
+    """Whether an instance precedes another one in a list."""
     return entry < other_entry or (entry == other_entry and instance < other)
 
 
 @wp.func
 def insert(entries: wp.array(dtype=float), instances: wp.array(dtype=int), size: int, entry: float, instance: int):
-    """Puts an instance in its place in a sorted list with room for ROOM; the last falls out if that is full. Its new size."""
+    """Inserts an instance into a sorted list of at most ROOM; a full list drops its last element. Returns the new size."""
     place = int(size)
     if size == ROOM:
         place = ROOM - 1
@@ -92,9 +93,9 @@ def insert(entries: wp.array(dtype=float), instances: wp.array(dtype=int), size:
 
 @cache
 def make_list_instances(width: int, levels: int) -> wp.Kernel:
-    """The kernel that lists the instances before each ray of a block; width, levels: of the upper tree.
+    """The kernel that lists the next instances of each ray of a block; width, levels: of the upper tree.
 
-    Nodes are visited in any order, which costs less than to find the nearest: most boxes that are met are wanted.
+    Nodes are visited in any order, which is cheaper than finding the nearest: most boxes that a ray meets are listed.
     """
     test_boxes, Lanes, room = met_boxes(width), lanes(width), levels * (width - 1) + 1
 
@@ -152,7 +153,7 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
 
 @wp.func
 def next_instance(search: Search, turn: int, place: int):
-    """The instance whose turn it is for the ray at a place; -1 if there is none, or its best hit lies before it."""
+    """The instance that the ray at a place visits in this turn; -1 if there is none, or if its best hit is nearer."""
     instance = int(-1)
     at = turn * search.size.shape[0] + place
     if turn < search.size[place] and search.entry[at] <= search.bound[place]:
@@ -162,7 +163,7 @@ def next_instance(search: Search, turn: int, place: int):
 
 @wp.kernel
 def count_instances(first: int, chunk: int, turn: int, search: Search, counts: wp.array2d(dtype=int)):
-    """Item: a chunk of rays. counts: (chunks, instances), zeros."""
+    """Counts the rays of a chunk by instance. Item: a chunk of rays. counts: (chunks, instances), initially 0."""
     item = first + wp.tid()
     row = counts[item]
     for place in range(item * chunk, wp.min(search.size.shape[0], (item + 1) * chunk)):
@@ -182,7 +183,7 @@ def sort_by_instance(
     places: wp.array2d(dtype=int),
     sorted_rays: Sorted,
 ):
-    """Item: a chunk of rays. Transforms them, and copies them to where those of their instances are."""
+    """Transforms the rays of a chunk and copies them to the positions of their instances. Item: a chunk of rays."""
     item = first + wp.tid()
     row = places[item]
     for place in range(item * chunk, wp.min(search.size.shape[0], (item + 1) * chunk)):
@@ -237,7 +238,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
 def merge_hits(
     first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
 ):
-    """Item: a ray of a round. Takes what it found over to its answer, if that is better, and shortens the ray."""
+    """Merges the closest hit of a ray into the results and shortens the ray. Item: a ray of a round."""
     k = first + wp.tid()
     i = sorted_rays.order[k]
     if found.primitive[k] >= 0:
@@ -254,7 +255,7 @@ def merge_hits(
 def merge_occlusion(
     first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
 ):
-    """Item: a ray of a round. One that found something is done."""
+    """Merges the any-hit result of a ray; a ray with a hit is done. Item: a ray of a round."""
     k = first + wp.tid()
     i = sorted_rays.order[k]
     if found.occluded[k]:
@@ -266,11 +267,11 @@ def merge_occlusion(
 def merge_counts(
     first: int, placements: wp.array(dtype=Placement), sorted_rays: Sorted, found: HitBatch, search: Search, hits: HitBatch
 ):
-    """Item: a ray of a round. Adds what it counted."""
+    """Adds the count of a ray to the results. Item: a ray of a round."""
     k = first + wp.tid()
     i = sorted_rays.order[k]
     hits.counts[i] = hits.counts[i] + found.counts[k]
 
 
 MERGE = {CLOSEST: merge_hits, ANY: merge_occlusion, COUNT: merge_counts}
-"""What takes the results of a round over, for each query."""
+"""Kernel that merges the results of a round, for each query."""

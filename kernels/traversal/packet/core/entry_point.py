@@ -1,45 +1,43 @@
-"""Entry points into a kd-tree: MLRTA and AEPSA. A tile of rays looks for the deepest node below which all its hits are.
+"""Entry-point search in a kd-tree (MLRTA and AEPSA): a tile of rays finds the deepest node below which all its hits are.
 
-**Problem.** Every packet goes down from the root, and near the root all packets of a tile of the picture go the same way.
+**Problem.** Every packet starts at the root, although near the root all packets of a tile of the picture take the same path.
 
-**Idea** (Reshetov, Soupikov, Hurley 2005). The rays of a large tile are bounded together, by intervals. The bounds go
-through the tree, not to find hits but leaves that may have some: if there are none, all rays miss; otherwise the deepest
-common ancestor of these leaves is the tile's entry point. The tile is split into 16, each part looks for an entry point of
-its own below the tile's, and the packets of the smallest parts start where their part has got to.
+**Idea** (Reshetov, Soupikov and Hurley 2005). The rays of a large tile are bounded together, by intervals. The bounds traverse
+the tree to find leaves that may contain hits. If there are none, all rays miss. Otherwise the deepest common ancestor of these
+leaves is the entry point of the tile. The tile is split into 16 parts, each part searches for its own entry point below that of
+the tile, and the packets of the smallest parts start at the entry point of their part.
 
 **Phases** of a search:
-1. descend: depth first, nearest side first, to the first leaf that counts. Nodes of which both sides are to be visited
-   wait on the *bifurcation stack* with their boxes. Then the stack is frozen;
-2. choose: the entry point is the topmost node on the stack from whose other side a leaf that counts can be reached; if
-   there is none, the leaf itself.
+1. descend: depth first, near side first, to the first candidate leaf. Nodes whose two sides must both be visited are pushed on
+   the *bifurcation stack* with their boxes. The stack is then frozen;
+2. choose: the entry point is the topmost node on the stack whose other side reaches a candidate leaf; if there is none, it is
+   the leaf itself.
 
-`mlrta` and `aepsa` (Fowler, Collins, Manzke 2009) differ in both phases:
-* MLRTA counts every leaf that is not empty. AEPSA counts it only if a triangle in it overlaps the bounds (the packets'
-  culling of triangles, W at a time): the bounds of a tile reach many leaves whose triangles lie beside them.
-* MLRTA takes nodes from the stack, deepest first, and searches the other side of each. AEPSA starts at the top and is done
-  with the first success: what is below cannot be the entry point any more.
+`mlrta` and `aepsa` (Fowler, Collins and Manzke 2009) differ in both phases:
+* In MLRTA every leaf that is not empty is a candidate. In AEPSA a leaf is a candidate only if one of its triangles overlaps the
+  bounds (the packets' culling of triangles, W at a time), because the bounds of a tile reach many leaves whose triangles lie
+  beside them.
+* MLRTA takes nodes from the stack, deepest first, and searches the other side of each. AEPSA starts at the top and stops at the
+  first success, because deeper nodes can no longer be the entry point.
 
-**Any tiles.** A tile is a run of consecutive rays of the batch, and what it skips cannot be hit by any of its rays, to the
-bit: its bounds hold those of the packets, as these hold those of the rays (`wrt.kernels.traversal.packet.core.packet_cells`).
-Where the batch lists pixels in an order that keeps neighbours together (blocks, Morton's curve), tiles are compact; where it
-lists them by rows, they are not, and most searches end at the root.
+**Arbitrary tiles.** A tile is a run of consecutive rays of the batch. The parts of the tree that it skips cannot be hit by any
+of its rays, to the bit: its bounds contain those of the packets, which contain those of the rays
+(`wrt.kernels.traversal.packet.core.packet_cells`). If the batch lists pixels in an order that keeps neighbours together
+(blocks, Morton order), tiles are compact; if it lists them by rows, they are not, and most searches end at the root.
 
-**What we changed.** Tiles are bounded by intervals of origins and directions (`wrt.kernels.traversal.packet.rays.tile_bounds`),
-so rays need share neither origin nor signs. Queues of the survey's algorithm 5.1 come out deepest first, with which the first
-success would not be the topmost one: here AEPSA goes through the frozen stack from its bottom.
+**Differences from the papers.** Tiles are bounded by intervals of origins and directions
+(`wrt.kernels.traversal.packet.rays.tile_bounds`), so rays need not share an origin or signs. The queues of algorithm 5.1 in
+Rahikainen (2013) are processed deepest first, so the first success would not be the topmost node; here AEPSA processes the
+frozen stack from its bottom.
 
-**Measured** (one core of a Zen 5, the bunny, a million rays in Morton's order). A packet of 64 shares the way down among
-its rays already, and there is little left to save: MLRTA runs at 0.97 times the speed of `packet` in the far view and 0.86
-times in the near one, AEPSA at 0.99 and 0.86. With packets of 16, MLRTA runs at 1.00 and 0.93, AEPSA at 1.05 and 1.01 times.
-Against `single`, both are 4.5 to 5.8 times as fast with packets of 64. (The papers report 3.25 times for eye rays and up to
-18 % more for AEPSA.) AEPSA visits 13 to 15 % fewer nodes than MLRTA, searches included; with packets of 16 it is 5 to 9 %
-faster, with larger ones at most 2 %.
+**Limits.** Packets of 64 already share the descent among their rays, so little is left to save
+(notebooks/records/2026-11-21-kdtree-packets.md).
 
 References:
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    C. Fowler, S. Collins, M. Manzke: Accelerated entry point search algorithm for real-time ray-tracing.
-        Spring Conference on Computer Graphics (SCCG) 2009.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    C. Fowler, S. Collins, M. Manzke: Accelerated entry point search algorithm for real-time ray-tracing. Spring Conference on
+        Computer Graphics (SCCG) 2009.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5, algorithm 5.1).
 """
 
 from functools import cache, partial
@@ -65,21 +63,21 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PACKETS = 4
-"""Packets of the smallest tile that looks for an entry point."""
+"""Packets in the smallest tile that searches for an entry point."""
 
 SPLIT = 16
-"""Parts of a large tile; best according to Reshetov et al."""
+"""Number of parts of a large tile, as recommended by Reshetov et al. (2005)."""
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a large tile."""
+    """Rays of a large tile; an item of the kernel is one tile."""
     return SPLIT * PACKETS * config.packet
 
 
 @cache
 def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
-    """`wp.func(triangles, node, bounds) -> bool`: whether a leaf may have a hit of a ray of the tile."""
-    vertex = CULLINGS["vertex"]  # one that knows a tile by its bounds alone
+    """`wp.func(triangles, node, bounds) -> bool`: whether a leaf may contain a hit of a ray of the tile (a candidate leaf)."""
+    vertex = CULLINGS["vertex"]  # a culling that needs only bounds, not rays
     holds = vertex.holds_for(TRIANGLE_TESTS[config.triangle_test])
     cull_triangles = (vertex if holds else CULLINGS["interval"]).triangles(packet_layout(config))
     width = config.width
@@ -102,7 +100,7 @@ def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
 
 @cache
 def make_reach(config: TraversalConfig, accelerated: bool) -> wp.Function:
-    """`wp.func(nodes, triangles, bounds, cell, work) -> bool`: whether a leaf that counts is reached from a cell."""
+    """`wp.func(nodes, triangles, bounds, cell, work) -> bool`: whether a candidate leaf is reached from a cell."""
     counts = leaf_counts(config, accelerated)
     counting = config.counters
 
@@ -146,7 +144,8 @@ def make_reach(config: TraversalConfig, accelerated: bool) -> wp.Function:
 
 @cache
 def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
-    """`wp.func(tree, triangles, bounds, work) -> bool`: moves `tree.root` down to the entry point; False if nothing is hit."""
+    """`wp.func(tree, triangles, bounds, work) -> bool`: moves `tree.root` to the entry point; False if no ray can hit
+    anything."""
     counts, reach_leaf = leaf_counts(config, accelerated), make_reach(config, accelerated)
     counting = config.counters
 
@@ -227,7 +226,7 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
 
 @cache
 def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
-    """The kernel for one specialisation; `accelerated`: AEPSA."""
+    """The kernel for one specialisation; `accelerated` selects AEPSA."""
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters

@@ -1,16 +1,11 @@
-"""Rays that are nearly alone at a leaf: each against W triangles at a time.
+"""Leaves that few rays of a packet meet: each of these rays is tested against W triangles at a time.
 
-**Problem.** Where triangles are as small as pixels, a packet of 32 rays comes to a leaf of which it knows only that one of
-them meets its box: of the leaves that shadow rays on a dragon of 810,080 triangles arrive at, half are met by none and a
-third by one to eight. A triangle that is tested there fills 32 lanes for them.
+**Problem.** If triangles are as small as pixels, only a few rays of a packet of 32 meet the box of a typical leaf, and often
+none does. A triangle that is tested by the packet occupies 32 lanes for them.
 
-**Idea.** Lanes hold rays or triangles, whichever are more. Up to `FEW` rays (`wrt.kernels.traversal.packet.rays.packet_bounds`)
-are taken out of the packet and tested as a single ray is, by `block_step`: a vector for each 16 triangles, and no frustum
-before it.
-
-**Measured** (one thread, the time against packets alone, on a Zen 4): reflected rays 0.83 on the bunny, 0.76 on the
-dragon, 0.72 on the large one, 0.87 in the atrium; shadow rays 1.02, 1.00, 0.97 and 0.93. With 9 or more rays for 6, reflected
-rays gain another 3-9 %, and shadow rays lose 4-8 %: the frustum leaves them few triangles.
+**Idea.** Put rays or triangles into the lanes, whichever are more. At most `FEW` rays
+(`wrt.kernels.traversal.packet.rays.packet_bounds`) are taken out of the packet and tested like single rays, by `block_step`:
+one vector per 16 triangles, and no frustum before it. Figures: notebooks/records/2026-11-22-leaf-rays.md.
 """
 
 from dataclasses import replace
@@ -59,7 +54,8 @@ _GIVE = """
 
 @cache
 def take_ray(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few`, as `block_step` takes it."""
+    """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few` in the form that `block_step`
+    needs."""
     test = TRIANGLE_TESTS[layout.triangle_test]
     RayState = test.ray_state
 
@@ -78,7 +74,7 @@ def take_ray(layout: PacketLayout) -> wp.Function:
 
 @cache
 def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(packet, bounds, place, best)`: a hit of a ray of `bounds.few` goes into the packet."""
+    """`wp.func(packet, bounds, place, best)`: stores the hit of a ray of `bounds.few` in the packet."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
     @wp.func_native(layout.head + constant + _GIVE + SHORTEN)
@@ -89,13 +85,13 @@ def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
 
 @wp.func_native("bounds.few.c[place] = ray;")
 def put_few(bounds: wp.ref[PacketBounds], place: int, ray: int):
-    """One of the rays that `few_step` tests, by its number in the packet."""
+    """Stores the number of a ray in `bounds.few`, for `few_step`."""
     ...
 
 
 @cache
 def few_counts(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: counts what `few_step` is about to do."""
+    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: counts the work of the next `few_step`."""
     active_in, width = active_lanes(packet_layout(config)), config.width
 
     @wp.func
@@ -126,9 +122,9 @@ def few_counts(config: TraversalConfig) -> wp.Function:
 
 @cache
 def few_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: the `meet` rays of `bounds.few` at a leaf.
+    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: tests the `meet` rays of `bounds.few` against a leaf.
 
-    Its `count` triangles begin at the block `first`.
+    The leaf has `count` triangles, from block `first` on.
     """
     layout, any_hit = packet_layout(config), config.query == ANY
     take, give, count_work = take_ray(layout), give_ray(layout, any_hit), few_counts(config)

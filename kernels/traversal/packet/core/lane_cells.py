@@ -1,7 +1,7 @@
-"""Each ray of a packet in a cell of a kd-tree: intervals of t in lanes, a plane for all rays at a time.
+"""The rays of a packet in a cell of a kd-tree: one interval of t per ray, in lanes; a plane splits those of all rays at a time.
 
-The intervals are two components more of the packet, in an array of their own: `entry` of the P rays, then `leave`. A ray that
-is not in the cell has an empty one. Per ray these are the formulas of `wrt.kernels.traversal.single.single_kdtree`.
+The intervals are two more components of the packet, in a separate array: `entry` of the P rays, then `leave`. A ray that is not
+in the cell has an empty interval. The formulas per ray are those of `wrt.kernels.traversal.single.single_kdtree`.
 """
 
 from functools import cache
@@ -73,7 +73,10 @@ _SPLIT = """
 
 @cache
 def enter_cell(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, low, high, cells) -> rays inside`: intervals in a box, within the rays' ranges and best hits."""
+    """`wp.func(packet, bounds, low, high, cells) -> int`: computes the intervals in a box; returns the number of rays inside.
+
+    The intervals are clipped to the rays' ranges and best hits.
+    """
 
     @wp.func_native(layout.head + _ENTER)
     def enter_cell_native(
@@ -85,9 +88,10 @@ def enter_cell(layout: PacketLayout) -> wp.Function:
 
 @cache
 def split_cell(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, axis, position, cells) -> bits`: moves on to a child; bit 0: the right one, bit 1: both count.
+    """`wp.func(packet, bounds, axis, position, cells) -> bits`: moves to a child.
 
-    If both do, the one moved on to is that which more of the rays that visit both see first.
+    Bit 0: the child is the right one. Bit 1: both must be visited; the move is then to the child that is near for the majority
+    of the rays that visit both.
     """
 
     @wp.func_native(layout.head + _SPLIT)

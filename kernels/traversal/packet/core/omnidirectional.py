@@ -1,33 +1,29 @@
-"""Omnidirectional packets on a kd-tree (Reshetov 2006): rays that go every way, each with an interval of its own.
+"""Omnidirectional packets on a kd-tree (Reshetov 2006): packets of any directions, each ray with its own interval.
 
-**Problem.** Packets that decide by one interval need rays that go the same way. Secondary rays do not, and splitting packets
-until they do leaves lanes empty.
+**Problem.** Packets that decide by one interval need rays with similar directions. Secondary rays are not similar, and
+splitting packets until their rays are leaves lanes idle.
 
-**Idea.** Every ray keeps its own interval of t in the current cell, in lanes: at a plane all intervals are cut at once, each
-by its own direction's sign, and a child is visited if some ray's part of it is not empty. Near and far differ from ray to
-ray, so the order of the children is right for some rays only: a cell that turns out to lie behind the best hits of all its
-rays does not end the search, it is only left for the next one that waits.
+**Idea.** Every ray keeps its own interval of t in the current cell, in lanes. At a plane all intervals are split at once, each
+by the sign of its own direction, and a child is visited if the part of some ray is not empty. Near and far differ from ray to
+ray, so the order of the children is right for some rays only. A cell that lies behind the best hits of all its rays therefore
+does not end the search; the search continues with the next cell on the stack.
 
-**The order.** Of the rays that visit both children, the majority decides which comes first. (The rule is ours: the survey,
-from which this is written, does not give the paper's.)
+**The order.** Of the rays that visit both children, the majority decides which child comes first. This rule is ours: Rahikainen
+(2013), the source of this file, does not give the rule of the paper.
 
-**Leaves.** W rays are tested against a triangle at a time where more than `FEW` rays of the packet have arrived; the others
-go one by one against W triangles at a time (`few_rays`). Lanes are filled either way.
+**Leaves.** If more than `FEW` rays of the packet have reached a leaf, W rays are tested against a triangle at a time; otherwise
+each ray is tested against W triangles at a time (`few_rays`). The lanes are filled in both cases.
 
-**What we changed.** A waiting cell is its node and its box, not P intervals: when its turn comes, the intervals are worked
-out from the box, already cut at the best hits found in between. The stack does not grow with the packet. Rays with one sign
-need no special case; nothing falls back to single rays.
+**Differences from the paper.** A cell on the stack is its node and its box, not P intervals. When it is popped, the intervals
+are computed from the box, clipped to the current best hits. The size of the stack does not depend on the packet. Rays with
+equal signs need no special case, and no ray is traced alone.
 
-**Measured** (one core of a Zen 5, the bunny, packets of 32, against `single`): far 2.4 times as fast, near 2.8 times, shadow
-rays to a point light 1.4 times (`packet`: 1.1), ambient occlusion 0.9 times, random rays 0.5 times.
-
-**Limits.** Where rays have nothing in common, a packet visits the cells of all its rays, and most lanes idle. There
-`wrt.kernels.traversal.lockstep.lockstep_kernel`, whose lanes each go their own way, is what to use.
+**Limits.** If rays have nothing in common, a packet visits the cells of all its rays, and most lanes are idle;
+`wrt.kernels.traversal.lockstep.lockstep_kernel` is faster there. Figures: notebooks/records/2026-11-21-kdtree-packets.md.
 
 References:
-    A. Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees.
-        IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    A. Reshetov: Omnidirectional ray tracing traversal algorithm for kd-trees. IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapter 5).
 """
 
 from functools import cache
@@ -54,7 +50,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a packet."""
+    """Rays of a packet; an item of the kernel is one packet."""
     return config.packet
 
 

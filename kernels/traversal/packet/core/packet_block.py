@@ -1,4 +1,4 @@
-"""The rays of a packet against triangles of a block, W rays x one triangle at a time."""
+"""The rays of a packet against the triangles of a block, W rays x one triangle at a time."""
 
 from functools import cache
 
@@ -65,14 +65,14 @@ SHORTEN = """
         bounds.t_max = most < 0 ? -INF : __builtin_bit_cast(float, most);
     }
 """
-"""Rays have found hits: sets `bounds.t_max`. ANY_HIT: whether a hit is all that a ray wants."""
+"""C++ that updates `bounds.t_max` after rays have found hits. ANY_HIT: whether the query is any-hit."""
 
 
 @cache
 def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays, and `bounds.t_max`.
+    """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays and `bounds.t_max`.
 
-    A ray that has its answer (any hit) is shortened to -inf.
+    In any-hit queries a ray with a hit gets t = -inf.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"

@@ -1,26 +1,25 @@
-"""Packet traversal of a wide BVH: P rays decide together where to go.
+"""Packet traversal of a wide BVH: P rays traverse the tree together.
 
-**Problem.** Neighbouring rays take almost the same way through a tree; one at a time, each pays for it in full.
+**Problem.** Neighbouring rays take almost the same path through a tree, and each single ray pays the full cost of it.
 
-**Idea.** The packet descends into a child if the culling (`wrt.kernels.traversal.packet`) cannot rule out that one of its rays
+**Idea.** The packet descends into a child unless the culling (`wrt.kernels.traversal.packet`) proves that none of its rays
 meets the child's box: one step for all rays, W children at a time. At a leaf the triangles that no ray can hit are culled, W at
-a time, and only then are rays tested, W at a time against each triangle that is left (Wald et al. 2001 for rays in lanes;
-Reshetov et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of
-the rays' best hits. Where few rays meet a leaf, they are tested one by one (`few_rays`). Rays that ask for any hit begin
-where the last packet ended (`wrt.kernels.traversal.packet.core.occluder_cache`).
+a time, and only then are rays tested, W at a time against each remaining triangle (Wald et al. 2001 for rays in lanes; Reshetov
+et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of the rays' best
+hits. Leaves that few rays meet are tested ray by ray (`few_rays`). Any-hit packets start at the leaf that occluded the last
+packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
 
-**Any rays.** Rays of a packet need not share an origin or signs. Where all three axes have both signs, boxes bound
-nothing worth having, and a packet whose rays have parted company (one in fifty does, where neighbouring pixels see
-different surfaces) may meet half of the scene: it gives up after `PATIENCE` steps a ray. Such packets part where their
-origins do (`wrt.kernels.traversal.packet.core.packet_splitting`); what does not stay together even then goes ray by ray
-(`single_bvh`).
+**Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
+the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may
+visit half of the scene. Its traversal is abandoned after `PATIENCE` steps per ray. Such packets are split by their origins
+(`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies.
-        ACM Transactions on Graphics 26(1), 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies. ACM Transactions on
+        Graphics 26(1), 2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.2).
 """
 
 from functools import cache
@@ -45,21 +44,22 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MIXED_AXES = 2
-"""Axes with both signs with which a packet is still walked together."""
+"""Greatest number of axes with both signs for which a packet is traversed as a whole."""
 
 PATIENCE = 3
-"""Steps a ray (nodes and leaves together) after which a packet gives up: by then its rays would be done alone. (Shadow rays of
-bunny, dragon and atrium: least time at 1.5 to 3, up to 3 % less than at 1.)"""
+"""Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by one
+(notebooks/records/2026-11-21-packets.md)."""
 
 
 def walk_memory(config: TraversalConfig) -> int:
-    """Ints of memory that a walk asks for: its mailbox; from a cache line on, a row of keys a level; the path's nodes."""
+    """Ints of local memory that a walk needs: its mailbox; a row of keys per level, aligned to a cache line; the nodes of the
+    path."""
     return MAILBOXES[config.mailbox].size + CACHE_LINE + config.levels * (config.width + 1)
 
 
 @cache
 def visit_leaf(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: the leaf that is a lane of a node."""
+    """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node."""
     culling, width = CULLINGS[config.culling], config.width
     start_leaf, looks_at_leaves = culling.leaf(packet_layout(config)), culling.needs_boxes
     test_leaf, test_few = leaf_step(config), few_step(config)
@@ -89,7 +89,8 @@ def visit_leaf(config: TraversalConfig) -> wp.Function:
 
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up."""
+    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
+    abandoned."""
     culling, layout = CULLINGS[config.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
     box_tests = config.width * (config.packet if culling.every_ray else 1)

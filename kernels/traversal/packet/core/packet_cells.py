@@ -1,15 +1,16 @@
 """A packet against the cells of a kd-tree: the interval of t in which any of its rays may be inside.
 
-A cell's interval (entry, leave) holds those of all rays: no ray's entry is earlier, no ray's exit is later, as
-`wrt.kernels.traversal.single.single_kdtree` computes them. Both come from the same expressions on the ends of the packet's
-intervals (`wrt.kernels.traversal.packet.culling.interval_culling` says why that bounds the rounded values too, and what a NaN
-does).
+The interval (entry, leave) of a cell contains those of all rays: no ray enters earlier and no ray leaves later, as computed by
+`wrt.kernels.traversal.single.single_kdtree`. Both ends come from the same expressions, evaluated on the ends of the packet's
+intervals (`wrt.kernels.traversal.packet.culling.interval_culling` explains why this bounds the rounded values too, and the
+effect of a NaN).
 
-**Both signs along the plane's axis.** Forward rays have the left child first, backward rays the right one, so there is no
-child that all rays leave where they enter the other. Still one of the two can be ruled out. Say the plane is to the right
-of every origin. No backward ray reaches it; forward rays reach it no sooner than the fastest of them, whose 1 / direction
-is the least, starting from the rightmost origin. If that is after the cell is left, nobody goes right. Packets that
-straddle an axis of the scene so need not visit both children of every plane across it.
+**Both signs along the plane's axis.** For rays with positive direction the left child is near, for rays with negative direction
+the right child. No child is left by all rays where they enter the other, but one of the two can sometimes be excluded. Assume
+that the plane is to the right of every origin. No ray with negative direction reaches it. The others reach it no sooner than
+the fastest of them, with the least 1 / direction, from the rightmost origin. If that t is after the end of the cell, no ray
+enters the right child. A packet whose directions straddle an axis of the scene therefore need not visit both children at every
+plane.
 """
 
 import warp as wp
@@ -44,17 +45,19 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 """
 )
 def cross_plane(bounds: wp.ref[PacketBounds], axis: int, position: float, entry: float, leave: float) -> wp.vec3:
-    """As `wrt.kernels.simd.boxes.cross_plane`, for all rays of a packet that is in a cell from `entry` to `leave`.
+    """`wrt.kernels.simd.boxes.cross_plane` for all rays of a packet that is in a cell from `entry` to `leave`.
 
-    Returns (negative if the right child comes first, t at which the last ray leaves the first child, t at which the first
-    ray enters the second). The first child need not be visited if it is left before `entry`, nor the second if it is
-    entered after `leave`; with both signs, the first child is that towards which the faster rays go."""
+    Returns (negative if the right child comes first, t at which the last ray leaves the first child, t at which the first ray
+    enters the second). The first child is skipped if it is left before `entry`, the second if it is entered after `leave`. With
+    both signs, the first child is the one in the direction of the faster rays.
+    """
     ...
 
 
 @wp.func
 def enter_slab(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
-    """(entry, leave) of a box's extent along an axis, over all rays; NaN, which bounds nothing, if they have both signs."""
+    """(entry, leave) of a box's extent along an axis, over all rays; NaN, which gives no bound, if the directions have both
+    signs."""
     back = bounds.backward[axis] != 0
     large = bounds.inverse_large[axis]
     small = bounds.inverse_small[axis]
@@ -69,8 +72,8 @@ def enter_slab(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
 def enter_box(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
     """(entry, leave) of a box: the part of the packet's range in which any ray may be inside; empty if entry > leave.
 
-    In plain Warp, what `wrt.kernels.traversal.packet.culling.interval_culling` does for W boxes at a time; the tests compare
-    them bit for bit.
+    This is the scalar form, in plain Warp, of the loop over W boxes in `wrt.kernels.traversal.packet.culling.interval_culling`;
+    tests compare the two bit for bit.
     """
     entry = float(bounds.t_min)
     leave = float(bounds.t_max)

@@ -1,34 +1,30 @@
-"""Packet traversal of a kd-tree: P rays decide together which side of a plane to visit.
+"""Packet traversal of a kd-tree: P rays decide together which sides of a plane to visit.
 
-**Problem.** A step of a single ray is a load, two products and three guesses of the processor, to find out what the
-neighbouring rays have just found out.
+**Problem.** A step of a single ray is a load, two products and three branches, which repeat the work of the neighbouring rays.
 
-**Idea.** The cell of a packet is a node and an interval of t that holds the interval of each of its rays. At a plane the
-ends of the packet's intervals tell when the last ray leaves the near side and when the first ray enters the far side
-(`wrt.kernels.traversal.packet.core.packet_cells`); a side that no ray can be on within the cell is skipped. That costs hardly
-more than the step of a single ray. In a leaf, triangles are culled for the whole packet, and those that are left are tested, W
-rays at a time. Wald et al. (2001) took the decision from four rays in lanes; Reshetov et al. (2005) by interval arithmetic for
-any number.
+**Idea.** The cell of a packet is a node and an interval of t that contains the interval of each of its rays. At a plane the
+ends of the packet's intervals give the t at which the last ray leaves the near side and the first ray enters the far side
+(`wrt.kernels.traversal.packet.core.packet_cells`). A side that no ray visits within the cell is skipped. This costs little more
+than the step of a single ray. In a leaf, triangles are culled for the whole packet, and the remaining ones are tested, W rays
+at a time. Wald et al. (2001) made the decision from four rays in lanes; Reshetov et al. (2005) by interval arithmetic for any
+number of rays.
 
-**What we changed.** Both papers need rays with the same signs, and split other packets. Here an axis with both signs is
-bounded too (`wrt.kernels.traversal.packet.core.packet_cells`). As with single rays, a waiting cell that begins after the
-farthest of the best hits is dropped, and the search goes on to the next: where widened cells overlap, an outer one may begin
-    before an inner one.
+**Differences from the papers.** Both papers need rays with the same signs, and split other packets. Here an axis with both
+signs is bounded too (`wrt.kernels.traversal.packet.core.packet_cells`). As with single rays, a cell on the stack that begins
+after the farthest of the best hits is dropped, and the search continues with the next one: widened cells overlap, so an outer
+cell may begin before an inner one.
 
-**Measured** (one core of a Zen 5, a million rays of the bunny, packets of 64, against `single` on the same tree): 4.4 times
-as fast in the far view, 6.5 times in the near one, and some 0.8 times as fast as packets on the BVH, whose steps test 16
-boxes. Shadow rays to a point light from the far view gain little (1.1): neighbours start on different surfaces.
-
-**Limits.** A triangle in several leaves is tested in each of them unless a mailbox remembers it. A packet whose rays have
-parted company gives up after `PATIENCE` steps a ray, and goes on in parts
-(`wrt.kernels.traversal.packet.core.packet_splitting`).
+**Limits.** A triangle in several leaves is tested in each of them unless a mailbox remembers it. The traversal of a packet
+whose rays have diverged is abandoned after `PATIENCE` steps per ray, and continues in parts
+(`wrt.kernels.traversal.packet.core.packet_splitting`). Shadow rays to a point light gain little, because neighbours start on
+different surfaces. Figures: notebooks/records/2026-11-21-kdtree-packets.md.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
     S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
         UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (chapters 3 and 5).
 """
 
 from functools import cache
@@ -50,22 +46,24 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PATIENCE = 4
-"""Steps a ray (nodes and leaves together) after which a packet gives up: by then its rays would be done alone."""
+"""Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by
+one."""
 
 MIXED_AXES = 2
-"""Axes with both signs with which a packet still stays together: all but those whose rays go every way."""
+"""Greatest number of axes with both signs for which a packet is traversed as a whole; only packets with three are not."""
 
 
 def walk_memory(config: TraversalConfig) -> int:
-    """Ints of memory that a walk asks for: its mailbox."""
+    """Ints of local memory that a walk needs: its mailbox."""
     return MAILBOXES[config.mailbox].size
 
 
 @cache
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up.
+    """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
+    abandoned.
 
-    The walk begins at `tree.root`; if that is not the whole tree's, no ray of the packet may have a hit elsewhere.
+    The walk starts at `tree.root`. If that is not the root of the whole tree, no ray of the packet may have a hit elsewhere.
     """
     test_leaf = leaf_step(config)
     remembered, counting, patience = MAILBOXES[config.mailbox].size, config.counters, PATIENCE * config.packet

@@ -1,9 +1,9 @@
-"""What packets have in common whatever the tree: the kernel around a walk, and the step through a leaf.
+"""The parts of packet traversal that do not depend on the tree: the kernel around a walk, and the test of a leaf.
 
-An item of the kernel is a run of packets. Each is loaded, walked together, and stored. A packet that cannot stay together
-(directions with both signs along too many axes, or a walk that gave up) parts if its rays have origins of their own
-(`wrt.kernels.traversal.packet.core.packet_splitting`); what cannot be traced together then, or starts at one point, goes ray by
-ray.
+An item of the kernel is a run of packets. Each is loaded, traversed as a whole, and stored. A packet that cannot be traversed
+as a whole (directions with both signs along too many axes, or an abandoned traversal) is split if its rays have separate
+origins (`wrt.kernels.traversal.packet.core.packet_splitting`). Rays that still cannot be traced together, and packets with a
+shared origin, are traced one by one.
 """
 
 from functools import cache
@@ -30,22 +30,23 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 def packet_layout(config: TraversalConfig) -> PacketLayout:
-    """Where the packet's numbers are."""
+    """Memory layout of the packets of a config."""
     return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
 
 
 RUN = 8
-"""Packets of an item: they share its local memory, which Warp clears (a tenth of a camera ray's time, packet by packet)."""
+"""Packets per item. They share its local memory, which Warp clears once per item (notebooks/records/2026-11-21-packets.md)."""
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """An item of the kernel is a run of packets."""
+    """Rays of a run of packets; an item of the kernel is one run."""
     return RUN * config.packet
 
 
 @cache
 def leaf_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: the `count` triangles of a leaf, from a block on."""
+    """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: tests the `count` triangles of a leaf, from a block
+    on."""
     layout = packet_layout(config)
     cull_triangles = CULLINGS[config.culling].triangles(layout)
     test_triangles = test_block(layout, config.query == ANY)
@@ -90,10 +91,11 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 
 @cache
 def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
-    """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: rays of the packet from `begin` on, one by one.
+    """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: traces the rays of the packet at `begin` one by
+    one.
 
-    These are all of them, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`.
-    `work` is what was done for them before, and then charged to the first.
+    These are all of its rays, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) ->
+    best`. `work` is the work done for the packet so far; it is added to that of the first ray.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet
     left_over = parting.goes_alone(packet_layout(config))
@@ -127,9 +129,9 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
 
 @cache
 def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function) -> wp.Function:
-    """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, in parts if need be.
+    """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, split if necessary.
 
-    False if rays are left over (`parting.goes_alone`). trace_together: the same for one that is not to part.
+    False if rays are left over (`parting.goes_alone`). trace_together: the same for a packet that is not to be split.
     """
     layout = packet_layout(config)
     take = parting.take_part(layout, CULLINGS[config.culling].slopes)
@@ -164,17 +166,18 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
 def packet_step(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: the packet that begins at `begin`.
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
 
-    below: the tree, or the part of it where all hits of the packet are. packet: room for it. memory: room for its walk.
-    `work` is what was done for it before.
+    below: the tree, or the subtree that contains all hits of the packet. packet: memory for it. memory: memory for its walk.
+    `work` is the work done for it so far.
 
     Args:
         config: the specialisation.
         Tree: struct of the tree.
-        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if it gave up.
+        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal
+            was abandoned.
         walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
-        mixed_axes: axes with both signs with which a packet is still walked together.
+        mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
     """
     layout = packet_layout(config)
     culling = CULLINGS[config.culling]
@@ -216,7 +219,7 @@ def packet_step(
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
         together = trace(tree, below, triangles, packet, memory, bounds, work)
-        if together or wp.static(parts):  # rays that are left over are stored again, one by one
+        if together or wp.static(parts):  # left-over rays are stored again when they are traced
             store(packet, rays, begin, hits)
         if not together:
             alone(tree, triangles, rays, begin, packet, hits, counters, work)
@@ -231,7 +234,7 @@ def packet_step(
 def make_packet_kernel(
     config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, room: int
 ) -> wp.Kernel:
-    """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as those of `packet_step`."""
+    """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as in `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
     packet_rays, run, size = config.packet, rays_per_item(config), packet_layout(config).size
 

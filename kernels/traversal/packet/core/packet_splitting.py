@@ -1,21 +1,21 @@
-"""Packets that part: rays with origins of their own that see different things go on in smaller packets (Boulos et al. 2008).
+"""Packet splitting: a packet whose rays diverge continues as smaller packets (after Boulos et al. 2008).
 
-**Problem.** Neighbouring pixels see different surfaces at every silhouette, and rays that start there have nothing in common
-but the light that they go to. Of the packets of shadow rays 2 % (bunny) to 10 % (large dragon) are like that: they meet half of
-the scene and then give up, and their rays go one by one.
+**Problem.** Neighbouring pixels see different surfaces at every silhouette, and secondary rays that start there have little in
+common. A few percent of the packets of shadow rays are like that. They would visit half of the scene before their traversal is
+abandoned and their rays are traced one by one.
 
-**Idea.** Halve the box of the packet's origins along its longest axis: what lies between two surfaces is mostly nothing, so the
-middle tells them apart. Each half is a packet of its own, with bounds of its own, in the same place: the rays of the other are
-not active meanwhile. A part that gives up is halved again, until there are `MOST_PARTS`; what is left then goes ray by ray.
+**Idea.** Halve the box of the packet's origins along its longest axis. The space between two surfaces is mostly empty, so the
+middle separates them. Each half is a packet with its own bounds, in the same memory; the rays of the other half are inactive
+meanwhile. A part whose traversal is abandoned is halved again, up to `MOST_PARTS` parts; the remaining rays are then traced one
+by one.
 
-**Data.** `part` is the number of the part that a ray is in; parts are made of parts, the whole being number 0. `DONE` are the
-rays whose part was traced, and those that never were active; `ALONE` those that no part holds. `kept` is what a ray's t is,
-while another part has the packet.
+**Data.** `part` is the number of the part that contains a ray; parts are split from parts, and the whole packet is number 0.
+`DONE` marks rays whose part has been traced and rays that were never active; `ALONE` marks rays to be traced one by one. `kept`
+stores the t of a ray while another part is active.
 
-**What we changed.** The paper repacks rays by what they meet, after each bounce; here a packet is taken apart by where its
-rays start, and only if its walk takes too long. What was hit until then is kept, and rays that need any hit are done with it.
-Of 367 packets of the atrium's shadow rays that parted, 29 parts had to be halved again and none was left over. Giving up
-sooner (1 to 3 steps a ray), or sooner where leaves are met in vain, made no difference.
+**Differences from the paper.** The paper regroups rays by what they hit, after each bounce. Here a packet is split by the
+origins of its rays, and only if its traversal takes too long. Hits that were found until then are kept, and any-hit rays that
+have one are done (figures: notebooks/records/2026-11-21-packets.md).
 
 References:
     S. Boulos, I. Wald, C. Benthin: Adaptive ray packet reordering. IEEE Symposium on Interactive Ray Tracing 2008.
@@ -32,7 +32,8 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MOST_PARTS = 7
-"""Parts that a packet is ever made into, those included that were halved again."""
+"""Greatest number of parts of a packet, including parts that are halved again; more are hardly ever needed
+(notebooks/records/2026-11-21-packets.md)."""
 
 DONE, ALONE = -1, -2
 
@@ -74,7 +75,8 @@ _TAKE = """
 
 @cache
 def take_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
-    """`wp.func(packet, bounds, number)`: only rays of a part are active, and the bounds theirs; slopes: see `load_packet`."""
+    """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes: see
+    `load_packet`."""
 
     @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _TAKE + BOUND)
     def take_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
@@ -84,10 +86,12 @@ def take_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
 
 @cache
 def settle_part(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, number, parts, together) -> int`: what becomes of a part that was walked; returns new parts.
+    """`wp.func(packet, bounds, number, parts, together) -> int`: ends a part after its traversal; returns the number of new
+    parts.
 
-    bounds: those of the part. If it stayed `together`, its rays are done. If not, it is halved, into the parts `parts` and
-    `parts` + 1, or its rays go alone: where all start at one point, or there are parts enough. The t of all others is back.
+    bounds: those of the part. If the traversal was completed (`together`), the rays of the part are done. Otherwise the part is
+    halved into the parts `parts` and `parts` + 1; if all its rays start at one point, or there are too many parts, its rays are
+    marked `ALONE`. The t of all other rays is restored.
     """
 
     @wp.func_native(layout.head + _CONSTANTS + _SETTLE)
@@ -100,7 +104,7 @@ def settle_part(layout: PacketLayout) -> wp.Function:
 
 @cache
 def count_alone(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet) -> int`: rays of a packet that parted that are to be traced on their own."""
+    """`wp.func(packet) -> int`: number of rays of a split packet that are to be traced one by one."""
     count = "    int rays = 0;\n    WRT_FOR(P, k) { rays += of[k] == ALONE ? 1 : 0; }\n    return rays;\n"
 
     @wp.func_native(layout.head + _CONSTANTS + count)
@@ -111,9 +115,9 @@ def count_alone(layout: PacketLayout) -> wp.Function:
 
 @cache
 def goes_alone(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, k) -> bool`: whether ray k of a packet that could not stay together is to be traced on its own.
+    """`wp.func(packet, k) -> bool`: whether ray k of an abandoned packet is to be traced alone.
 
-    All are where rays share an origin: such packets do not part.
+    With a shared origin this is every ray, because such packets are not split.
     """
     body = "    return true;\n" if layout.shared_origin else layout.head + _CONSTANTS + "    return of[k] == ALONE;\n"
 

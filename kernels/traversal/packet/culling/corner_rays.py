@@ -1,33 +1,33 @@
-"""Corner rays: a shaft of four rays stands for the packet (Dmitriev, Havran, Seidel 2004).
+"""Corner-ray culling: four rays bound the packet (Dmitriev, Havran and Seidel 2004).
 
-**Problem.** A large packet meets many triangles that none of its rays hit, and each takes P / W steps to be found out.
+**Problem.** A large packet reaches many triangles that none of its rays hit, and rejecting each takes P / W vector tests.
 
-**Idea.** Four rays, real or not, span a convex shaft around all the others. At a leaf a triangle is tested against these
-four: if all of them pass the same edge on its outer side, all the rays in between do, and the triangle is dropped before
-any ray is tested.
+**Idea.** Four rays, real or virtual, span a convex shaft around all the others. At a leaf a triangle is tested against these
+four. If all of them pass the same edge on its outer side, so do all rays in between, and the triangle is culled before any ray
+is tested.
 
-**Where that is not safe.** The paper also lets the four rays alone find the way through the tree; Reshetov et al. (2005)
-point out that this goes wrong: a box may lie within the shaft and yet touch none of its corners. So boxes are culled by
-`interval` here. And the four rays bound the others only if all start at one point and have the same main axis: as a
-function of the two slopes (s, t), the signed area of an edge (p, q) seen from a shared origin is that of (p_x - s p_z,
-p_y - t p_z) and (q_x - s q_z, q_y - t q_z), in which the product s t cancels; so it is linear, and greatest and least at
-the corners of the rectangle of slopes. With an origin for each ray it is linear in no such way. Batches without a shared
-origin, and packets with different main axes, are culled by the triangles' boxes, as `interval` does.
+**Validity.** The paper also traverses the tree with the four rays alone. Reshetov et al. (2005) note that this is wrong: a box
+may lie within the shaft without touching any of its corners. Boxes are therefore culled by `interval` here. The four rays bound
+the others only if all rays start at one point and have the same main axis. As a function of the two slopes (s, t), the signed
+area of an edge (p, q) seen from a shared origin is that of (p_x - s p_z, p_y - t p_z) and (q_x - s q_z, q_y - t q_z), in which
+the product s t cancels. The area is therefore linear, and is greatest and least at the corners of the rectangle of slopes. With
+separate origins it is not linear. Batches without a shared origin, and packets with different main axes, are culled by the
+boxes of the triangles, as in `interval`.
 
-**What we changed.** The corners are virtual: the four pairs of extreme slopes. Both sides of a triangle are tested: it is
-dropped if neither all three areas can be >= 0 nor all three <= 0, which includes the one edge of the paper.
+**Differences from the paper.** The corner rays are virtual: the four pairs of extreme slopes. Both sides of a triangle are
+tested: it is culled if neither all three areas can be >= 0 nor all three <= 0, which includes the paper's single edge.
 
-**Why it never shows in the hits.** Sheared vertices are computed as the watertight test does, with errors of at most
-5 u reach (u = 2^-24), and a test that is `accurate` finds no hit farther than the slack, 16 u reach, from the triangle; so
-an area that decides over a hit differs from that of the exact vertices by at most 2 slack (|p| + |q|) plus terms of the second
-order, |p| being the sum of the coordinates, which is greatest at a corner. The areas compared here carry 13 / 16 slack
-(|p| + |q|) of their own rounding. They must lie beyond 4 slack (|p| + |q| + 4 slack), and beyond the least normal number.
+**Why the hits do not change.** Sheared vertices are computed as in the watertight test, with errors of at most 5 u reach (u =
+2^-24). A test that is `accurate` finds no hit farther than the slack, 16 u reach, from the triangle. An area that decides a hit
+therefore differs from the area of the exact vertices by at most 2 slack (|p| + |q|) plus second-order terms, where |p| is the
+sum of the absolute coordinates, greatest at a corner. The areas computed here have a rounding error of 13 / 16 slack (|p| +
+|q|). They must be beyond 4 slack (|p| + |q| + 4 slack), and beyond the least normal number.
 
 References:
     K. Dmitriev, V. Havran, H.-P. Seidel: Faster ray tracing with SIMD shaft culling. Research report MPI-I-2004-4-006,
         Max-Planck-Institut fuer Informatik, 2004.
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -42,7 +42,7 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MARGIN = 4.0
-"""What an area may err by, in slacks times the distance of its vertices from the ray."""
+"""Error bound of an area, in slacks times the distance of its vertices from the ray."""
 
 _TRIANGLES = f"""
     const unsigned met = [&]() -> unsigned {{{interval.TRIANGLES}}}();
@@ -82,7 +82,7 @@ _TRIANGLES = f"""
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """Four corner rays x the edges of the W triangles of a block."""
+    """`Culling.triangles`: four corner rays x the edges of the W triangles of a block."""
 
     @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def corner_rays(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

@@ -1,4 +1,4 @@
-"""What most cullings need not do: get a packet ready for its walk, and look at its rays again at each leaf."""
+"""Default `start` and `leaf` functions for cullings that do not prepare packets or inspect rays at leaves."""
 
 import warp as wp
 
@@ -10,7 +10,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func_native("")
 def _nothing(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]):
-    """The bounds that `load_packet` made are all that is needed."""
+    """Does nothing: `load_packet` has computed all bounds."""
     ...
 
 
@@ -18,7 +18,7 @@ def _nothing(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds:
 def _every_leaf(
     boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
 ) -> int:
-    """More than few rays may meet the leaf."""
+    """Reports more than `FEW` rays for every leaf."""
     ...
 
 

@@ -1,10 +1,10 @@
-"""No culling at all: every ray of the packet against every box and every triangle on the packet's way (Wald et al. 2001).
+"""No culling: every ray of the packet against every box and every triangle on the packet's path (Wald et al. 2001).
 
-What all other cullings are measured against. A child is visited if any ray meets its box, first the one that some ray
-enters first; no work is shared but the decision where to go, the loads, and the lanes that the rays fill.
+This is the baseline for the other cullings. A child is visited if any ray meets its box, in the order of the earliest entry of
+any ray. The rays share only the decisions, the loads and the lanes.
 
-A search that ends at the first ray that meets the box would not do: where the level's nearest child lies beyond all best
-hits, the rest of the level is dropped, and that takes the least entry of all rays. Boxes are so tested to the end.
+The box test cannot stop at the first ray that meets the box. If the nearest child of a level lies beyond all best hits, the
+rest of the level is dropped, and this needs the least entry of all rays.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -55,7 +55,8 @@ _TRIANGLES = """
 
 @cache
 def cull_boxes(layout: PacketLayout) -> wp.Function:
-    """P rays x W child boxes; keys as `wrt.kernels.simd.box_lanes.ray_boxes` writes them, with the least entry of all rays."""
+    """`Culling.boxes`: P rays x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`, from the least entry of all
+    rays."""
 
     @wp.func_native(f"{layout.head}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{SHARED_ORIGIN}{_BOXES}")
     def every_ray_boxes(
@@ -72,7 +73,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """All triangles of a block; unused lanes hold NaN."""
+    """`Culling.triangles`: keeps all triangles of a block; unused lanes hold NaN and are dropped."""
 
     @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def every_triangle(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

@@ -1,18 +1,19 @@
-"""Culling by interval arithmetic (survey, section 3.1): one slab test for all rays of a packet.
+"""Culling by interval arithmetic: one slab test for all rays of a packet (Boulos, Wald and Shirley 2006).
 
-An axis' near plane is entered at (plane - origin) * inverse. Over intervals of origins and of inverses of one sign, the
-least value is taken at the end of the origins that is closest to the plane, and at one of the two ends of the inverses;
-likewise for the far plane. Where the product is 0 * inf, the undefined value must bound nothing: the comparisons are
-written so that the NaN, which only the farther end of the inverses can give first, comes through and is then ignored.
+The near plane along an axis is entered at (plane - origin) * inverse. Over intervals of origins and of inverses with one sign,
+the least value occurs at the end of the origins that is closest to the plane, and at one of the two ends of the inverses. The
+same holds for the far plane. If the product is 0 * inf, the undefined value must not give a bound. The comparisons are written
+so that the NaN, which only the farther end of the inverses can produce first, is passed on and then ignored.
 
-**Both signs along an axis.** The slab as such bounds nothing then. But a box in front of all origins is reached by forward
-rays only, no sooner than by the fastest of them, whose 1 / direction is the least; likewise one behind them by backward rays.
-Without this, the packets along the two lines of a picture where a component changes its sign took a third of a view's nodes.
+**Both signs along an axis.** The slab gives no bound in this case. But a box in front of all origins is reached only by rays
+with positive direction, no sooner than by the fastest of them, with the least 1 / direction. The same holds for a box behind
+all origins and rays with negative direction. Packets along the two lines of a picture where a component changes its sign need
+this bound; without it they visit a large part of all nodes (notebooks/records/2026-11-21-packets.md).
 
 References:
     S. Boulos, I. Wald, P. Shirley: Geometric and arithmetic culling methods for entire ray packets. Technical report
         UUCS-06-010, University of Utah, 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -85,7 +86,7 @@ BOXES = f"""
     {_loop(_MIXED)}
     return least;
 """
-"""C++ of `cull_boxes`, for cullings that fall back on it."""
+"""C++ of `cull_boxes`, also the fallback of other cullings."""
 
 TRIANGLES = f"""
     const float* r = &records.data[(size_t)block * (RECORD * W)];{_ENDS}
@@ -105,7 +106,7 @@ TRIANGLES = f"""
 
 @cache
 def cull_boxes(layout: PacketLayout) -> wp.Function:
-    """Packet x W child boxes; keys as `wrt.kernels.simd.box_lanes.ray_boxes` writes them."""
+    """`Culling.boxes`: packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
 
     @wp.func_native(f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{BOXES}")
     def interval_boxes(
@@ -122,7 +123,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """Packet x the boxes of the W triangles of a block."""
+    """`Culling.triangles`: packet x the boxes of the W triangles of a block."""
 
     @wp.func_native(f"{layout.constants}{TRIANGLES}")
     def interval_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

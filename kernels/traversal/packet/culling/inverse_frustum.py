@@ -1,33 +1,33 @@
-"""Inverse frustum culling: a box's own planes separate it from the packet (Reshetov, Soupikov, Hurley 2005).
+"""Inverse frustum culling: the planes of a box separate it from the packet (Reshetov, Soupikov and Hurley 2005).
 
-**Problem.** The usual test, a box against the side planes of a frustum, keeps ever more boxes that it misses the larger
-they are, and needs the planes of a frustum, which rays without a shared origin do not have.
+**Problem.** The usual test, a box against the side planes of a frustum, fails to cull more of the boxes outside the frustum the
+larger they are. It also needs the planes of a frustum, which rays without a shared origin do not have.
 
-**Idea.** Swap the roles. Cut the rays with the planes of the box across the packet's main axis: two rectangles bound where
-rays enter and leave the box's extent along that axis. If both lie on the same side of the box, so does all between them,
-and no ray meets it. What is kept in vain (all such boxes lie beside the frustum's edges) is mostly found at the leaves by
-two tests: the packet misses if its least entry into the extent along x is later than its greatest exit from the one along
-y, or the other way round.
+**Idea.** Exchange the roles. Intersect the rays with the planes of the box that are normal to the packet's main axis. Two
+rectangles bound the points in which the rays enter and leave the box's extent along that axis. If both rectangles lie on the
+same side of the box, so does everything between them, and no ray meets the box. Boxes that are kept although no ray meets them
+lie near the edges of the frustum. At the leaves most of them are culled by two more tests: the packet misses if its least entry
+into the extent along x is later than its greatest exit from the extent along y, or vice versa.
 
-**Data.** A `PacketBounds` frustum: along the main axis a depth, along each of the other two axes two lines over it,
-side + rise * depth, between which all rays are. Here they follow from the intervals of origins and slopes: the rectangle
-of the origins where they begin, widening as the extreme slopes do.
+**Data.** A `PacketBounds` frustum: a depth along the main axis, and along each of the other two axes two lines over the depth,
+side + rise * depth, between which all rays are. Here the lines follow from the intervals of origins and slopes: the rectangle
+of the origins at the start, widened by the extreme slopes.
 
-**What we changed.** The tree is a BVH, so a box is tested as a whole and not a plane a step. The entry by which children
-are ordered is that of the main axis, by interval arithmetic. At a leaf each triangle's box is separated likewise, and the
-two tests, for all three pairs of axes, are those of `interval`. A packet without a frustum, where the main axes of rays
-differ, or their signs along it, or where a direction is so short that 1 / direction may overflow, is culled by `interval`.
+**Differences from the paper.** The tree is a BVH, so a box is tested as a whole, not one plane per step. Children are ordered
+by the entry along the main axis, by interval arithmetic. At a leaf the box of each triangle is tested in the same way, and the
+two further tests, for all three pairs of axes, are those of `interval`. A packet has no frustum, and is culled by `interval`,
+if the main axes of its rays or their signs along it differ, or if a direction is so short that 1 / direction may overflow.
 
-**Why it never shows in the hits.** A hit's ray meets the triangle's own widened box (`wrt.kernels.simd.boxes`). In numbers: the
-computed entries and exits have an instant t in common; each is rounded thrice, so that at t the ray is, in exact
-arithmetic, within slack + 4 u reach of the box along every axis (u = 2^-24; the slack is 16 u reach, the reach of a ray the
-farthest corner of the scene). The lines are computed from slopes and origins with errors of at most some 40 u reach where
-they are extended most. `MARGIN` is 128 u reach; boxes are widened by it. No ray exists before its origin, thus none at a
-depth below 0, and no hit behind the scene: boxes are cut off there.
+**Why the hits do not change.** The ray of a hit meets the triangle's own widened box (`wrt.kernels.simd.boxes`). The computed
+entries and exits have a t in common, and each is rounded three times, so at this t the ray is, in exact arithmetic, within
+slack + 4 u reach of the box along every axis (u = 2^-24; the slack is 16 u reach; the reach of a ray is the distance of the
+farthest corner of the scene). The lines are computed from slopes and origins with errors of at most about 40 u reach where they
+are extended most. `MARGIN` is 128 u reach; boxes are widened by it. No ray exists before its origin, so none is at a depth
+below 0, and no hit is behind the scene: boxes are clipped at both ends.
 
 References:
     A. Reshetov, A. Soupikov, J. Hurley: Multi-level ray tracing algorithm. SIGGRAPH 2005.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -45,7 +45,8 @@ MARGIN = 8.0
 """Widening of boxes and triangles against the frustum, in slacks (`wrt.kernels.simd.boxes.SLACK` of the farthest reach)."""
 
 STEEPEST = 2.0**100
-"""Greatest 1 / direction along the main axis: what is so small across it that its reciprocal overflows is then no slope."""
+"""Greatest 1 / direction along the main axis. Within this bound, a component across it whose reciprocal overflows has a
+negligible slope."""
 
 FRAME = f"""
     const int common_axis = bounds.main_axes == 1 ? 0 : bounds.main_axes == 2 ? 1 : bounds.main_axes == 4 ? 2 : -1;
@@ -58,7 +59,8 @@ FRAME = f"""
     bounds.margin = {MARGIN!r}f * bounds.slack;
     bounds.near_plane = back ? bounds.origin_high.c[z] : bounds.origin_low.c[z];
 """
-"""C++ that opens the set-up of a frustum: its axes and where it begins, at the rearmost origin; returns if there is none."""
+"""C++ that begins the set-up of a frustum: its axes and its start at the rearmost origin; returns if the packet has no
+frustum."""
 
 _START = """
     bounds.depth = INF;
@@ -87,7 +89,7 @@ SIDES = """
     const float t_min = bounds.t_min, t_max = bounds.t_max;
     const bool back = forward < 0.0f;
 """
-"""C++ that brings a frustum's numbers into registers."""
+"""C++ that loads the frustum into local variables."""
 
 _SEPARATE = """
         float d0 = (near_z - near_plane) * forward - margin, d1 = (far_z - near_plane) * forward + margin;
@@ -146,7 +148,7 @@ _TRIANGLES = f"""
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
-    """`Culling.start`: sets up the frustum of the packet's origins and slopes."""
+    """`Culling.start`: sets up the frustum from the packet's origins and slopes."""
 
     @wp.func_native(layout.constants + FRAME + _START)
     def slope_frustum(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
@@ -156,7 +158,7 @@ def start(layout: PacketLayout) -> wp.Function:
 
 @cache
 def cull_boxes(layout: PacketLayout) -> wp.Function:
-    """Packet's frustum x W child boxes; keys as `wrt.kernels.simd.box_lanes.ray_boxes` writes them."""
+    """`Culling.boxes`: frustum of the packet x W child boxes; keys as in `wrt.kernels.simd.box_lanes.ray_boxes`."""
 
     @wp.func_native(f"{layout.constants}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_BOXES}")
     def frustum_boxes(
@@ -173,7 +175,7 @@ def cull_boxes(layout: PacketLayout) -> wp.Function:
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """Packet's frustum x the boxes of the W triangles of a block."""
+    """`Culling.triangles`: frustum of the packet x the boxes of the W triangles of a block."""
 
     @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def frustum_triangles(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

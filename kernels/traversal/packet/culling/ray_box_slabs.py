@@ -1,4 +1,4 @@
-"""Each ray of a packet against one box: the piece of C++ that every loop over the rays of a packet shares."""
+"""Each ray of a packet against one box: C++ shared by all loops over the rays of a packet."""
 
 SLABS = """
                     const float ix = inverse_x[k], iy = inverse_y[k], iz = inverse_z[k], wide = SHARED ? slack0 : slack[k];
@@ -14,10 +14,10 @@ SLABS = """
                     s = ((back_y ? low[1] : high[1]) - (oy - step_y)) * iy; leave = s < leave ? s : leave;
                     s = ((back_z ? low[2] : high[2]) - (oz - step_z)) * iz; leave = s < leave ? s : leave;
 """
-"""Ray k against the box `low[3]`, `high[3]`: shrinks [`enter`, `leave`] as does `wrt.kernels.simd.boxes.slab_interval`."""
+"""Ray k against the box `low[3]`, `high[3]`: shrinks [`enter`, `leave`] as `wrt.kernels.simd.boxes.slab_interval` does."""
 
 SHARED_ORIGIN = """
     const float slack0 = bounds.slack;
     const float origin0[3] = {bounds.origin_low.c[0], bounds.origin_low.c[1], bounds.origin_low.c[2]};
 """
-"""What `SLABS` takes from the packet's bounds where all rays start at one point."""
+"""The values that `SLABS` takes from the packet's bounds if all rays start at one point."""

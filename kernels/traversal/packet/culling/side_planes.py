@@ -1,14 +1,15 @@
-"""Triangles beyond a side of the packet's frustum: all three vertices outside the same plane (Reshetov 2007, eq. 3.2-3.3).
+"""Vertex culling against the packet's frustum: a triangle is culled if its three vertices lie outside the same side plane.
 
-The planes of a frustum along a main axis contain one of the other axes each, so that a vertex is told from the inside by its
-position on one axis against a line over its depth. (In the survey's equation 3.3 that is the bracket; its first factor has
-the sign of y01 - y00, and the bracket tells the inside only if that sign is known.) The vertices must be out by the margin of
-`frustum`: what the line errs by, and what an `accurate` triangle test may find beside a triangle.
+Each side plane of a frustum along a main axis contains one of the other axes, so the side of a vertex follows from its position
+along one axis and a line over its depth (Reshetov 2007). In equation 3.3 of Rahikainen (2013) this comparison is the bracket.
+The first factor there has the sign of y01 - y00, and the bracket identifies the inside only if that sign is known. The vertices
+must be outside by the margin of `frustum`: the error of the line, plus the distance at which an `accurate` triangle test may
+find a hit beside a triangle.
 
 References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling.
-        IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
+        2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3, equations 3.2 and 3.3).
 """
 
 from functools import cache
@@ -52,7 +53,7 @@ _TRIANGLES = f"""
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """Packet's frustum x the vertices of the W triangles of a block."""
+    """`Culling.triangles`: frustum of the packet x the vertices of the W triangles of a block."""
 
     @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def beyond_a_side(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

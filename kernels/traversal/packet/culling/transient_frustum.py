@@ -1,26 +1,24 @@
-"""Transient frusta: a frustum for each leaf, around the rays that are there (Reshetov 2007).
+"""Transient frusta: a frustum per leaf around the rays that reach it (Reshetov 2007).
 
-**Problem.** A packet that arrives at a leaf is not the one that set out: rays have found hits before it, shadow rays are
-done, and others pass beside the leaf. The frustum of all rays is wider than need be.
+**Problem.** The rays that reach a leaf are fewer than those of the packet: some have found nearer hits, shadow rays are done,
+others pass beside the leaf. The frustum of all rays is wider than necessary.
 
-**Idea.** At each leaf, cut the rays that meet its box, within what is left of their range, with the two planes of the box
-across the main axis. Two rectangles bound these points; the frustum between them lives as long as the leaf is tested, and
-drops the triangles whose vertices all lie beyond the same side (`side_planes`). Where no ray meets the box, the leaf is left;
-where few do, they are named, and no frustum is made.
+**Idea.** At each leaf, intersect the rays that meet its box, within their remaining range, with the two planes of the box that
+are normal to the main axis. Two rectangles bound these points. The frustum between them is used while the leaf is tested; it
+culls the triangles whose vertices all lie outside the same side (`side_planes`). If no ray meets the box, the leaf is skipped;
+if few do, they are listed and no frustum is made.
 
-**What it costs.** A loop over the P rays at each leaf, which is what testing one triangle costs. Measured on bunny and dragon
-with blocks of 16 triangles: the same speed as `vertex` in packets of 16, 1.0 to 1.4 times as fast in packets of 64, 1.3 to
-2.9 times in packets of 256, most where origins differ. Of the triangles in the leaves it culls 49-88 % in views and 27-37 %
-for shadow rays, where the paper, with hundreds of triangles in a leaf, culls more than 90 %.
+**Cost.** One loop over the P rays per leaf, the cost of testing one triangle. It pays for packets of 64 rays and more, most if
+origins differ (notebooks/records/2026-11-21-packets.md).
 
-**What we changed.** `vertex` is the same without the transient part, by the test's own numbers. Here the two planes are
-those of the widened box, which holds all hits on the leaf's triangles. Nodes are culled by `interval`, and so is a packet
-without a main axis.
+**Differences from the paper.** `vertex` is the same without the transient frustum, evaluated with the test's own numbers. Here
+the two planes are those of the widened box, which contains all hits on the leaf's triangles. Nodes are culled by `interval`,
+and so is a packet without a main axis.
 
 References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling.
-        IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
+        2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -69,7 +67,7 @@ _MEETING = f"""
 
 @cache
 def start(layout: PacketLayout) -> wp.Function:
-    """`Culling.start`: finds the main axis."""
+    """`Culling.start`: determines the main axis."""
 
     @wp.func_native(layout.constants + FRAME)
     def transient_start(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
@@ -79,7 +77,7 @@ def start(layout: PacketLayout) -> wp.Function:
 
 @cache
 def leaf(layout: PacketLayout) -> wp.Function:
-    """`Culling.leaf`: the frustum of the rays that meet a leaf's box; 0 if none does."""
+    """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
     few = f"    constexpr int FEW = {FEW};\n"

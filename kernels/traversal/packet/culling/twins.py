@@ -1,11 +1,11 @@
-"""What the cullings decide of one triangle or box: the twins of their lane loops, in plain Warp.
+"""Scalar reference forms of the culling loops, in plain Warp.
 
-The loops take W triangles of a block, or W child boxes, at a time; here is the same arithmetic for one of them, written to
-be read. No query calls it: the tests compare it to the loops bit for bit. Why each of these decisions is safe stands in the
-file of the culling.
+The native loops process W triangles of a block, or W child boxes, at a time. The functions here apply the same arithmetic to
+one of them and are written for reading. No query calls them; tests compare them to the loops bit for bit. The module of each
+culling explains why its decisions are conservative.
 
-A twin for triangles is a `wp.func(bounds, corners) -> bool`: whether the rays that `bounds` is about have to be tested
-against the triangle. The corners of an unused lane are NaN.
+The form for triangles is a `wp.func(bounds, corners) -> bool`: whether the rays of `bounds` must be tested against the
+triangle. The corners of an unused lane are NaN.
 """
 
 import warp as wp
@@ -35,47 +35,47 @@ def corner(corners: Corners, number: int):
 
 @wp.func
 def across(v: wp.vec3, axis: int):
-    """A vector along the two axes after a main axis, in cyclic order."""
+    """Components of a vector along the two axes that follow a main axis, in cyclic order."""
     following = wp.where(axis == 2, 0, axis + 1)
     return wp.vec2(v[following], v[wp.where(following == 2, 0, following + 1)])
 
 
 @wp.func
 def lesser(a: wp.vec2, b: wp.vec2):
-    """Componentwise minimum of numbers."""
+    """Componentwise minimum of numbers that are not NaN."""
     return wp.vec2(wp.where(a[0] < b[0], a[0], b[0]), wp.where(a[1] < b[1], a[1], b[1]))
 
 
 @wp.func
 def greater(a: wp.vec2, b: wp.vec2):
-    """Componentwise maximum of numbers."""
+    """Componentwise maximum of numbers that are not NaN."""
     return wp.vec2(wp.where(a[0] > b[0], a[0], b[0]), wp.where(a[1] > b[1], a[1], b[1]))
 
 
 @wp.func
 def main_axis(bounds: PacketBounds):
-    """The main axis of all rays; -1 if they have different ones."""
+    """The main axis of all rays; -1 if they differ."""
     axis = wp.where(bounds.main_axes == 1, 0, wp.where(bounds.main_axes == 2, 1, 2))
     return wp.where((bounds.main_axes & (bounds.main_axes - 1)) == 0, axis, -1)
 
 
 @wp.func
 def out_of_range(bounds: PacketBounds, axis: int, low: wp.vec3, high: wp.vec3):
-    """Whether all rays are through the box's extent along an axis before they begin, or reach it after their best hits."""
+    """Whether all rays leave the box's extent along an axis before their range begins, or enter it after their best hits."""
     slab = enter_slab(bounds, axis, low, high)
     return slab[0] > bounds.t_max or slab[1] < bounds.t_min
 
 
 @wp.func
 def every_ray_keeps(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.every_ray`: any triangle at all."""
+    """`wrt.kernels.traversal.packet.culling.every_ray`: keeps every triangle."""
     return is_used(corners)
 
 
 @wp.func
 def interval_keeps(bounds: PacketBounds, corners: Corners):
     """`wrt.kernels.traversal.packet.culling.interval_culling`: whether some ray may be in the triangle's box along all three
-    axes at once."""
+    axes at the same t."""
     low = corners_low(corners)
     high = corners_high(corners)
     entry = float(bounds.t_min)
@@ -89,8 +89,8 @@ def interval_keeps(bounds: PacketBounds, corners: Corners):
 
 @wp.func
 def vertex_keeps(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.vertex_culling`: whether on each side some vertex, sheared by the extreme slope, is
-    not beyond 0."""
+    """`wrt.kernels.traversal.packet.culling.vertex_culling`: whether on each side at least one vertex, sheared by the extreme
+    slope, is not outside."""
     z = main_axis(bounds)
     if z < 0:
         return True
@@ -115,7 +115,7 @@ def vertex_keeps(bounds: PacketBounds, corners: Corners):
 
 @wp.func
 def side_planes_keep(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.side_planes`: whether no side of the frustum has all three vertices beyond it."""
+    """`wrt.kernels.traversal.packet.culling.side_planes`: whether no side of the frustum has all three vertices outside."""
     z = bounds.frame
     if z < 0:
         return interval_keeps(bounds, corners)
@@ -139,7 +139,8 @@ def side_planes_keep(bounds: PacketBounds, corners: Corners):
 
 @wp.func
 def beside_frustum(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
-    """Whether the rectangles in which the frustum cuts the box's extent along the main axis lie on one side of the box."""
+    """Whether the two rectangles in which the frustum intersects the box's extent along the main axis lie on one side of the
+    box."""
     z = bounds.frame
     near = (wp.where(bounds.forward < 0.0, high[z], low[z]) - bounds.near_plane) * bounds.forward - bounds.margin
     far = (wp.where(bounds.forward < 0.0, low[z], high[z]) - bounds.near_plane) * bounds.forward + bounds.margin
@@ -161,7 +162,7 @@ def beside_frustum(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
 @wp.func
 def enter_frustum(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
     """(entry, leave) of a box, as `wrt.kernels.traversal.packet.core.packet_cells.enter_box`, for a packet with a frustum:
-    along the main axis."""
+    along the main axis only."""
     slab = enter_slab(bounds, bounds.frame, low, high)
     entry = wp.where(slab[0] > bounds.t_min, slab[0], bounds.t_min)
     leave = wp.where(slab[1] < bounds.t_max, slab[1], bounds.t_max)
@@ -171,7 +172,7 @@ def enter_frustum(bounds: PacketBounds, low: wp.vec3, high: wp.vec3):
 @wp.func
 def frustum_keeps(bounds: PacketBounds, corners: Corners):
     """`wrt.kernels.traversal.packet.culling.inverse_frustum`: whether the triangle's box passes the test of `interval` and is
-    not beside the frustum."""
+    not outside the frustum."""
     if not interval_keeps(bounds, corners):
         return False
     return bounds.frame < 0 or not beside_frustum(bounds, corners_low(corners), corners_high(corners))
@@ -179,7 +180,7 @@ def frustum_keeps(bounds: PacketBounds, corners: Corners):
 
 @wp.func
 def across_size(bounds: PacketBounds, p: wp.vec3, z: int):
-    """Greatest sum of the coordinates of a vertex, sheared by the slopes of a corner ray."""
+    """Greatest sum of the absolute coordinates of a vertex, sheared by the slopes of a corner ray."""
     a = across(p, z) - bounds.slope_low * p[z]
     b = across(p, z) - bounds.slope_high * p[z]
     return wp.max(wp.abs(a[0]), wp.abs(b[0])) + wp.max(wp.abs(a[1]), wp.abs(b[1]))
@@ -187,10 +188,10 @@ def across_size(bounds: PacketBounds, p: wp.vec3, z: int):
 
 @wp.func
 def corner_rays_keep(bounds: PacketBounds, corners: Corners):
-    """`wrt.kernels.traversal.packet.culling.corner_rays`: whether the four corner rays may see the three edges from the same
+    """`wrt.kernels.traversal.packet.culling.corner_rays`: whether the four corner rays may pass all three edges on the same
     side.
 
-    For rays from one point; rays with origins of their own are culled as `interval` does.
+    This applies to rays from one point; rays with separate origins are culled as in `interval`.
     """
     if not interval_keeps(bounds, corners):
         return False

@@ -1,25 +1,26 @@
-"""A frustum between two planes, for rays without a shared origin (Overbeck, Ramamoorthi, Mark 2008).
+"""Two-plane frustum culling for rays without a shared origin (Overbeck, Ramamoorthi and Mark 2008).
 
-**Problem.** Where rays start at different points, intervals of origins and of slopes lose what ties them together: shadow
-rays start anywhere on a surface and yet meet at the light. A frustum of extreme origins and extreme slopes opens towards
-the light instead of closing.
+**Problem.** If rays start at different points, separate intervals of origins and slopes lose the correlation between them.
+Shadow rays start anywhere on a surface and converge at the light, but a frustum of extreme origins and extreme slopes widens
+towards the light.
 
-**Idea.** Two planes across the packet's main axis bind all rays: a near one behind all origins, a far one behind the scene.
-Each ray goes through both, and two rectangles bound where. What lies between corresponding sides of the two rectangles is a
-frustum around all rays: at every depth a ray is a mean of its own two points, and so between the means of the extremes.
+**Idea.** Two planes normal to the packet's main axis bound all rays: a near one behind all origins, a far one behind the scene.
+Each ray crosses both, and two rectangles bound the points. The volume between corresponding sides of the rectangles is a
+frustum around all rays: at every depth a ray is a weighted mean of its own two points, and therefore between the means of the
+extremes.
 
-**Data.** The lines of `PacketBounds`, as in `frustum`: side is the near rectangle, rise the difference of the two over the
-depth. It takes the points of P rays on two planes, once a packet; the other cullings do not pay for it.
+**Data.** The lines of `PacketBounds`, as in `frustum`: side is the near rectangle, rise is the difference of the two rectangles
+divided by the depth. The set-up intersects P rays with two planes, once per packet; the other cullings do not have this cost.
 
-**What we changed.** Boxes are separated as `frustum` does; triangles are dropped where their three vertices lie beyond the
-same side (`side_planes`). The far plane is moved on where the scene ends soon after the origins, to half of the reach at
-least, so that extending a side backward magnifies its rounding five times at most. Where all rays share an origin, the near
-rectangle is that point. A packet without a main axis is culled by `interval`.
+**Differences from the paper.** Boxes are culled as in `frustum`; triangles are culled if their three vertices lie outside the
+same side (`side_planes`). If the scene ends soon after the origins, the far plane is moved to at least half of the reach, so
+that extending a side backward magnifies its rounding at most five times. If all rays share an origin, the near rectangle is
+that point. A packet without a main axis is culled by `interval`.
 
 References:
-    R. Overbeck, R. Ramamoorthi, W. R. Mark: Large ray packets for real-time Whitted ray tracing.
-        IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey), section 3.3.
+    R. Overbeck, R. Ramamoorthi, W. R. Mark: Large ray packets for real-time Whitted ray tracing. IEEE Symposium on Interactive
+        Ray Tracing 2008.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -55,7 +56,7 @@ POINTS_ON_PLANES = """
     bounds.rise_high = wp::vec2((wrt_value(far_x_high) - bounds.side_high.c[0]) / depth,
                                 (wrt_value(far_y_high) - bounds.side_high.c[1]) / depth);
 """
-"""C++ that makes the frustum of the rays that count (`WRT_COUNTS`) between two planes."""
+"""C++ that sets the frustum, between two planes, of the rays selected by `WRT_COUNTS`."""
 
 _START = f"""
     const float scene_end = ((back ? low : high).c[z] - bounds.near_plane) * bounds.forward + bounds.margin;

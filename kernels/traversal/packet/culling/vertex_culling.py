@@ -1,22 +1,22 @@
-"""Vertex culling at the leaves (Reshetov 2007; survey, section 3.3): triangles that lie beside the packet's frustum.
+"""Vertex culling at the leaves: culls triangles outside the packet's frustum (Reshetov 2007).
 
-**Idea.** Seen along the packet's main axis, a ray goes through (s z, t z) at depth z, with its slopes s and t within the
-packet's intervals. A triangle is out of reach of all rays if its three vertices lie on the same side of one of the four
-planes that these intervals span: W triangles are tested at a time, before any ray is.
+**Idea.** Along the packet's main axis, a ray passes through (s z, t z) at depth z, with slopes s and t in the packet's
+intervals. No ray can hit a triangle whose three vertices lie outside the same one of the four planes that these intervals span.
+W triangles are tested at a time, before any ray is.
 
-**What we changed.** The paper builds a transient frustum per leaf from the rays' exits; here the frustum is that of the
-slopes, and it is not built at all: the watertight test's own expression for a sheared vertex, (x - o) - s (z - p), is
-evaluated on intervals, with o where the ray goes through the plane z = p near the origins. Rays that share an origin have
-o and p in common, and what is bounded is the very number that the test computes: if it is negative for three vertices, the
-ray's point 0 is not in the triangle, to the bit. Where origins differ, o moves the rounding elsewhere, by a few units in the
-last place of the ray's reach; it is widened by the slack of `wrt.kernels.simd.boxes`, which is several times as much. That also
-covers every other test that is accurate to within the slack. Triangles that begin behind the farthest of the best hits, or
-end before the rays begin, are culled too. Rays with different main axes are not culled.
+**Differences from the paper.** The paper builds a transient frustum per leaf from the exits of the rays. Here the frustum is
+that of the slopes, and it is never built: the watertight test's own expression for a sheared vertex, (x - o) - s (z - p), is
+evaluated on intervals, where o is the point in which the ray crosses the plane z = p near the origins. Rays that share an
+origin have the same o and p, and the bounded value is the very number that the test computes. If it is negative for three
+vertices, the ray's point 0 is not in the triangle, to the bit. If origins differ, o changes the rounding by a few units in the
+last place of the ray's reach; o is widened by the slack of `wrt.kernels.simd.boxes`, which is several times as much. This also
+covers every other test that is accurate to within the slack. Triangles that begin behind the farthest of the best hits, or end
+before the rays begin, are culled too. Packets with different main axes are not culled.
 
 References:
-    A. Reshetov: Faster ray packets - triangle intersection through vertex culling.
-        IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing
+        2007.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (section 3.3).
 """
 
 from functools import cache
@@ -69,7 +69,7 @@ _TRIANGLES = """
 
 @cache
 def cull_triangles(layout: PacketLayout) -> wp.Function:
-    """Packet x the vertices of the W triangles of a block."""
+    """`Culling.triangles`: packet x the vertices of the W triangles of a block."""
 
     @wp.func_native(f"{layout.constants}{_TRIANGLES}")
     def vertex_culling(records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]) -> wp.uint32: ...

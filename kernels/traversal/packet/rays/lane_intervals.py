@@ -1,9 +1,8 @@
-"""The least and the greatest of a value over the rays of a packet, W rays at a time.
+"""Minimum and maximum of a value over the rays of a packet, W rays at a time.
 
-A compiler must keep the order of floating-point comparisons, so it would not take W of them at a time by itself. There are
-two ways around that: minima and maxima of integers in the order of the floats (`INTERVALS`), for any number of rays; or, for
-the P rays of a packet, of the floats of each lane, and of the lanes at the end by halves (`PACKET_INTERVALS`), which takes
-half as many instructions a ray.
+A compiler must keep the order of floating-point comparisons, so it does not vectorise these reductions. There are two remedies.
+`INTERVALS` reduces integers that are ordered like the floats, for any number of rays. `PACKET_INTERVALS` reduces the P rays of
+a packet per lane, and then the lanes by halves; it needs half as many instructions per ray.
 """
 
 INTERVALS = """
@@ -18,7 +17,7 @@ INTERVALS = """
 #endif
 """
 """C++ for the head of a native function: `WRT_INTERVAL(name)` declares an empty interval, `WRT_WIDEN(name, value, counts)`
-widens it by a value that counts, and `wrt_value(name_low)`, `wrt_value(name_high)` are its ends (NaN if nothing counted)."""
+widens it by a value if `counts`, and `wrt_value(name_low)`, `wrt_value(name_high)` are its ends (NaN if it is empty)."""
 
 PACKET_INTERVALS = """
 #ifndef WRT_ENDS
@@ -38,6 +37,6 @@ PACKET_INTERVALS = """
     auto wrt_least = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a < b; }); };
     auto wrt_greatest = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a > b; }); };
 """
-"""C++ likewise, over `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares each lane's ends of an interval
-over the active rays. `WRT_BOUND(name, value)`, in a loop over the lanes i, finds them; the value is that of ray `k`, and ray
-`one`, an active one, stands in for those that are not. `wrt_least(name_low)`, `wrt_greatest(name_high)` are the ends of all."""
+"""The same for the active rays of a packet, after `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares the ends of
+an interval per lane. `WRT_BOUND(name, value)`, in a loop over the lanes i, widens them; the value is that of ray `k`, and ray
+`one`, an active one, replaces inactive rays. `wrt_least(name_low)`, `wrt_greatest(name_high)` are the ends over all lanes."""

@@ -1,4 +1,4 @@
-"""How well the lanes are used: rays that were tested against a triangle, and those for which it made sense."""
+"""Lane utilisation: the number of ray-triangle lanes tested, and the number that held a useful test."""
 
 from functools import cache
 
@@ -50,7 +50,7 @@ def active_lanes(layout: PacketLayout) -> wp.Function:
 
 @cache
 def lanes_a_triangle(layout: PacketLayout) -> wp.Function:
-    """`wp.func(bounds) -> int`: lanes that `test_block` fills for one triangle, all passes together."""
+    """`wp.func(bounds) -> int`: number of lanes that `test_block` processes per triangle, over all passes."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
 
     @wp.func_native(f"{layout.constants}    constexpr int PASSES = {passes};{_LANES}")

@@ -1,6 +1,6 @@
-"""Bounds of the active rays of a packet, from its own numbers: when it is loaded, and again for each part (`parting`).
+"""Bounds of the active rays of a packet, computed from its components: on loading, and again for each part (`parting`).
 
-Rays that are not active are taken for the first one that is, so that no interval needs to leave anyone out.
+Inactive rays are replaced by the first active one, so that the loops need no masks.
 """
 
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS, PACKET_INTERVALS
@@ -9,7 +9,8 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 
 
 def bounding_head(layout: PacketLayout, slopes: bool) -> str:
-    """C++ for the head of a function that ends in `BOUND`, over `PacketLayout.head`; slopes: whether to bound them too."""
+    """C++ for the head of a function that ends in `BOUND`, after `PacketLayout.head`; slopes: whether slopes are bounded
+    too."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
     constants = f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n"
     return constants + INTERVALS + PACKET_INTERVALS
@@ -103,8 +104,9 @@ BOUND = """
         bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
     }
 """
-"""C++ over `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray's t is not negative; if there is no
-such ray, only `active` is set.
+"""C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray, only
+`active` is set.
 
-`lows[3]`, `highs[3]` and `slack0` must be there: a shared origin and its slack, else any numbers; and `ranged`: whether rays
-may have a t_min or t of their own."""
+The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`: whether
+rays may have a t_min or t of their own.
+"""

@@ -1,23 +1,24 @@
-"""Intervals over the rays of a packet, and a frustum around them: what culling knows of it."""
+"""Bounds of a packet: intervals over its rays and a frustum around them, the input of culling."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 FEW = 6
-"""Rays at a leaf up to which each is tested on its own, against W triangles at a time
-(`wrt.kernels.traversal.packet.core.few_active_rays`)."""
+"""Greatest number of rays at a leaf that are tested one by one, each against W triangles at a time
+(`wrt.kernels.traversal.packet.core.few_active_rays`). A larger value favours reflected rays, a smaller one shadow rays
+(notebooks/records/2026-11-22-leaf-rays.md)."""
 
 FewRays = wp.types.vector(length=FEW, dtype=wp.int32)
 
 
 @wp.struct
 class PacketBounds:
-    """Intervals over the active rays; if there are none, nothing but `active` means anything.
+    """Intervals over the active rays. If there are none, only `active` is defined.
 
-    Along an axis on which the directions have both signs, slabs bound nothing: `inverse_large` and `inverse_small` are NaN,
-    and every comparison with what follows from them is false. What bounds boxes in front of all origins, or behind them, is
-    `forward_small` and `backward_small`.
+    Along an axis on which the directions have both signs, slabs give no bounds: `inverse_large` and `inverse_small` are NaN,
+    and every comparison with values derived from them is false. Boxes in front of all origins, or behind all of them, are
+    bounded by `forward_small` and `backward_small`.
     """
 
     active: int
@@ -25,56 +26,58 @@ class PacketBounds:
     mixed_axes: int
     """Number of axes along which the directions have both signs."""
     passes: int
-    """Passes over the rays that the triangle test asks for, one bit each (`PacketForm.passes`)."""
+    """Passes over the rays that the triangle test needs, one bit each (`PacketForm.passes`)."""
     t_min: float
-    """Least of all."""
+    """Least t_min of the rays."""
     t_max: float
-    """Greatest t at which a hit would still count."""
+    """Greatest t at which a hit still counts for some ray."""
     slack: float
-    """Greatest of all."""
+    """Greatest slack of the rays."""
     backward: wp.vec3i
-    """Per axis, 1 if the directions are negative."""
+    """Per axis, 1 if the directions are negative, else 0."""
     inverse_large: wp.vec3
     """Per axis, the end of the interval of 1 / direction that is farther from 0."""
     inverse_small: wp.vec3
-    """The end that is nearer to 0."""
+    """Per axis, the end that is nearer to 0."""
     forward_small: wp.vec3
-    """Per axis with both signs, the least 1 / direction of the rays that go forward; 0 along the others."""
+    """Per axis with both signs, least 1 / direction of the rays with positive direction; 0 along the other axes."""
     backward_small: wp.vec3
-    """Likewise the greatest, nearest to 0, of the rays that go backward."""
+    """Per axis with both signs, greatest 1 / direction (nearest to 0) of the rays with negative direction; 0 along the other
+    axes."""
     origin_in: wp.vec3
-    """End of the interval of `RaySlabs.origin_in` from which near planes are closest."""
+    """End of the interval of `RaySlabs.origin_in` that gives the earliest entry through near planes."""
     origin_out: wp.vec3
-    """End of the interval of `RaySlabs.origin_out` from which far planes are farthest."""
+    """End of the interval of `RaySlabs.origin_out` that gives the latest exit through far planes."""
     origin_low: wp.vec3
     origin_high: wp.vec3
     slope_low: wp.vec2
-    """Of the two slopes against the main axis. The next three mean something only if all rays have the same
-    main axis, and the culling asks for them (`Culling.slopes`)."""
+    """Least slopes against the main axis. This and the next four fields are defined only if all rays have the same main axis
+    and the culling needs them (`Culling.slopes`)."""
     slope_high: wp.vec2
     plane: float
-    """A plane across the main axis, near the origins."""
+    """Position of a plane normal to the main axis, near the origins."""
     through_low: wp.vec2
-    """Where the rays' lines go through the plane, widened by what rounding may move a vertex in the watertight test."""
+    """Interval in which the lines of the rays cross that plane, widened by the greatest distance that rounding moves a vertex
+    in the watertight test."""
     through_high: wp.vec2
     main_axes: int
     """Main axes that occur, one bit each."""
     frame: int
-    """Axis along which the frustum below is set up, the main axis of all rays; -1 if there is none."""
+    """Axis of the frustum below, the main axis of all rays; -1 if there is no frustum."""
     forward: float
-    """1 or -1: the sign of the directions along it."""
+    """1 or -1: the sign of the directions along `frame`."""
     near_plane: float
-    """Where the frustum begins; a position p on the axis has the depth (p - near_plane) forward."""
+    """Position at which the frustum begins; a position p on the axis has the depth (p - near_plane) forward."""
     depth: float
-    """Where it ends."""
+    """Depth at which the frustum ends."""
     side_low: wp.vec2
-    """Along the next two axes, in cyclic order: at depth d, a ray is between side_low + rise_low d ..."""
+    """The lower lines along the next two axes, in cyclic order: at depth d, a ray is at least at side_low + rise_low d ..."""
     side_high: wp.vec2
-    """... and side_high + rise_high d."""
+    """... and at most at side_high + rise_high d."""
     rise_low: wp.vec2
     rise_high: wp.vec2
     margin: float
-    """What these four planes may err by, and a hit may lie beside its triangle
+    """Error bound of these four planes plus the greatest distance of a hit from its triangle
     (`wrt.kernels.traversal.packet.culling.inverse_frustum`)."""
     few: FewRays
-    """Numbers of the rays that meet the leaf at hand, if they are no more than `FEW` (`Culling.leaf`)."""
+    """Numbers of the rays that meet the current leaf, if they are at most `FEW` (`Culling.leaf`)."""

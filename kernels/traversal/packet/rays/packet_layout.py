@@ -1,17 +1,17 @@
-"""Where a packet's numbers are: P floats a component, one component after another from a cache line on, in one local array.
+"""Memory layout of a packet: one local array of components with P floats each, aligned to cache lines.
 
 inverse_x, _y, _z    1 / direction
-t_min                where the ray starts
-t                    its best hit so far; before the first its t_max; -inf for a ray that needs no more tests
-primitive            bits of an int: the best hit's triangle, -1 before the first
-u, v                 the best hit's weights
-slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along that
-main_axis            bits of an int: the axis along which the direction is largest
-origin_x, _y, _z     relative to the scene's centre; left out where all rays share one (`PacketBounds.origin_low`)
-slack                widening of boxes (`wrt.kernels.simd.boxes`); left out likewise (`PacketBounds.slack`)
-part                 bits of an int: which part of a packet that parted the ray is in (`parting`); left out likewise
-kept                 its t while the rays of another part are active; left out likewise
-...                  what the triangle test prepares per ray (`PacketForm.state`)
+t_min                start of the ray's range
+t                    best hit so far; before the first hit t_max; -inf for a ray that needs no more tests
+primitive            bits of an int: triangle of the best hit, -1 before the first hit
+u, v                 weights of the best hit
+slope_x, _y          direction along the next two axes after the main one, in cyclic order, / direction along the main axis
+main_axis            bits of an int: axis of the largest component of the direction
+origin_x, _y, _z     relative to the scene's centre; absent if all rays share an origin (`PacketBounds.origin_low`)
+slack                widening of boxes (`wrt.kernels.simd.boxes`); absent if all rays share an origin (`PacketBounds.slack`)
+part                 bits of an int: part of a split packet that contains the ray (`parting`); absent likewise
+kept                 the ray's t while the rays of another part are active; absent likewise
+...                  per-ray data of the triangle test (`PacketForm.state`)
 """
 
 from dataclasses import dataclass
@@ -25,24 +25,27 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y", "main_axis")
+"""Components of every packet."""
+
 OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack", "part", "kept")
+"""Further components of packets without a shared origin."""
 
 _FIRST_ROW = f"(-((size_t)packet.data / 4) & {CACHE_LINE - 1})"
 
 
 @wp.func_native(f"return (int){_FIRST_ROW};")
 def first_row(packet: wp.array(dtype=float)) -> int:
-    """Floats of a packet's memory before its first component."""
+    """Number of floats before the first component."""
     ...
 
 
 @dataclass(frozen=True)
 class PacketLayout:
-    """The layout of packets of one kind.
+    """The layout of one kind of packet.
 
     Attributes:
         rays: P, a multiple of the width.
-        width: W, lanes of a loop over rays, and triangles a block.
+        width: W, lanes of a loop over rays, and triangles per block.
         shared_origin: whether all rays start at one point.
         triangle_test: key in `TRIANGLE_TESTS`.
     """
@@ -54,24 +57,23 @@ class PacketLayout:
 
     @property
     def components(self) -> tuple[str, ...]:
-        """Names, in order."""
+        """Names of the components, in order."""
         own = () if self.shared_origin else OWN_ORIGIN
         return COMMON + own + TRIANGLE_TESTS[self.triangle_test].packet_form.state
 
     @property
     def size(self) -> int:
-        """Floats of a packet, and a cache line to begin at one."""
+        """Floats of a packet, including a cache line for alignment."""
         return len(self.components) * self.rays + CACHE_LINE
 
     @property
     def occluder(self) -> int:
-        """Index of the last of these floats, before which the components end:
-        `wrt.kernels.traversal.packet.core.occluder_cache` has it."""
+        """Index of the last float, behind the components; used by `wrt.kernels.traversal.packet.core.occluder_cache`."""
         return self.size - 1
 
     @property
     def constants(self) -> str:
-        """C++ that opens a native function: the lane loop, `wrt_bits`, W, P, floats a triangle's record has, SHARED, INF."""
+        """C++ head of a native function: lane loop, `wrt_bits`, W, P, floats per triangle record, SHARED, INF."""
         record = TRIANGLE_TESTS[self.triangle_test].record.components
         sizes = f"    constexpr int W = {self.width}, P = {self.rays}, RECORD = {record};\n"
         shared = f"    constexpr bool SHARED = {str(self.shared_origin).lower()};\n"
@@ -79,7 +81,7 @@ class PacketLayout:
 
     @property
     def head(self) -> str:
-        """The same for a function with a parameter `packet`: a pointer for each component follows."""
+        """`constants` for a function with a parameter `packet`, followed by a pointer to each component."""
         pointers = f"    float* rows = packet.data + {_FIRST_ROW};\n"
         pointers += "".join(f"    float* {name} = rows + {k} * P;\n" for k, name in enumerate(self.components))
         if self.shared_origin:

@@ -1,4 +1,4 @@
-"""From rays in memory to a packet and its bounds, with the arithmetic of `load_ray`, `ray_slabs` and the test's `prepare`."""
+"""Loads rays into a packet and computes its bounds, with the arithmetic of `load_ray`, `ray_slabs` and the test's `prepare`."""
 
 from functools import cache
 
@@ -84,10 +84,10 @@ _LOAD = """
 
 @cache
 def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
-    """`wp.func(rays, first, low, high, packet, bounds)`: P rays of a batch (`numbers`); low, high: the scene.
+    """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`numbers`); low, high: bounds of the scene.
 
-    slopes: whether bounds of the slopes are asked for (`Culling.slopes`). Rays that are bad or beyond the end of
-    the batch are not active: no hit improves on their t of -inf.
+    slopes: whether slopes are bounded (`Culling.slopes`). Invalid rays and places beyond the end of the batch are inactive:
+    their t is -inf, which no hit improves.
     """
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     constants = f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"

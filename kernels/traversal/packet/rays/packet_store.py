@@ -1,4 +1,4 @@
-"""From a packet to hits in memory."""
+"""Writes the results of a packet to a batch of hits."""
 
 from functools import cache
 
@@ -28,7 +28,7 @@ _STORE = """
 
 @cache
 def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loads."""
+    """`wp.func(packet, rays, first, hits)`: writes the hits of the P rays that `load_packet` loaded."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
     @wp.func_native(layout.head + constant + NUMBERS + _STORE)

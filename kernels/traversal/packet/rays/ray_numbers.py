@@ -1,10 +1,9 @@
-"""Which rays a packet has: consecutive ones, or, of a picture, the pixels of a tile.
+"""Assignment of rays to packets: consecutive rays, or the pixels of a tile of a picture.
 
-Neighbours in a row of a picture see the same thing for a while, neighbours in a tile for longer: packets of 8 columns and
-P / 8 rows descend into far fewer nodes than runs of P pixels (measured, packets of 32: camera rays 1.6 times as fast on the
-bunny, twice as fast on the dragon). Tiles go from left to right, then down; where the picture ends, they are smaller, and
-a packet may have rays of two of them, as it may if P is more than 8 and no multiple of it. The rays of a packet are those at
-the places first .. first + P - 1 of that order.
+Packets of 8 columns and P / 8 rows visit far fewer nodes than runs of P pixels, because the pixels of a tile see the same part
+of the scene (notebooks/records/2026-11-21-packets.md). Tiles are ordered from left to right, then down. Tiles at the border of
+the picture are smaller, and a packet may then contain rays of two tiles; this also happens if P is above 8 and not a multiple
+of 8. The rays of a packet are those at the places first .. first + P - 1 of this order.
 """
 
 import warp as wp
@@ -14,6 +13,7 @@ from wrt.kernels.layout.ray_batch import RayBatch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TILE_COLUMNS = wp.constant(8)
+"""Columns of a tile, in pixels; a compact tile of 32 rays has 8 x 4 (notebooks/records/2026-11-21-packets.md)."""
 
 NUMBERS = """
     const int rest = rays.count - first, here = rest < P ? rest : P;  // how many of them exist
@@ -49,7 +49,7 @@ NUMBERS = """
 
 @wp.func
 def ray_at(rays: RayBatch, place: int, packet: int):
-    """Number of the ray at a place in the order of packets of so many rays."""
+    """Number of the ray at a place in the order for packets of `packet` rays."""
     if rays.columns == 0:
         return place
     across = wp.min(packet, TILE_COLUMNS)

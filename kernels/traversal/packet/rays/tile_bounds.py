@@ -1,9 +1,9 @@
-"""Bounds of a run of rays of any length, without loading them: for tiles, which are only looked at as a whole.
+"""Bounds of a run of rays of any length, without loading them into a packet: for tiles, which are tested only as a whole.
 
-Where a packet takes the interval of 1 / direction over its rays (`wrt.kernels.traversal.packet.rays.packet_load`), a tile takes
-those of the directions and the origins, and works out the rest from their ends: quotients, products and differences round
-monotonically, so the ends still bound what each ray computes for itself. That is a minimum and a maximum a component and ray,
-and no division.
+A packet takes the interval of 1 / direction over its rays (`wrt.kernels.traversal.packet.rays.packet_load`). A tile takes the
+intervals of directions and origins and derives the rest from their ends. Quotients, products and differences round
+monotonically, so the ends still bound the values that each ray computes. This costs a minimum and a maximum per component and
+ray, and no division.
 """
 
 import warp as wp
@@ -122,7 +122,8 @@ _BOUND = """
 
 @wp.func_native(_HEAD + INTERVALS + _GATHER + _BOUND)
 def bound_rays(rays: RayBatch, first: int, count: int, low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]):
-    """Bounds of the rays first .. first + count - 1 of a batch, as far as there are any; low, high: the scene.
+    """Bounds of the rays first .. first + count - 1 of a batch, clipped to its end; low, high: bounds of the scene.
 
-    If no ray is active, only `bounds.active` is set."""
+    If no ray is active, only `bounds.active` is set.
+    """
     ...
