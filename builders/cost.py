@@ -1,27 +1,26 @@
-"""What a split is worth: the surface area heuristic as an object, evaluated by every builder through the same functions.
+"""The surface area heuristic as an object: every builder evaluates the cost of a split through the same functions.
 
-For a box of surface area A split into two of areas A_L and A_R, with n_L and n_R triangles,
+**Formula.** For a box of surface area A split into two of areas A_L and A_R, with n_L and n_R triangles,
 
     cost = f (C_t + C_b (A_L / A * blocks(n_L) + A_R / A * blocks(n_R)))        leaf = C_b blocks(n)
 
-(survey, equations 4.6 and 4.7; MacDonald and Booth 1990, Wald and Havran 2006). `blocks(n) = ceil(n / W)`, because a
-leaf tests W triangles at once: with W = 1 this is the textbook's formula. f < 1 rewards cutting off empty space; triangles
-in the splitting plane are tried on both sides.
+(MacDonald and Booth 1990; Wald and Havran 2006; Rahikainen 2013, equations 4.6 and 4.7). `blocks(n) = ceil(n / W)`, because a
+leaf tests W triangles at once; W = 1 gives the textbook formula. f < 1 rewards a split that cuts off empty space. Triangles in
+the splitting plane are tried on both sides.
 
-With a mailbox (`wrt.kernels.traversal.mailbox`) a ray that passes both children tests what straddles the plane once, not twice
-(Hunt 2008). It passes both with probability A_L / A + A_R / A - 1, the share of the plane's faces, F / A, so that much of the
-tests of n_L + n_R - n straddlers comes off:
+**Mailbox.** With a mailbox (`wrt.kernels.traversal.mailbox`), a ray that passes through both children tests a triangle that
+straddles the plane once, not twice (Hunt 2008). It passes through both with probability A_L / A + A_R / A - 1, which is F / A
+for F, the area of the plane's two faces. The expected tests of the n_L + n_R - n straddlers decrease accordingly:
 
     cost = f (C_t + C_b (blocks(n_L) (A_L - F) / A + blocks(n_R) (A_R - F) / A + blocks(n) F / A))
 
-Written so, every term grows with its count, which a sweep that meets a plane several times relies on
-(`wrt.builders.kdtree.events.sweep_planes`), and the sum is the one above with another face and another price to begin with
-(`axis_frame`). Measured (in-place builder, 16 triangles a block, random rays one by one): trees of bunny and atrium get 6 to 9
-% more nodes, rays meet 4 to 6 % fewer triangles; in a soup of long triangles, which gets three times the references, a third
-fewer, in 0.85 of the time.
+In this form every term increases with its count, on which a sweep that meets a plane several times relies
+(`wrt.builders.kdtree.events.sweep_planes`). The sum is the one above with a different face area and a different initial cost
+(`axis_frame`). Trees for a mailbox have more nodes, and rays test fewer triangles
+(notebooks/records/2026-11-21-kdtree-builders.md).
 
-Every builder that calls these functions with the same counts gets the same bits, so builders that make the same choices
-make the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
+**Determinism.** Builders that call these functions with the same counts get the same bits, so builders that make the same
+choices build the same tree. Ties go to the smaller axis, then to the smaller position, then to planar triangles on the right.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
@@ -30,7 +29,7 @@ References:
         IEEE Symposium on Interactive Ray Tracing 2006.
     W. A. Hunt: Corrections to the surface area metric with respect to mail-boxing.
         IEEE Symposium on Interactive Ray Tracing 2008.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 from dataclasses import dataclass
@@ -45,7 +44,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class SplitCost:
-    """`SurfaceAreaCost` as kernels see it."""
+    """`SurfaceAreaCost` for kernels."""
 
     traversal: float
     block: float
@@ -53,7 +52,7 @@ class SplitCost:
     width_bits: int
     """log2 of the triangles in a block."""
     unit_bits: int
-    """log2 of the triangles that are paid for together."""
+    """log2 of the triangles that cost `block` together."""
     mailbox: bool
 
 
@@ -64,14 +63,15 @@ class SurfaceAreaCost:
     Attributes:
         traversal: cost C_t of visiting an inner node.
         block: cost C_b of testing one block of `width` triangles.
-        width: triangles a block, a power of two.
-        empty_factor: f, by which the cost of a split with an empty side is multiplied; 1 turns the bonus off.
-        unit: triangles that are paid for together, a power of two; None for a block. With 1, `block` is the cost of testing
-            one triangle, as in the textbooks, whatever the width of blocks.
-        mailbox: whether rays remember the triangles that they have been tested against.
+        width: triangles per block: 1, 2, 4, 8 or 16.
+        empty_factor: factor f in (0, 1] for the cost of a split with an empty side; 1 turns the bonus off.
+        unit: number of triangles that cost `block` together: 1, 2, 4, 8 or 16; None for a block. With 1, `block` is the cost of
+            testing one triangle, as in the textbooks, whatever the width of blocks.
+        mailbox: whether rays remember the triangles against which they have been tested.
 
     Raises:
-        ValueError: a cost is negative or not finite, width or unit no power of two up to 16, or the factor not in (0, 1].
+        ValueError: a cost is not positive and finite, width or unit is not a power of two up to 16, or the factor is not in
+            (0, 1].
     """
 
     traversal: float = 1.0
@@ -102,45 +102,45 @@ class SurfaceAreaCost:
         return cost
 
     def of_leaf(self, triangles: np.ndarray) -> np.ndarray:
-        """Cost of leaves with so many triangles."""
+        """Cost of leaves with these numbers of triangles."""
         unit = self.unit or self.width
         return self.block * -(-triangles // unit)
 
 
 @wp.struct
 class Split:
-    """A splitting plane and what it costs."""
+    """A splitting plane and its cost."""
 
     cost: float
-    """inf: no plane found."""
+    """inf if no plane was found."""
     axis: int
     position: float
     planar_left: bool
     """Whether triangles in the plane go to the left child."""
     left: int
-    """Triangles in the left child, planar ones included if they go there."""
+    """Triangles in the left child, including planar ones if they go there."""
     right: int
 
 
 @wp.struct
 class AxisFrame:
-    """A box seen along one axis: the area of a slice of it is linear in the slice's length."""
+    """A box along one axis: the area of a slice of it is linear in the slice's length."""
 
     axis: int
     low: float
     high: float
     face: float
-    """Half the area of the two faces across the axis; 0 with a mailbox, see the module's docstring."""
+    """Half the area of the two faces perpendicular to the axis; 0 with a mailbox, see the module's docstring."""
     rim: float
-    """Half the circumference of such a face."""
+    """Half the perimeter of such a face."""
     inverse_area: float
     base: float
-    """What a split costs before its children do."""
+    """Cost of a split without its children."""
 
 
 @wp.func
 def no_split():
-    """A split that any plane beats."""
+    """A split that costs more than any plane."""
     split = Split()
     split.cost = INFINITY
     return split
@@ -151,7 +151,7 @@ LEAF_COST = """
         return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
     };
 """
-"""Head of a native function of a `SplitCost` named cost: leaf_price is `leaf_cost`."""
+"""Head of a native function of a `SplitCost` named cost. leaf_price is `leaf_cost`."""
 
 
 @wp.func_native(LEAF_COST + "return leaf_price(triangles);")
@@ -162,7 +162,7 @@ def leaf_cost(cost: SplitCost, triangles: int) -> float:
 
 @wp.func
 def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangles: int):
-    """The box, with so many triangles, along `axis`."""
+    """The frame of a box with this many triangles along `axis`."""
     size = high - low
     one = wp.where(axis == 0, size[1], size[0])
     two = wp.where(axis == 2, size[1], size[2])
@@ -191,18 +191,18 @@ PLANE_COST = (
     };
 """
 )
-"""Head of a native function of a `SplitCost` named cost and an `AxisFrame` named frame: plane_price is `plane_cost`."""
+"""Head of a native function of a `SplitCost` named cost and an `AxisFrame` named frame. plane_price is `plane_cost`."""
 
 
 @wp.func_native(PLANE_COST + "return plane_price(position, left, right);")
 def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int) -> float:
-    """Cost of a split into children with so many triangles."""
+    """Cost of a split into children with these numbers of triangles."""
     ...
 
 
 @wp.func
 def cheaper_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int, planar_left: bool, best: Split):
-    """`best`, or a split at `position` if that is strictly inside the box and cheaper."""
+    """`best`, or a split at `position` if that is strictly inside the box and costs less."""
     if position > frame.low and position < frame.high:
         price = plane_cost(cost, frame, position, left, right)
         if price < best.cost:

@@ -1,16 +1,18 @@
-"""Motion decomposition: triangles that move nearly as one are put together, each cluster with an affine map for every frame.
+"""Motion decomposition: clusters of triangles that move almost alike, each with an affine map per frame.
 
-**Problem.** A box around all that a triangle does in an animation is huge. In a space that moves along with its surroundings it
-is small, if the surroundings move coherently: limbs, cloth, anything that is the deformation of one mesh.
+**Problem.** The box around all positions of a triangle in an animation is huge. In a space that moves with the triangle's
+surroundings it is small, if these move coherently: limbs, cloth, any deformation of a mesh.
 
-**Phases.** Generalised Lloyd relaxation: *fit* the maps of each cluster, by least squares, from the vertices of a rest pose to
-those of every frame; *assign* each triangle to the cluster in whose space its vertices stay closest to one place; repeat until
-nothing gets better. Then a new cluster is *seeded* with the triangle whose vertices stray furthest, and its neighbours, and so
-on, until there are as many clusters as asked for, or the straying is below a threshold.
+**Phases.** Generalised Lloyd relaxation. *Fit* the maps of each cluster by least squares, from the vertices of a rest pose to
+those of every frame. *Assign* each triangle to the cluster in whose space its vertices move least. Repeat until nothing
+improves. Then *seed* a new cluster with the triangle whose vertices move most, and its neighbours. Continue until the requested
+number of clusters exists, or the residual motion is below a threshold.
 
-**What we changed.** The residual motion of a triangle is measured by what becomes of it: how large the boxes are that its
-vertices need over all frames. A map is pulled slightly to the nearest rotation, which settles what a flat cluster leaves open;
-and it is that rotation if the map all but flattens space. Time is linear in frames x triangles x clusters.
+**What we changed.** The residual motion of a triangle is measured by the size of the boxes that its vertices need over all
+frames, because these boxes go into the tree. A map is drawn slightly towards the nearest rotation, which determines what a flat
+cluster leaves undetermined. It is replaced by that rotation if it almost flattens space.
+
+**Complexity.** Linear in frames x triangles x clusters.
 
 References:
     J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
@@ -23,16 +25,17 @@ from dataclasses import dataclass
 import numpy as np
 
 MOST_ROUNDS = 12
-"""Rounds of assigning and fitting for a number of clusters."""
+"""Most rounds of assigning and fitting for a given number of clusters."""
 
 PULL = 1e-3
-"""Weight of the rotation beside the vertices' spread."""
+"""Weight of the rotation relative to the spread of the vertices in the fit. Small, so that it acts only where the fit is
+singular."""
 
 LEAST_GAIN = 1e-3
-"""Share by which a round must lessen the residual motion to be taken."""
+"""Relative decrease of the residual motion below which a round is rejected."""
 
 MOST_STRETCH = 1e3
-"""Condition number of a map, and how much it may shrink, from which on its rotation is taken instead."""
+"""Condition number, or shrink factor, of a map from which on its rotation is used instead."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +43,11 @@ class Decomposition:
     """Clusters of triangles and how they move.
 
     Attributes:
-        labels: (T,) int, the cluster of each triangle; every cluster has one.
+        labels: (T,) int, the cluster of each triangle; every cluster has at least one triangle.
         matrices: (F, C, 3, 3) and
         origins: (F, C, 3) float64: a point q of a cluster's space is at matrices q + origins in frame f.
-        residual: (T,) how large the boxes of its vertices are in its cluster's space, summed over axes, the largest of three.
+        residual: (T,) size of the boxes of the triangle's vertices in its cluster's space, summed over axes; the largest of
+            three.
     """
 
     labels: np.ndarray
@@ -53,10 +57,10 @@ class Decomposition:
 
 
 def fit_maps(rest: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The affine maps, (F, 3, 3) and (F, 3), that take points nearest to where they are in each frame.
+    """The affine maps, (F, 3, 3) and (F, 3), that map points closest to their positions in each frame.
 
     Args:
-        rest: (N, 3) points; the maps take 0 to where their mean goes.
+        rest: (N, 3) points; the maps take 0 to the mean of their images.
         frames: (F, N, 3).
     """
     x = rest - rest.mean(axis=0)
@@ -89,7 +93,7 @@ def residuals(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origi
 
 
 def assigned(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> Decomposition:
-    """Each triangle in the cluster where it needs the smallest boxes; clusters that nobody chose are left out.
+    """Assigns each triangle to the cluster in which it needs the smallest boxes. Clusters without triangles are removed.
 
     Args:
         frames: (F, V, 3).
@@ -107,9 +111,9 @@ def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: f
     Args:
         frames: (F, V, 3) float64.
         faces: (T, 3).
-        clusters: how many at most.
-        threshold: no more clusters once no triangle needs larger boxes.
-        rest: the frame that maps start from.
+        clusters: most clusters.
+        threshold: residual motion of all triangles below which no cluster is added.
+        rest: the frame from which maps start.
     """
     whole = [fit_maps(*_used(frames, faces, rest))]
     found = assigned(frames, faces, *_stacked(whole))
@@ -137,12 +141,12 @@ def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: f
 
 
 def is_better(one: Decomposition, other: Decomposition) -> bool:
-    """Whether it leaves clearly less motion: fitting maps to vertices does not minimise what assigning does."""
+    """Whether `one` has clearly less residual motion. Fitting minimises another measure than assigning, so it may have more."""
     return one.residual.sum() < (1.0 - LEAST_GAIN) * other.residual.sum()
 
 
 def _used(frames: np.ndarray, faces: np.ndarray, rest: int) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices of some triangles at rest and in every frame."""
+    """The vertices of some triangles in the rest pose and in every frame."""
     own = frames[:, np.unique(faces)]
     return own[rest], own
 
@@ -153,7 +157,7 @@ def _stacked(maps: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.
 
 
 def fuzzy_boxes(corners: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 3) float32 boxes in a cluster's space that hold what is in the triangles' boxes in every frame, rounded outwards.
+    """(N, 3) float32 boxes in a cluster's space that contain the triangles' boxes of every frame, rounded outwards.
 
     Args:
         corners: (F, 2, N, 3) lower and upper corners of the triangles' boxes in the scene.

@@ -1,11 +1,11 @@
-"""A parallel radix sort of float keys with values, for the rows of a matrix at once, on the CPU.
+"""A parallel radix sort of float keys with values, for several rows at once, on the CPU.
 
-**Algorithm.** Least significant digit first, four passes over digits of 8 bits. A pass cuts each row into chunks: every chunk
-counts its digits, a scan over digits and chunks turns the counts into places, every chunk then moves its keys and values in
-order. So the sort is stable, and the result does not depend on threads or chunks. Keys are ordered as IEEE 754 totally orders
-them: negative numbers from the largest magnitude on, -0.0 before 0.0.
+**Algorithm.** Least significant digit first, four passes over digits of 8 bits. A pass divides each row into chunks. Every
+chunk counts its digits, a scan over digits and chunks turns the counts into positions, and every chunk moves its keys and
+values in order. So the sort is stable, and the result does not depend on threads or chunks. Keys are ordered by the total order
+of IEEE 754: negative numbers by decreasing magnitude, -0.0 before 0.0.
 
-**Memory.** A row has room for twice its keys; passes move them to the other half and back.
+**Memory.** A row has room for twice its keys. Passes move them to the other half and back.
 
 References:
     C. Benthin: Realtime ray tracing on current CPU architectures. Ph.D. thesis, Saarland University, 2006 (parallel build).
@@ -22,7 +22,7 @@ DIGITS = wp.constant(256)
 PASSES = 4
 
 LEAST_CHUNK = 4096
-"""Keys that are worth a chunk of their own."""
+"""Least number of keys in a chunk."""
 
 CHUNKS_PER_THREAD = 2
 
@@ -86,7 +86,7 @@ def move_range(
     begin: int,
     end: int,
 ):
-    """Moves a chunk's keys and values to their places in the other half of the row."""
+    """Moves a chunk's keys and values to their positions in the other half of the row."""
     ...
 
 
@@ -100,7 +100,7 @@ def count_digits(
     shift: int,
     places: wp.array2d(dtype=int),
 ):
-    """Item: row * chunks + chunk of `size` keys. places: (rows, DIGITS * chunks), left with counts: digit after digit."""
+    """Item: row * chunks + chunk of `size` keys. Writes its counts to places, (rows, DIGITS * chunks), digit-major."""
     item = first + wp.tid()
     chunks = places.shape[1] / DIGITS
     row = item / chunks
@@ -111,7 +111,7 @@ def count_digits(
 
 @wp.kernel
 def scan_digits(first: int, places: wp.array2d(dtype=int)):
-    """Item: a row. Turns counts into places."""
+    """Item: a row. Turns counts into positions."""
     row = first + wp.tid()
     place = int(0)
     for i in range(places.shape[1]):
@@ -132,7 +132,7 @@ def move_keys(
     shift: int,
     places: wp.array2d(dtype=int),
 ):
-    """Item: row * chunks + chunk."""
+    """Item: row * chunks + chunk. Moves its keys and values."""
     item = first + wp.tid()
     chunks = places.shape[1] / DIGITS
     row = item / chunks
@@ -142,12 +142,12 @@ def move_keys(
 
 
 def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:
-    """Sorts the first `count[row]` keys of each of three rows, ascending, and the values with them.
+    """Sorts the first `count[row]` keys of each of three rows in ascending order, together with the values.
 
     Args:
         keys: (3, capacity) float32 on the CPU, without NaN; a row has room for at least twice its keys.
         values: (3, capacity) int32.
-        count: keys of each row.
+        count: number of keys of each row.
     """
     device, half, most = keys.device, keys.shape[1] // 2, max(count)
     size = max(LEAST_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))

@@ -1,33 +1,34 @@
-"""The rebuild heuristic: which parts of a tree whose triangles have moved are worth building again.
+"""The rebuild heuristic: which parts of a tree to rebuild after its triangles have moved.
 
-**Problem.** A tree keeps its nodes while the triangles move, and stays correct; but rays take ever more steps. To build it anew
-every frame costs more than it saves while the motion is small, or is confined to a corner.
+**Problem.** A refitted tree keeps its nodes while the triangles move, and stays correct, but rays take more and more steps. A
+full build in every frame costs more than it saves while the motion is small or local.
 
-**Idea (Yang et al. 2008).** Each node keeps its cost by the surface area heuristic from when it was built, as what it would get
-from a build now, and is compared with its cost of now. Nodes above a threshold are built again, the whole tree or a subtree.
+**Idea (Yang, Xu and Zhao 2008).** Each node stores its cost by the surface area heuristic from when it was built, as an
+estimate of its cost after a rebuild. The heuristic compares this with the node's current cost. Nodes above a threshold are
+rebuilt: the whole tree or a subtree.
 
-**Which node.** The cost of a node is the expected cost of a ray that meets its box, so it does not change if the node is moved,
-turned over or scaled. A node is worn if its cost has grown by more than the tolerance. If it would be fine again with its worn
-children as they were built, the fault is theirs, and each is looked at in turn; else it is the node's own. A good node may have
-worn ones below it, which matter to rays that are shot at them: they are sought in what one ray in 32 meets, as long as the
-rays are like those of the surface area heuristic. Subtrees that turn out no better than before leave their parent worn, which
-is then chosen the next time.
+**Selection.** The cost of a node is the expected cost of a ray that meets its box, so it does not change if the node is moved,
+rotated or scaled. A node is degraded if its cost has increased by more than the tolerance. If it would be within the tolerance
+with its degraded children at their cost when built, the children are responsible, and each is examined in turn. Otherwise the
+node itself is rebuilt. A good node may have degraded descendants, which matter to rays aimed at them. The search descends into
+nodes that at least one ray in 32 meets, under the assumptions of the surface area heuristic. If rebuilt subtrees turn out no
+better than before, their parent remains degraded and is selected the next time.
 
-**Siblings.** What has moved need not be a subtree: in a wide BVH it may be some children of a node. (A ball among three fills
-three lanes of eight. In disorder, each of the three has the box of the whole ball, and none gets a better one by itself.) So
-children that are worn, and would not do one by one, are built together, as one subtree in one lane of their node, if that
-would do.
+**Siblings.** The triangles that have moved may be spread over some children of a node of a wide BVH. (The three children of a
+shuffled ball all have the box of the whole ball, and none gets a smaller box if it is rebuilt by itself.) Degraded children
+that a separate rebuild cannot repair are therefore rebuilt together, as one subtree in one lane of their node, if that
+suffices.
 
-**Shared triangles.** Neighbouring cells of a kd-tree list the same triangles where these are long: the parts of a node can list
-more between them than the whole of it. (The same ball, in a kd-tree: eight cells with 6,790 triangles, of which 1,280 are
-different.) Then the node is built, which is less work and gives a better tree.
+**Shared triangles.** Neighbouring cells of a kd-tree list the same triangles if these are long, so the parts of a node can list
+more triangles in total than the whole node (notebooks/records/2026-11-22-partial-rebuilds.md has an example). Then the whole
+node is rebuilt, which is less work and gives a better tree.
 
 References:
     X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (as the survey tells it).
+        Conference on Computer Science and Software Engineering 2008 (as described by Rahikainen 2013).
     C. Lauterbach, S.-E. Yoon, D. Tuft, D. Manocha: RT-DEFORM: interactive ray tracing of dynamic scenes using BVHs.
-        IEEE Symposium on Interactive Ray Tracing 2006 (the threshold on a measure of what refitting has cost).
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+        IEEE Symposium on Interactive Ray Tracing 2006 (a threshold on the degradation by refitting).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 from collections.abc import Callable
@@ -36,22 +37,22 @@ from math import inf
 import numpy as np
 
 MOST_SUBTREES = 16
-"""Of one node: more are built together, as the whole of the node, because every build has its fixed price."""
+"""Most parts of one node that are rebuilt separately; for more, the whole node is rebuilt, as every build has a fixed cost."""
 
 Part = tuple[int, ...]
-"""What is built as one: a node, or some children of a node."""
+"""A unit of rebuilding: a node, or some children of a node."""
 
 Children = Callable[[int], tuple[np.ndarray, np.ndarray]]
-"""node -> its inner children (or all of them), and the probabilities that a ray which meets the node meets them."""
+"""node -> its inner children (or all of them), and the probabilities that a ray that meets the node meets them."""
 
 Together = Callable[[int, np.ndarray, np.ndarray], float]
-"""(node, some of its children, what each cost when it was built) -> what they would add to the node's cost, built as one."""
+"""(node, some of its children, the cost of each when built) -> estimate of their share of the node's cost, rebuilt as one."""
 
 Triangles = Callable[[int], np.ndarray]
 """node -> ids of the triangles below it, each once."""
 
 LEAST_SHARE = 1.0 / 32.0
-"""Of the rays that meet the root: smaller nodes below good ones are left alone."""
+"""Share of the rays that meet the root; good nodes that fewer rays meet are not searched."""
 
 
 def worn_subtrees(
@@ -63,14 +64,14 @@ def worn_subtrees(
     together: Together = lambda node, siblings, costs: inf,
     triangles: Triangles | None = None,
 ) -> list[Part]:
-    """What to build again, no part of it below another; [] if the tree is good, [(0,)] if all of it is worn.
+    """The parts to rebuild, none below another; [] if the tree is good, [(0,)] to rebuild the whole tree.
 
     Args:
-        now: (nodes,) cost of each subtree.
-        built: (nodes,) the same when it was built.
-        children: of a node.
-        tolerance: how many times the cost a node may come to.
-        together: for trees in which several children of a node can be built as one.
+        now: (nodes,) current cost of each subtree.
+        built: (nodes,) its cost when it was built.
+        children: children of a node.
+        tolerance: ratio of current cost to built cost above which a node is degraded.
+        together: for trees in which several children of a node can be rebuilt as one.
         triangles: for trees in which a triangle can be below several nodes, none of which is below another.
     """
 
@@ -97,5 +98,5 @@ def worn_subtrees(
 
 
 def more_work(parts: list[Part], node: int, triangles: Triangles) -> bool:
-    """Whether parts of a node list more triangles, one by one, than all of it."""
+    """Whether the parts of a node list more triangles in total than the whole node."""
     return sum(len(triangles(child)) for part in parts for child in part) > len(triangles(node))

@@ -1,4 +1,4 @@
-"""What builders take and give: stop rules, the finished tree, and what the build cost."""
+"""Inputs and results of builders: stop rules, the finished tree, and the time and memory of a build."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,21 +19,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 MAX_GROWTH = wp.constant(63.0)
-"""Triangles that lie across each other are straddled by every plane: without a bound, 3,000 of them that fill a square make
-7 million references, each split of which is worth its cost. (Meshes of surfaces, on average over all ways: 0.3 to 2.3.)"""
+"""Largest growth of the references on a path, less 1: a split that would reach it makes a leaf. Without a bound, overlapping
+triangles that every plane straddles multiply without end (notebooks/records/2026-11-21-kdtree-builders.md)."""
 
 
 @wp.struct
 class StopLimits:
-    """`StopRules` for a given number of triangles, as kernels see them."""
+    """`StopRules` for a given number of triangles, for kernels."""
 
     depth: int
     bad_splits: int
     quality: float
-    """A split is bad if it costs at least so many times as much as the leaf."""
+    """A split is bad if it costs at least this many times as much as the leaf."""
     leaf_triangles: int
     least_size: float
-    """Of a node's longest side."""
+    """Least length of a node's longest side; a smaller node is a leaf."""
 
 
 COST, AUTOMATIC, FIXED = "cost", "automatic", "fixed"
@@ -42,28 +42,29 @@ TERMINATIONS = {
     AUTOMATIC: "splits must cost less than 3/4 of the leaf, but for more in larger meshes (Havran, Bittner 2002)",
     FIXED: "every node is split until it is deep or small enough, whatever that costs",
 }
-"""When a split is bad, and how many are allowed on a way."""
+"""Rules by name: which splits are bad, and how many of them a path may have."""
 
 
 @dataclass(frozen=True)
 class StopRules:
     """When a node becomes a leaf.
 
-    A node is a leaf if no plane splits it, if it is as deep, has as few triangles, or is as small as a leaf may be, or if its
-    best split is bad and its ancestors have used up the allowance of such: a bad split may make good ones possible (Wald and
-    Havran 2006 call the alternative a local minimum), but not again and again. Nor is a node split if the splits on the way to
-    it would have multiplied its triangles by 64 (`Descent`).
+    A node becomes a leaf if no plane splits it, or if it has reached the greatest depth, the least number of triangles or the
+    least size. It also becomes a leaf if its best split is bad and its ancestors have used up the allowance of bad splits: a
+    bad split may lead to good ones (Wald and Havran 2006 call the alternative a local minimum), but not repeatedly. Finally, a
+    node is not split if the splits on its path would have multiplied its triangles by 64 (`Descent`).
 
     Attributes:
-        max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a
-            bound of the form that Havran and Bittner (2002) found, with the constants of Pharr and Humphreys (2004);
-            "automatic" has their own, 2 + 1.2 log2(triangles).
+        max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a bound of the form
+            that Havran and Bittner (2002) found, with the constants of Pharr and Humphreys (2004). With termination
+            "automatic", None gives the constants of Havran and Bittner, 2 + 1.2 log2(triangles).
         bad_splits: bad splits allowed between the root and a leaf; "automatic" allows 1 + max_depth / 5 instead.
-        termination: key in `TERMINATIONS`: which splits are bad.
-        leaf_triangles: a node of at most so many triangles is a leaf.
-        least_size: a node none of whose sides is longer than this is a leaf; a share of the scene's longest side, below 1.
+        termination: key in `TERMINATIONS` that selects which splits are bad.
+        leaf_triangles: a node of at most this many triangles is a leaf.
+        least_size: a node whose longest side is at most this long is a leaf; relative to the scene's longest side, in [0, 1).
 
     Raises:
+        ValueError: a value is out of range, or the termination is unknown.
         ValueError: a value is out of range, or an unknown termination.
 
     References:
@@ -90,7 +91,7 @@ class StopRules:
             raise ValueError(f"least_size is {self.least_size}; it must be at least 0 and below 1")
 
     def limits(self, triangles: int, size: float = 0.0) -> StopLimits:
-        """The rules for a mesh of so many triangles, whose box has a longest side of this size."""
+        """The rules for a mesh of `triangles` triangles whose box has a longest side of `size`."""
         limits = StopLimits()
         havran = self.termination == AUTOMATIC
         base, slope = (2.0, 1.2) if havran else (8.0, 1.3)
@@ -105,18 +106,18 @@ class StopRules:
 
 @wp.struct
 class Descent:
-    """What the splits on the way down from the root have used up of what is allowed; zeros at the root."""
+    """Allowances that the splits between the root and a node have used up; zeros at the root."""
 
     bad_splits: int
     growth: float
-    """By what the references of a node are multiplied on the way, (left + right) / triangles a split, less 1."""
+    """Product of the growth of the references, (left + right) / triangles, over the splits on the path, less 1."""
 
 
 @wp.func
 def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: Descent, split: Split, size: wp.vec3):
-    """The way to the children of a node, whose box has this size; its `bad_splits` are -1 if the node becomes a leaf instead.
+    """The allowances of the children of a node whose box has this size. `bad_splits` is -1 if the node becomes a leaf instead.
 
-    What bounds the growth on every way bounds the references of all leaves together, to so many times the triangles.
+    The bound on the growth of every path bounds the references of all leaves together, to the same multiple of the triangles.
     """
     below = Descent()
     below.bad_splits = -1
@@ -133,19 +134,19 @@ def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, pat
 
 @dataclass
 class BuildStats:
-    """What a build cost.
+    """Time and memory of a build.
 
     Attributes:
         seconds: wall time of each phase, by name.
-        peak_bytes: most memory reserved at a time for boxes, lists, work space and the finished tree. Not all of what is
-            reserved is written, and what is not written costs nothing on the CPU.
+        peak_bytes: most memory reserved at one time for boxes, lists, work space and the finished tree. Reserved memory that is
+            never written costs nothing on the CPU.
     """
 
     seconds: dict[str, float] = field(default_factory=dict)
     peak_bytes: int = 0
 
     def reserve(self, *arrays: wp.array) -> None:
-        """Notes arrays that are held at the same time."""
+        """Records arrays that are held at the same time."""
         self.peak_bytes = max(self.peak_bytes, sum(array.capacity for array in arrays))
 
 
@@ -173,10 +174,9 @@ class KdTree:
         nodes: (nodes,) vec2i, see `wrt.kernels.layout.kdtree_nodes`.
         primitive: (blocks * width,) int32: triangle ids, leaf after leaf, -1 in unused lanes.
         low, high: the root's box.
-        width: triangles a block.
-        stats: what the build cost.
-        built_costs: (nodes,) what each subtree cost when it was built, if somebody had to know
-            (`wrt.builders.rebuild_heuristic`).
+        width: triangles per block.
+        stats: time and memory of the build.
+        built_costs: (nodes,) cost of each subtree when it was built, if it was computed (`wrt.builders.rebuild_heuristic`).
     """
 
     nodes: wp.array
@@ -189,11 +189,11 @@ class KdTree:
 
     @property
     def bytes(self) -> int:
-        """Memory of nodes and leaf lists; the triangle records come on top."""
+        """Bytes of nodes and leaf lists, without the triangle records."""
         return self.nodes.capacity + self.primitive.capacity
 
     def struct(self) -> KdNodes:
-        """The tree for a traversal kernel; to be left as it is."""
+        """The tree for a traversal kernel. Do not modify it."""
         return self._struct
 
     @cached_property
@@ -205,7 +205,7 @@ class KdTree:
         return tree
 
     def to(self, device: wp.Device) -> "KdTree":
-        """The tree on another device; itself if it is there already."""
+        """The tree on another device; the tree itself if it is already there."""
         if device == self.nodes.device:
             return self
         return replace(self, nodes=self.nodes.to(device), primitive=self.primitive.to(device))
@@ -220,10 +220,10 @@ class Bvh:
         child: (nodes * width,) int32, see `wrt.kernels.layout.bvh_nodes`.
         primitive: (blocks * width,) int32: triangle ids, leaf after leaf, -1 in unused lanes.
         low, high: the root's box.
-        width: children a node and triangles a block.
-        level_first: first node of each level, and the number of nodes at the end: nodes are in breadth-first order.
-        stats: what the build cost.
-        built_costs: as of a `KdTree`.
+        width: children per node and triangles per block.
+        level_first: first node of each level, followed by the number of nodes. Nodes are in breadth-first order.
+        stats: time and memory of the build.
+        built_costs: as in `KdTree`.
     """
 
     bounds: wp.array
@@ -238,16 +238,16 @@ class Bvh:
 
     @property
     def bytes(self) -> int:
-        """Memory of nodes and leaf lists; the triangle records come on top."""
+        """Bytes of nodes and leaf lists, without the triangle records."""
         return self.bounds.capacity + self.child.capacity + self.primitive.capacity
 
     @property
     def depth(self) -> int:
-        """Most inner nodes on a path from the root."""
+        """Largest number of inner nodes on a path from the root."""
         return len(self.level_first) - 1
 
     def struct(self) -> WideNodes:
-        """The tree for a traversal kernel; to be left as it is."""
+        """The tree for a traversal kernel. Do not modify it."""
         return self._struct
 
     @cached_property
@@ -260,7 +260,7 @@ class Bvh:
         return tree
 
     def to(self, device: wp.Device) -> "Bvh":
-        """The tree on another device; itself if it is there already."""
+        """The tree on another device; the tree itself if it is already there."""
         if device == self.bounds.device:
             return self
         arrays = {name: getattr(self, name).to(device) for name in ("bounds", "child", "primitive")}

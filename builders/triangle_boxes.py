@@ -1,4 +1,4 @@
-"""Bounding boxes of triangles: what every builder starts from."""
+"""Bounding boxes of triangles: the input of every builder."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from wrt.kernels.runtime.launch import launch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_CORNER = 2.0**126
-"""Largest coordinate of a box: float32 ends at 2^128, and builders add and subtract two of them."""
+"""Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""
 
 
 @wp.struct
@@ -24,7 +24,7 @@ class Boxes:
 
 @wp.kernel
 def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
-    """Item: a triangle. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
+    """Item: a triangle. Writes its box. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
     i = first + wp.tid()
     face = faces[i]
     a = vertices[face[0]]
@@ -37,18 +37,19 @@ def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array
 
 @dataclass
 class TriangleBoxes:
-    """Boxes of all triangles and the box of them all.
+    """Boxes of all triangles, and the box around all of them.
 
     Attributes:
-        boxes: of each triangle.
+        boxes: the box of each triangle.
         count: number of triangles.
-        low, high: (3,) float32, the box of all of them.
+        low, high: (3,) float32, the box around all triangles.
         center: (3,) the point that positions are relative to.
-        vertices, faces: the triangles themselves, for builders that clip them; None where boxes stand for other things.
+        vertices, faces: the triangles themselves, for builders that clip them; None if the boxes are not those of triangles.
 
     Raises:
-        ValueError: a box that is NaN, or so large that sums and differences of two corners are not finite. (Areas may overflow:
-            what has no finite price is divided in the middle.) The box of all tells it: a minimum of NumPy keeps NaN.
+        ValueError: a box is NaN, or so large that sums and differences of two corners are not finite. (Areas may overflow:
+            without a finite cost, nodes are split in the middle.) The check reads the outer box: NumPy's minimum propagates
+            NaN.
     """
 
     boxes: Boxes
@@ -62,7 +63,7 @@ class TriangleBoxes:
     def __post_init__(self) -> None:
         largest = np.abs([self.low, self.high]).max()
         if not largest <= MAX_CORNER:
-            raise ValueError(f"boxes reach out to {largest:.3g}; a tree can be built up to {MAX_CORNER:.3g}")
+            raise ValueError(f"boxes extend to {largest:.3g}; trees can be built for coordinates up to {MAX_CORNER:.3g}")
 
     @property
     def size(self) -> float:
@@ -88,7 +89,7 @@ def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | Non
 
 
 def boxes_of(low: np.ndarray, high: np.ndarray) -> TriangleBoxes:
-    """Boxes that are known already, on the CPU.
+    """Given boxes, on the CPU.
 
     Args:
         low, high: (N, 3) corners, rounded to float32.

@@ -1,23 +1,24 @@
-"""Triangle fans of a mesh: Galin and Akkouche 2005.
+"""Triangle fans of a mesh (Galin and Akkouche 2005).
 
-**Problem.** Neighbouring triangles share vertices; a test of a ray and a triangle knows nothing of it. A fan is a centre and
-a rim, and its triangles are the centre with two rim vertices that follow one another: what is computed of the ray and a rim
-vertex serves two triangles (`wrt.kernels.traversal.fan_brute_force`).
+**Problem.** Neighbouring triangles share vertices, but a test of a ray and a single triangle cannot use that. A fan is a centre
+and a rim. Its triangles are the centre with two consecutive rim vertices. What is computed for a ray and a rim vertex serves
+two triangles (`wrt.kernels.traversal.fan_brute_force`).
 
-**Idea.** A mesh is cut into fans greedily. Vertex c, taken as a centre, takes all its remaining triangles, chain by chain.
-Its fitness is 2 v + 7 r - 11 t: v of its triangles remain; r of their edges are open, which keeps the cut growing along its
-border; t fans of a single triangle would come of it.
+**Idea.** A greedy algorithm divides a mesh into fans. Taken as a centre, vertex c takes all its remaining triangles, chain by
+chain. Its fitness is 2 v + 7 r - 11 t, where v is the number of its remaining triangles, r the number of their open edges,
+which keeps the algorithm near its border, and t the number of single-triangle fans that would result.
 
 **Data.** Lists of vertices and triangles, on the host (`TriangleFans`). Triangles are neighbours if they share two vertex
-indices; an edge with more than two triangles joins those that come first.
+indices. An edge with more than two triangles joins the first two.
 
-**Departures.** A mesh without open edges needs no special start: every vertex is a candidate, and the weight of r keeps to the
-border where there is one. t counts the single triangles that c would leave behind without a neighbour, and also those that it
-would take one by one although they have neighbours: else an ear of the mesh would be cut off at its tip.
+**Departures.** A mesh without open edges needs no special start: every vertex is a candidate, and the weight of r favours the
+border where one exists. t counts the single triangles that c would leave behind without a neighbour, and also those that it
+would take one by one although they have neighbours. Otherwise an ear of the mesh would be cut off at its tip.
 
-Complexity: a candidate is evaluated when a triangle at it, or next to one at it, goes; O(F) such evaluations for meshes of
-bounded valence, O(log F) each for the queue. It is host code: 10,000 triangles take about a second. Fans of the built-in teapot
-have 4.5 triangles on the average, one in 2,000 is a single one; of leaves and branches, which are small pieces, 2.8.
+**Complexity.** A candidate is evaluated when a triangle at it, or next to one at it, is removed: O(F) evaluations for meshes of
+bounded valence, O(log F) each for the queue.
+
+**Limits.** The code runs on the host (notebooks/records/2026-11-21-triangle-tests.md has times and sizes of fans).
 
 References:
     E. Galin, S. Akkouche: Fast processing of triangle meshes using triangle fans. Shape Modeling International 2005.
@@ -32,7 +33,7 @@ from heapq import heapify, heappop, heappush
 import numpy as np
 
 CONNECTED, OPEN, SINGLE = 2, 7, 11
-"""Weights of v, r and t."""
+"""Weights of v, r and t in the fitness, as published."""
 
 
 @dataclass(frozen=True)
@@ -41,11 +42,11 @@ class TriangleFans:
 
     Attributes:
         centre: (N,) int32 vertex of each fan.
-        first: (N + 1,) int32 place of each fan's first rim vertex in `rim`.
-        rim: (F + N,) int32 vertices; a fan of M triangles has M + 1, the first once more at the end if it is closed.
-        primitive: (F,) int32 triangles in the order of their fans; those of fan f begin at `first[f] - f`.
-        corner: (F,) int32, for each of these triangles, the place (0, 1, 2) of the centre among its vertices, plus 3 if the
-            rim goes round it against their order.
+        first: (N + 1,) int32 index of each fan's first rim vertex in `rim`.
+        rim: (F + N,) int32 vertices. A fan of M triangles has M + 1; if it is closed, the first is repeated at the end.
+        primitive: (F,) int32 triangles in the order of their fans. Those of fan f begin at `first[f] - f`.
+        corner: (F,) int32, for each of these triangles, the position (0, 1, 2) of the centre among its vertices, plus 3 if the
+            rim runs against their order.
     """
 
     centre: np.ndarray
@@ -65,7 +66,7 @@ class TriangleFans:
 
 
 class _Cutter:
-    """The triangles that are left, and what is near to what."""
+    """The remaining triangles and their adjacency."""
 
     def __init__(self, faces: np.ndarray) -> None:
         self.faces = [tuple(face) for face in faces.tolist()]
@@ -82,7 +83,7 @@ class _Cutter:
                     self.across[one][other] = self.across[other][one] = None
 
     def chains(self, centre: int) -> list[list[int]]:
-        """The remaining triangles of a vertex, in rows of neighbours; one row may close."""
+        """The remaining triangles of a vertex as chains of neighbours. A single chain may be closed."""
         left, rows = dict(self.at[centre]), []
         while left:
             ends = [n for n in left if sum(m in left for m in self.across[n]) < 2]
@@ -97,12 +98,12 @@ class _Cutter:
         return rows
 
     def follows(self, row: list[int], number: int, centre: int) -> bool:
-        """Whether a triangle joins the last one of a row at a spoke that the row has not passed."""
+        """Whether a triangle continues a chain at an edge to the centre that the chain has not passed."""
         spoke = set(self.faces[row[-1]]) & set(self.faces[number]) - {centre}
         return len(spoke) == 1 and (len(row) == 1 or not spoke <= set(self.faces[row[-2]]))
 
     def fitness(self, centre: int) -> int:
-        """2 v + 7 r - 11 t."""
+        """The fitness 2 v + 7 r - 11 t."""
         star = self.at[centre]
         border = [n for n in star if len(self.across[n]) < 3]
         open_edges = sum(3 - len(self.across[n]) for n in border)
@@ -112,7 +113,7 @@ class _Cutter:
         return CONNECTED * len(star) + OPEN * open_edges - SINGLE * single
 
     def take(self, centre: int) -> list[list[int]]:
-        """Removes all triangles of a vertex and returns them in rows."""
+        """Removes all triangles of a vertex and returns them as chains."""
         rows = self.chains(centre)
         for number in [n for row in rows for n in row]:
             for vertex in self.faces[number]:
@@ -122,16 +123,16 @@ class _Cutter:
         return rows
 
     def near(self, rows: list[list[int]]) -> set[int]:
-        """Vertices whose fitness may have changed: those of the rows, and of all triangles that remain at these."""
+        """Vertices whose fitness may have changed: those of the chains, and those of all triangles that remain at them."""
         rim = {vertex for row in rows for number in row for vertex in self.faces[number]}
         return rim | {vertex for v in rim for number in self.at[v] for vertex in self.faces[number]}
 
 
 def build_fans(faces: np.ndarray) -> TriangleFans:
-    """Cuts a mesh into fans.
+    """Divides a mesh into fans.
 
     Args:
-        faces: (F, 3) integer vertex indices, F >= 1. Vertices count as one if their indices are equal.
+        faces: (F, 3) integer vertex indices, F >= 1. Vertices are the same if their indices are equal.
     """
     faces = np.asarray(faces)
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
@@ -156,7 +157,7 @@ def build_fans(faces: np.ndarray) -> TriangleFans:
 
 
 def rim_of(centre: int, row: list[tuple[int, int, int]]) -> list[int]:
-    """Rim vertices of a row of triangles around a centre."""
+    """Rim vertices of a chain of triangles around a centre."""
     place = row[0].index(centre)
     rim = [row[0][place - 2], row[0][place - 1]]
     if len(row) > 1 and rim[1] not in row[1]:
@@ -167,7 +168,7 @@ def rim_of(centre: int, row: list[tuple[int, int, int]]) -> list[int]:
 
 
 def pack(faces: np.ndarray, fans: list[tuple[int, list[int], list[int]]]) -> TriangleFans:
-    """The lists as arrays."""
+    """The lists of fans as arrays."""
     corner = []
     for centre, rim, triangles in fans:
         for k, number in enumerate(triangles):

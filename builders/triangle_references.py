@@ -1,7 +1,7 @@
-"""References: what builders that scan triangles move about, 8 floats a triangle, (low, id, -high, 0).
+"""References: the records that triangle-scanning builders move, 8 floats per triangle, (low, id, -high, 0).
 
-Two fit a cache line, and a reference is moved as a whole, so that every range is read in order. -high makes minima of both
-corners of a box: one comparison of 8 lanes (an old trick).
+Two references fit a cache line. A reference is moved as a whole, so every range is read sequentially. Storing -high turns the
+union of boxes into one minimum over 8 lanes.
 """
 
 import warp as wp
@@ -11,7 +11,8 @@ from wrt.builders.triangle_boxes import Boxes
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ID_OFFSET = 0x00800000
-"""Added to a triangle's id, so that its bits are those of a normal float: arithmetic on lanes nobody needs stays fast."""
+"""Added to a triangle's id so that its bits are those of a normal float. Denormals would slow down arithmetic on unused
+lanes."""
 
 
 @wp.func_native(
@@ -30,7 +31,7 @@ ID_OFFSET = 0x00800000
 """
 )
 def write_references(boxes: Boxes, begin: int, end: int, references: wp.array(dtype=float)):
-    """The references of triangles begin .. end - 1."""
+    """Writes the references of triangles begin .. end - 1."""
     ...
 
 
@@ -50,5 +51,5 @@ def copy_references(references: wp.array(dtype=float), begin: int, count: int, t
 """
 )
 def write_order(references: wp.array(dtype=float), begin: int, count: int, order: wp.array(dtype=int), first: int):
-    """The triangle ids of a range."""
+    """Writes the triangle ids of a range."""
     ...

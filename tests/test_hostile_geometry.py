@@ -151,7 +151,7 @@ def test_builders_refuse_what_has_no_differences():
     for value in (np.nan, np.inf, 2e38):
         spoilt = high.copy()
         spoilt[2, 1] = value
-        with pytest.raises(ValueError, match="a tree can be built up to"):
+        with pytest.raises(ValueError, match="trees can be built for coordinates up to"):
             boxes_of(low, spoilt)
 
 

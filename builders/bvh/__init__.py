@@ -1,11 +1,12 @@
-"""Builders of bounding volume hierarchies: one file per way to build, and the table of them.
+"""Builders of bounding volume hierarchies: one file per method, and the table of all builders.
 
-**Contract.** A builder is a function `build(triangles, config) -> Bvh`: boxes of the triangles in
-(`wrt.builders.triangle_boxes.TriangleBoxes`), cost model and leaf size as a frozen `BvhConfig`, a tree in the layout of
-`wrt.kernels.layout.bvh_nodes` out, with the time of each phase. Builders make a binary tree (`tree`); `collapse` makes it wide.
-Every triangle is in exactly one leaf; every box is the exact union of the boxes of its triangles.
+**Contract.** A builder is a function `build(triangles, config) -> Bvh`. It takes the boxes of the triangles
+(`wrt.builders.triangle_boxes.TriangleBoxes`), and the cost model and leaf size as a frozen `BvhConfig`. It returns a tree in
+the layout of `wrt.kernels.layout.bvh_nodes`, with the time of each phase. Builders make a binary tree (`tree`); `collapse`
+converts it to wide nodes. Every triangle is in exactly one leaf. Every box is the exact union of the boxes of its triangles.
 
-To add a builder: write its file, add one line to `BVH_BUILDERS`; tests, command line and benchmarks pick it up.
+To add a builder, write its file and add one line to `BVH_BUILDERS`. The tests, the command line and the benchmarks read the
+table.
 """
 
 from collections.abc import Callable
@@ -20,7 +21,7 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 
 @dataclass(frozen=True)
 class BvhBuilder:
-    """A way to build a bounding volume hierarchy.
+    """A method of building a bounding volume hierarchy.
 
     Attributes:
         name: key in `BVH_BUILDERS`.

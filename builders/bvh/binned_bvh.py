@@ -1,17 +1,22 @@
 """Parallel binned SAH build of a bounding volume hierarchy (Wald 2007).
 
-**Problem.** A sweep over sorted centroids costs O(N log N) and three sorts; most of its planes are all but equal.
+**Problem.** A sweep over sorted centroids costs O(N log N) and three sorts, and most of its planes are nearly equal.
 
-**Algorithm.** Centroids fall into a few bins along each axis; only the planes between bins are tried (`bins`). Large nodes
-are split level by level, parallel over chunks of triangles (`levels`); the others are tasks, each of which builds a
-subtree depth first (`subtrees`). The binary tree, whose nodes may first move to better places (`reinsertion`), is then
-collapsed to nodes of W children (`collapse`).
+**Algorithm.** Centroids are sorted into a few bins along each axis, and only the planes between bins are tried (`bins`). Large
+nodes are split level by level, in parallel over chunks of triangles (`levels`). The others are tasks, each of which builds a
+subtree depth first (`subtrees`). Reinsertion may then improve the binary tree (`reinsertion`). Finally, the tree is collapsed
+to nodes of W children (`collapse`).
 
-**Complexity.** O(N) a level of the tree, with sequential access to memory only. 64 bytes a triangle for references; nodes take
-what the tree needs, of a reserve of 88 bytes a triangle.
+**Data.** References (`wrt.builders.triangle_references`), bins (`bins`) and a binary tree (`tree`).
 
-**What we changed.** The paper parallelises over subtrees and over the triangles of large nodes as we do, but keeps a list of
-indices; here whole references are moved, which reads them in order. Leaf costs count blocks of W triangles
+**Phases.** References: `make_references`. Top levels: `build_levels` (search, partition and emit of `levels`). Subtrees:
+`build_subtrees` (stop, search, partition and emit of `subtrees`). Then reinsertion and collapse.
+
+**Complexity.** O(N) per level of the tree, with sequential memory access only. References take 64 bytes per triangle. Nodes use
+as much as the tree needs of a reservation of 88 bytes per triangle.
+
+**What we changed.** Like the paper, we parallelise over subtrees and over the triangles of large nodes. The paper keeps a list
+of indices; here whole references are moved, which makes reads sequential. Leaf costs count blocks of W triangles
 (`wrt.builders.cost`). The tree is the same for any number of threads, chunks and tasks.
 
 **Limits.** Surface areas are float32: nodes larger than 1e19 or smaller than 1e-19 are split in the middle of their list.
@@ -43,22 +48,22 @@ from wrt.kernels.runtime.launch import get_num_threads, launch, load
 from wrt.kernels.runtime.launch_loop import Step, launch_loop
 
 TASKS_PER_THREAD = 4
-"""A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
+"""Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
 LEAST_LARGE = 4096
-"""Triangles below which a node is not worth more than one thread."""
+"""Triangles below which a single thread builds a node: the fixed cost of the launches of a level would exceed the gain."""
 
 CHUNKS_PER_THREAD = 4
-"""Chunks per thread on a level."""
+"""Chunks per thread on a level; several, so that threads finish together."""
 
 LEAST_CHUNK = 2048
-"""Triangles that are worth a chunk of their own."""
+"""Least number of triangles in a chunk."""
 
 NODES, CHUNKS = 0, 1
-"""Where `Totals` has the live nodes and their chunks."""
+"""Positions of the numbers of live nodes and of their chunks in `Totals`."""
 
 MAX_LEVELS = 32
-"""Levels after which the remaining nodes become tasks in any case."""
+"""Levels after which the remaining nodes become tasks whatever their size."""
 
 
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
@@ -71,9 +76,9 @@ class BinnedBuilder:
 
     Args:
         triangles: boxes of the triangles.
-        config: prices, bins, leaf size.
-        heuristic: how boxes are weighed, and planes chosen.
-        rays: what the heuristic knows of the rays; None for nothing.
+        config: costs, bins, leaf size.
+        heuristic: the weight of boxes and the choice of planes.
+        rays: the heuristic's knowledge of the rays; None if it has none.
     """
 
     def __init__(self, triangles: TriangleBoxes, config: BvhConfig, heuristic: Heuristic = SURFACE, rays: Any = None) -> None:
@@ -96,7 +101,7 @@ class BinnedBuilder:
 
     def build(self) -> Bvh:
         """Builds the tree."""
-        load(self.kernels(), self.device)  # compiling them is no phase of the build
+        load(self.kernels(), self.device)  # compilation is not a phase of the build
         with self.phase("references"):
             self.make_references()
         with self.phase("top levels"):
@@ -120,7 +125,7 @@ class BinnedBuilder:
         launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=CHUNKS_PER_THREAD)
 
     def make_references(self) -> None:
-        """Phase "references": the first buffer, and the root's box."""
+        """Phase "references": fills the first buffer and computes the root's box."""
         count, size = self.triangles.count, self.chunk
         chunks = -(-count // size)
         self.parts = wp.empty(16 * (chunks + count // self.large + 1), dtype=float, device=self.device)
@@ -130,7 +135,7 @@ class BinnedBuilder:
         wp.copy(self.tree.box, wp.array(root, dtype=float, device=self.device), count=8)
 
     def build_levels(self) -> None:
-        """Phase "top levels": splits large nodes until there are none."""
+        """Phase "top levels": splits large nodes until none is left."""
         count, size, device = self.triangles.count, self.chunk, self.device
         chunks = -(-count // size)
         root = LiveNode()
@@ -173,7 +178,7 @@ class BinnedBuilder:
         self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)
 
     def build_subtrees(self) -> None:
-        """Phase "subtrees": the largest first, which shares them out evenly."""
+        """Phase "subtrees": builds all tasks, the largest first, which balances the load."""
         count = len(self.tasks)
         scratch = make_scratch(count, self.device)
         domain = wp.empty(8 * STACK * count, dtype=float, device=self.device)
@@ -194,5 +199,5 @@ class BinnedBuilder:
         launch(self.subtree_kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
 
     def result(self) -> BinaryBuild:
-        """The finished binary tree; the references are no longer needed."""
+        """The finished binary tree. The references are no longer needed."""
         return BinaryBuild(self.tree, self.subtrees, self.top, self.references, self.heuristic, self.rays)

@@ -1,21 +1,22 @@
-"""A finished bounding volume hierarchy, box by box: hit probability, cost, and how much siblings lie in front of each other.
+"""Measures of a finished bounding volume hierarchy, box by box: hit probability, cost, and overlap of siblings.
 
-**Measures.** A ray of an influence area that meets the root's box meets a box of the tree with the probability
+**Measures.** A ray of an influence area that meets the root's box meets a box of the tree with probability
 
     p(box) = A(box) / A(root)
 
-with A the projected area within the area's window, or, where no rays are known, the surface area. A node of W children costs
-W box tests, a leaf of n triangles n triangle tests; so the tree costs, a ray that meets the root's box and passes through,
+where A is the projected area within the area's window, or the surface area if no rays are known. A node of W children costs W
+box tests, a leaf of n triangles n triangle tests. So a ray that meets the root's box and hits nothing costs on average
 
     sum over nodes of p W C_box  +  sum over leaves of p n C_triangle
 
-(Falcone 2024, sections 1.3.3 and 2.4: 1 a box, 1.2 a triangle; section 5.1.2 has the two the other way round). A traversal can
-be counted in the same units, and the two compared. Of two siblings, of areas A_1 and A_2, the pictures overlap by V / min(A_1,
-A_2); of many pairs, by the sum of all V over the sum of all minima (section 6.2.8). A wide node has W (W - 1) / 2 pairs.
+(Falcone 2024, sections 1.3.3 and 2.4: 1 per box, 1.2 per triangle; section 5.1.2 has the two interchanged). The cost of a
+traversal can be counted in the same units and compared. If V is the overlap of the projections of two siblings of areas A_1 and
+A_2, their relative overlap is V / min(A_1, A_2). For many pairs it is the sum of all V over the sum of all minima (section
+6.2.8). A wide node has W (W - 1) / 2 pairs.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
     T. Aila, T. Karras, S. Laine: On quality metrics of bounding volume hierarchies. High Performance Graphics 2013.
 """
 
@@ -47,7 +48,7 @@ def measure_overlaps(
     areas: wp.array(dtype=float),
     overlaps: wp.array(dtype=wp.vec2),
 ):
-    """Item: a node. areas: (nodes * W,) of the lanes. overlaps: (nodes,) sums of V and of the smaller areas over its pairs."""
+    """Item: a node. areas: (nodes * W,) of the lanes. overlaps: (nodes,) sums over its pairs of V and of the smaller areas."""
     node = first + wp.tid()
     total = wp.vec2()
     for i in range(node * width, (node + 1) * width):
@@ -61,19 +62,19 @@ def measure_overlaps(
 
 @dataclass(frozen=True)
 class BoxMeasures:
-    """The boxes of a tree: the root's, then those of all children, in the order of nodes and lanes.
+    """Measures of the boxes of a tree: the root's box, then those of all children, in the order of nodes and lanes.
 
     Attributes:
-        parent: (boxes,) index of the box around each; -1 for the root.
-        level: (boxes,) number of boxes around each.
+        parent: (boxes,) index of the enclosing box; -1 for the root.
+        level: (boxes,) number of enclosing boxes.
         is_leaf: (boxes,) bool.
-        triangles: (boxes,) of a leaf; 0 of a node.
+        triangles: (boxes,) triangles of a leaf; 0 for a node.
         low, high: (boxes, 3) float64, in the scene's coordinates.
         area: (boxes,) float64: projected area within the window, or half the surface area.
         hit_probability: (boxes,) area over the root's; 1 everywhere if that is 0.
-        cost: (boxes,) what visiting it costs, times its hit probability.
-        overlap_area, smaller_area: (boxes,) sums, over the pairs of a node's children, of the area that their pictures share
-            and of the smaller area; 0 for leaves, and where no rays are known.
+        cost: (boxes,) cost of visiting the box, times its hit probability.
+        overlap_area, smaller_area: (boxes,) sums, over the pairs of a node's children, of the overlap of their projections and
+            of the smaller area; 0 for leaves, and if no rays are known.
     """
 
     parent: np.ndarray
@@ -90,11 +91,11 @@ class BoxMeasures:
 
     @property
     def overlap(self) -> np.ndarray:
-        """(boxes,) how much the children of each lie in front of each other, in [0, 1]; NaN where no two have an area."""
+        """(boxes,) relative overlap of the children of each node, in [0, 1]; NaN if no two children have an area."""
         return _share(self.overlap_area, self.smaller_area)
 
     def overlap_by_level(self) -> np.ndarray:
-        """(levels,) the same for all pairs of children at each level, from 0, which has none."""
+        """(levels,) relative overlap of all pairs of children at each level, starting with level 0, which has none."""
         levels = [np.bincount(self.level + 1, sums)[: self.level.max() + 1] for sums in (self.overlap_area, self.smaller_area)]
         return _share(*levels)
 
@@ -106,9 +107,9 @@ def measure_boxes(
 
     Args:
         tree: the tree.
-        area: whose rays are to be expected; None for rays in all directions.
-        center: (3,) what the tree's positions are relative to.
-        box_cost, triangle_cost: of one test.
+        area: influence area of the expected rays; None for rays in all directions.
+        center: (3,) the origin of the tree's positions.
+        box_cost, triangle_cost: cost of one test.
     """
     tree = tree.to(wp.get_device("cpu"))
     flat = unpack(tree)
@@ -117,7 +118,7 @@ def measure_boxes(
     high = np.concatenate([[np.array(tree.high)], flat.high.reshape(-1, 3)[lanes]]).astype(np.float32)
     is_leaf = np.append(False, flat.is_leaf.reshape(-1)[lanes])
     triangles = np.append(0, flat.triangles.reshape(-1)[lanes])
-    node_box = np.flatnonzero(~is_leaf)  # in the order of the nodes: siblings are together, levels follow one another
+    node_box = np.flatnonzero(~is_leaf)  # in the order of the nodes: siblings are adjacent, levels are contiguous
     box_node = np.repeat(np.arange(len(flat.child)), (flat.is_leaf | flat.is_inner).sum(axis=1))
     overlaps = np.zeros((len(low), 2))
     if area is None:
@@ -144,7 +145,7 @@ def measure_boxes(
 
 
 def _overlaps(tree: Bvh, low: np.ndarray, high: np.ndarray, view: AreaView, areas: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-    """(nodes, 2) float64: what `measure_overlaps` writes."""
+    """(nodes, 2) float64 results of `measure_overlaps`."""
     of_lanes = np.zeros(len(lanes), dtype=np.float32)
     of_lanes[lanes] = areas
     corners = [wp.array(corner.reshape(-1, 3), dtype=wp.vec3, device="cpu") for corner in (low, high)]
@@ -155,5 +156,5 @@ def _overlaps(tree: Bvh, low: np.ndarray, high: np.ndarray, view: AreaView, area
 
 
 def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    """part / whole; NaN where there is nothing."""
+    """part / whole; NaN where the whole is 0."""
     return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0.0)

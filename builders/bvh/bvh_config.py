@@ -1,4 +1,4 @@
-"""How a bounding volume hierarchy is to be built."""
+"""Configuration of a build of a bounding volume hierarchy."""
 
 from dataclasses import dataclass, field
 
@@ -10,29 +10,29 @@ from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_BINS = 32
-"""Bins along an axis that the work space has room for."""
+"""Most bins along an axis; sizes the scratch memory."""
 
 LEAST_GRAIN = 4
-"""Triangles of a leaf of the binary tree, if blocks are narrower."""
+"""Least capacity, in triangles, of a leaf of the binary tree; applies where blocks are narrower."""
 
 LEAF_BLOCKS = 3
-"""Blocks that a leaf may have, unless `BvhConfig.max_leaf_triangles` says otherwise."""
+"""Most blocks of a leaf, unless `BvhConfig.max_leaf_triangles` says otherwise."""
 
 MAX_ROUNDS = 1000
-"""Rounds of reinsertion that can be asked for; it ends by itself after some dozen."""
+"""Largest number of reinsertion rounds that can be requested. Reinsertion converges in a few dozen rounds."""
 
 LEAST_MAX_LEAF = 8
-"""Triangles that a leaf may have, if so many blocks have less."""
+"""Least default for the triangles of a leaf; applies where LEAF_BLOCKS blocks hold fewer."""
 
 
 @wp.struct
 class BuildRules:
-    """`BvhConfig` as kernels see it."""
+    """`BvhConfig` for kernels."""
 
     cost: SplitCost
     bins: int
     grain: int
-    """A node of the binary tree is a leaf if it has at most so many triangles; the collapse puts leaves together."""
+    """A node of the binary tree with at most this many triangles is a leaf; the collapse merges leaves."""
     max_leaf: int
     """Most triangles in a leaf of the finished tree."""
 
@@ -42,12 +42,12 @@ class BvhConfig:
     """Cost model and leaf size: the same for every builder of bounding volume hierarchies.
 
     Attributes:
-        cost: the cost model; its width, at least 2, is that of blocks and of nodes. `traversal` is the cost of visiting a
-            node of W children; `empty_factor` plays no part.
+        cost: the cost model. Its width, at least 2, is that of blocks and of nodes. `traversal` is the cost of visiting a node
+            of W children; `empty_factor` is not used.
         bins: bins along an axis, 2 to 32, for builders that bin.
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
-        reinsertion: rounds of `wrt.builders.bvh.phases.reinsertion` at most; leaves of the binary tree are then of half a
-            block.
+        reinsertion: most rounds of `wrt.builders.bvh.phases.reinsertion`, 0 to 1000. With at least one, leaves of the binary
+            tree hold half a block.
 
     Raises:
         ValueError: a value is out of range.
@@ -60,7 +60,7 @@ class BvhConfig:
 
     def __post_init__(self) -> None:
         if self.cost.width < 2:
-            raise ValueError(f"cost.width is {self.cost.width}; it must be at least 2, for nodes of as many children")
+            raise ValueError(f"cost.width is {self.cost.width}; it must be at least 2, because nodes have as many children")
         if not 2 <= self.bins <= MAX_BINS:
             raise ValueError(f"bins is {self.bins}; it must be from 2 to {MAX_BINS}")
         if (

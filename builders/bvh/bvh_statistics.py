@@ -1,4 +1,4 @@
-"""What a finished bounding volume hierarchy looks like: counts, histograms, and its cost by the surface area heuristic.
+"""Statistics of a finished bounding volume hierarchy: counts, histograms, and its cost by the surface area heuristic.
 
 The expected cost of a ray that hits the root's box:
 
@@ -19,7 +19,7 @@ from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 
 @dataclass(frozen=True)
 class BvhStatistics:
-    """Figures of a bounding volume hierarchy.
+    """Statistics of a bounding volume hierarchy.
 
     Attributes:
         nodes: inner nodes.
@@ -41,7 +41,7 @@ class BvhStatistics:
 
     @property
     def max_depth(self) -> int:
-        """Inner nodes above the deepest leaf."""
+        """Number of inner nodes above the deepest leaf."""
         return len(self.depth_histogram) - 1
 
 
@@ -51,10 +51,10 @@ class UnpackedBvh:
 
     Attributes:
         child: (nodes, W) child words.
-        is_leaf, is_inner: (nodes, W) what each lane holds; neither: it is unused.
-        first_block, triangles: (nodes, W) of a leaf; 0 for other lanes.
+        is_leaf, is_inner: (nodes, W) bool; a lane for which both are false is unused.
+        first_block, triangles: (nodes, W) first block and number of triangles of a leaf; 0 in other lanes.
         low, high: (nodes, W, 3) float32 boxes of the lanes.
-        depth: (nodes,) inner nodes above.
+        depth: (nodes,) number of inner nodes above.
     """
 
     child: np.ndarray
@@ -68,7 +68,7 @@ class UnpackedBvh:
 
 
 def unpack(tree: Bvh) -> UnpackedBvh:
-    """Reads a tree back."""
+    """Unpacks a tree into arrays on the host."""
     width = tree.width
     child = tree.child.numpy().reshape(-1, width)
     bounds = tree.bounds.numpy().reshape(-1, 2, 3, width).transpose(1, 0, 3, 2)

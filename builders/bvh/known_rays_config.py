@@ -1,8 +1,8 @@
-"""How a bounding volume hierarchy for known rays is to be built: prices, distribution, axes, and when to stop.
+"""Configuration of a BVH build for known rays: costs, ray distribution, axes, and stop rules.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: section 5.1.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024 (section 5.1).
 """
 
 from dataclasses import dataclass, field
@@ -21,16 +21,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @dataclass(frozen=True)
 class NodeRules:
-    """When a node is a leaf, or is split without a look at the rays, before prices are asked.
+    """Rules that make a node a leaf, or split it without regard to the rays, before costs are compared.
 
     Attributes:
-        leaf_cost, leaf_area, leaf_probability: a node is a leaf if its cost as a leaf times its hit probability, its projected
-            area (for several areas: that share of the mean of the scene's), or its hit probability is at most that, and if it
-            has no more triangles than a leaf may have.
-        max_depth: depth of the binary tree from which on nodes are halved, so that it is no deeper, if it can be; None for the
-            depth that traversals have room for.
-        aware_depth: depth of the binary tree from which on planes are chosen as if rays went in all directions, on the longest
-            side; None for never.
+        leaf_cost, leaf_area, leaf_probability: thresholds. A node is a leaf if its cost as a leaf times its hit probability,
+            its projected area (with several areas: its share of the scene's mean projected area), or its hit probability is at
+            most the threshold, and a leaf may hold its triangles.
+        max_depth: depth of the binary tree from which on nodes are halved, so that the tree is no deeper if possible; None for
+            the depth that traversals support.
+        aware_depth: depth of the binary tree from which on planes are chosen on the longest side, for rays in all directions;
+            None for never.
 
     Raises:
         ValueError: a value is out of its range.
@@ -54,12 +54,12 @@ class NodeRules:
 
 @dataclass(frozen=True)
 class ProjectedConfig:
-    """A build for known rays.
+    """Configuration of a build for known rays.
 
     Attributes:
-        bvh: prices, bins, leaf size.
-        rays: where rays go.
-        axes: which axes of a node are tried.
+        bvh: costs, bins, leaf size.
+        rays: distribution of the rays.
+        axes: axes of a node that are tried.
         nodes: early leaves and depths.
     """
 
@@ -70,17 +70,17 @@ class ProjectedConfig:
 
     @property
     def cost(self) -> SurfaceAreaCost:
-        """The prices."""
+        """The cost model."""
         return self.bvh.cost
 
 
 FELL_BACK = wp.constant(8)
-"""In `KnownRays.tried`: no axis of enough quality had a plane that was acceptable."""
+"""Flag in `KnownRays.tried`: no axis of sufficient quality had an acceptable plane."""
 
 
 @wp.struct
 class KnownRays:
-    """`ProjectedConfig` for a scene, as kernels see it."""
+    """`ProjectedConfig` for a scene, for kernels."""
 
     mixture: Mixture
     axes: AxisRules
@@ -89,15 +89,15 @@ class KnownRays:
     max_depth: int
     aware_depth: int
     weight: wp.array(dtype=float)
-    """(2 * triangles,) of each binary node, once all are made."""
+    """(2 * triangles,) weight of each binary node, after the build of the binary tree."""
     parent_weight: wp.array(dtype=float)
-    """(triangles,) of the node that a pair belongs to."""
+    """(triangles,) weight of the node to which a pair belongs."""
     tried: wp.array(dtype=wp.uint8)
-    """(2 * triangles,) of each binary node whose axes were chosen: bit k if axis k was tried, FELL_BACK; else 0."""
+    """(2 * triangles,) for each binary node whose axes were chosen: bit k if axis k was tried, FELL_BACK; else 0."""
 
 
 def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
-    """What a build knows of the rays."""
+    """Prepares the knowledge of the rays for a build."""
     device, nodes = triangles.boxes.low.device, config.nodes
     rays = KnownRays()
     rays.mixture = config.rays.mixture(triangles.low, triangles.high, triangles.center, device)

@@ -1,19 +1,25 @@
 """Binned build of a bounding volume hierarchy for rays whose directions are known: projected areas, chosen axes.
 
-**Problem.** The binned build weighs boxes by surface area, and tries the planes of all axes (`binned`). For the rays of
-influence areas, boxes have other weights (`wrt.builders.influence.projected_cost`), and some axes are hardly worth a try
-(`axes`).
+**Problem.** The binned build weighs boxes by surface area and tries the planes of all axes (`binned`). For the rays of
+influence areas, boxes have other weights (`wrt.builders.influence.projected_cost`), and some axes are rarely useful (`axes`).
 
-**Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins leaves the boxes on
-both sides of every plane, component by component; these are weighed in vector lanes, one box a lane, whatever the area, and
-whatever its window or its near plane cuts off. The collapse to wide nodes weighs boxes one by one, once each (`weigh_nodes`).
+**Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins writes the boxes on
+both sides of every plane, component by component. These are weighed in vector lanes, one box per lane, for every kind of area
+and whether or not the window or the near plane cuts them. The collapse to wide nodes weighs each box once (`weigh_nodes`).
 
-**What we changed.** The published build is for one area, and recursive. It weighs the longest side's planes by surface area
-where no other axis will do; see `axes`.
+**Data.** That of the binned build; `KnownRays` has the weights of the nodes.
+
+**Phases** of a node: those of the binned build, with `cheapest_by_projection` as search and `is_cheap_leaf` as an additional
+stop rule.
+
+**Complexity.** That of the binned build, times the number of influence areas.
+
+**What we changed.** The published build handles one area and is recursive. Where no other axis is acceptable, it weighs the
+planes of the longest side by surface area; see `axes`.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
     I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
 """
 
@@ -42,7 +48,7 @@ from wrt.kernels.simd.lanes import FOR_LANES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SIDES = 2 * MAX_BINS
-"""Boxes of an axis: of all bins before each bin, then of each bin and all after it."""
+"""Boxes per axis: the union of all bins before each bin, and the union of each bin and all after it."""
 
 BOX_FLOATS = 6 * SIDES
 
@@ -53,7 +59,7 @@ class Attempt:
 
     plane: Plane
     hits: float
-    """Hit probabilities of its children, over the node's."""
+    """Sum of the hit probabilities of its children, over the node's."""
 
 
 @wp.func
@@ -113,10 +119,10 @@ def sweep_axis(
     boxes: wp.array(dtype=float),
     weights: wp.array(dtype=float),
 ):
-    """Boxes and counts on both sides of the planes of an axis, and the part of their weights that is surface area.
+    """Computes boxes and counts on both sides of the planes of an axis, and the surface-area part of their weights.
 
-    boxes: lower x of all boxes, then y, z and upper x, y, z, first those on the left of each bin, then those from it on: the
-    box of bin 0 and all after it is the node's."""
+    boxes: lower x of all boxes, then lower y, lower z, upper x, upper y, upper z. First the boxes on the left of each bin, then
+    the boxes from each bin on. The box of bin 0 and all bins after it is the node's."""
     ...
 
 
@@ -129,13 +135,13 @@ def sweep_axis(
     return by_near ? {float(NEEDS_NEAR)}f : by_window ? {float(NEEDS_WINDOW)}f : 0.0f;
 """)
 def most_needed(areas: wp.array(dtype=float), count: int) -> float:
-    """What the most demanding of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0."""
+    """The most complete clipping that any of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0 for none."""
     ...
 
 
 @wp.func
 def add_projected(mixture: Mixture, count: int, boxes: wp.array(dtype=float), weights: wp.array(dtype=float)):
-    """Adds the projected areas of boxes, as `sweep_axis` has them, to their weights."""
+    """Adds the projected areas of boxes in the layout of `sweep_axis` to their weights."""
     areas = wp.zeros(shape=(SIDES,), dtype=float)
     for v in range(mixture.weighed):
         view = mixture.views[v]
@@ -161,7 +167,7 @@ def try_axis(
     weights: wp.array(dtype=float),
     best: Attempt,
 ):
-    """`best`, or the cheapest plane of an axis if that is cheaper; ties go to the smaller bin."""
+    """`best`, or the plane of least cost of an axis if that costs less; ties go to the smaller bin."""
     first = slot * SLOT_BINS + axis * bins
     sweep_axis(scratch, slot, axis, bins, mixture.others, boxes, weights)
     add_projected(mixture, 2 * bins, boxes, weights)
@@ -182,7 +188,7 @@ def try_axis(
 
 @wp.func
 def mixture_at(rays: KnownRays, depth: int):
-    """The weights of boxes at a depth: surface areas alone from `aware_depth` on."""
+    """The mixture for a depth: surface areas alone from `aware_depth` on."""
     mixture = rays.mixture
     if depth >= rays.aware_depth:
         mixture.weighed = 0
@@ -194,7 +200,7 @@ def mixture_at(rays: KnownRays, depth: int):
 def cheapest_by_projection(
     rules: BuildRules, rays: KnownRays, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
-    """The cheapest plane of the axes that are tried (Falcone 2024, Algorithm 5.1)."""
+    """The plane of least cost on the axes that are tried (Falcone 2024, Algorithm 5.1)."""
     best = Attempt()
     best.plane = no_plane()
     if frame.depth + halvings(frame.count) < rays.max_depth:
@@ -209,7 +215,7 @@ def cheapest_by_projection(
         tried = int(0)
         last = bool(False)
         i = int(0)
-        while i < 6:  # the axes in their order; then, if no plane has been found, all of them
+        while i < 6:  # the axes in their order; then all of them, if no plane has been found
             axis = wp.where(i < 3, order.axis[i % 3], i - 3)
             found = best.plane.price < INFINITY
             if i < 3:
@@ -265,12 +271,12 @@ def weight_of_parent(rays: KnownRays, tree: BinaryTree, pair: int):
 
 @wp.kernel
 def weigh_nodes(first: int, rays: KnownRays, tree: BinaryTree, pairs: wp.array(dtype=wp.vec2i)):
-    """Item: a range of pairs. Writes the weights of their nodes, and those of these nodes' own pairs."""
+    """Item: a range of pairs. Writes the weights of their nodes, and the parent weights of these nodes' own pairs."""
     item = first + wp.tid()
     for node in range(2 * pairs[item][0], 2 * pairs[item][1]):
         weight = box_weight(rays.mixture, low_of(tree, node), high_of(tree, node))
         rays.weight[node] = weight
-        rays.parent_weight[tree.pair[node]] = weight  # LEAF is no pair
+        rays.parent_weight[tree.pair[node]] = weight  # for leaves this writes entry LEAF, which belongs to no pair
     if item == 0:
         rays.weight[0] = 1.0
         rays.parent_weight[tree.pair[0]] = 1.0

@@ -1,13 +1,18 @@
-"""Exact sweep SAH build of a bounding volume hierarchy: the judge of the binned one.
+"""Exact sweep SAH build of a bounding volume hierarchy: the reference for the binned build.
 
-**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right leaves the area of every
-suffix, a sweep from the left tries all n - 1 partitions of each axis; the best one's sides are marked, and the three lists
-are partitioned in order, so that they stay sorted (Goldsmith and Salmon 1987 for the cost; the three sorted lists as in
-Pharr, Jakob and Humphreys 2016, section 4.3, are older than any of their descriptions).
+**Problem.** Bins approximate the best plane. An exact build is needed to measure what they lose.
+
+**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right computes the area of every
+suffix, and a sweep from the left evaluates all n - 1 partitions of each axis. The sides of the best one are marked, and the
+three lists are partitioned stably, so that they stay sorted. (The cost is that of Goldsmith and Salmon 1987.)
+
+**Data.** Three lists of triangle ids, sorted by centroid, and the areas of the suffixes of one list (`Workspace`).
+
+**Phases** of a node, in `build_by_sweep`: stop, `search`, `partition`, emit.
 
 **Complexity.** O(N log N) for a balanced tree. One thread.
 
-It shares the cost model, the stop rules and the collapse with the other builders, and nothing else.
+The build shares only the cost model, the stop rules and the collapse with the other builders.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
@@ -38,7 +43,7 @@ STACK = MAX_WIDE_DEPTH + 1
 
 @wp.struct
 class Waiting:
-    """A node that is still to be built."""
+    """A node that is not built yet."""
 
     node: int
     first: int
@@ -51,13 +56,13 @@ class Workspace:
     """Memory of the build."""
 
     sorted: wp.array2d(dtype=int)
-    """(3, triangles) ids by centroid along each axis, then by id; the lists of a node are the same part of each."""
+    """(3, triangles) ids by centroid along each axis, then by id. The lists of a node are the same range of each row."""
     spare: wp.array(dtype=int)
     """(triangles,) the right side of a list while it is partitioned."""
     on_left: wp.array(dtype=wp.uint8)
-    """(triangles,)"""
+    """(triangles,) 1 for triangles on the left of the chosen partition."""
     suffix: wp.array(dtype=float)
-    """(triangles,) half areas of the boxes of all triangles from here to the end of the node's list."""
+    """(triangles,) half areas of the boxes of all triangles from each position to the end of the node's list."""
     stack: wp.array(dtype=Waiting)
 
 
@@ -92,7 +97,7 @@ def triangle_high(boxes: Boxes, triangle: int):
 
 @wp.func
 def search(rules: BuildRules, boxes: Boxes, work: Workspace, item: Waiting):
-    """The cheapest of all partitions; ties go to the smaller axis, then to the smaller left side."""
+    """The partition of least cost; ties go to the smaller axis, then to the smaller left side."""
     best = Partition()
     best.price = INFINITY
     for axis in range(3):
@@ -125,7 +130,7 @@ def search(rules: BuildRules, boxes: Boxes, work: Workspace, item: Waiting):
 
 @wp.func
 def partition(work: Workspace, item: Waiting, best: Partition):
-    """Divides the three lists of a node, in order."""
+    """Partitions the three lists of a node stably."""
     for i in range(item.first, item.first + item.count):
         work.on_left[work.sorted[best.axis, i]] = wp.where(i < item.first + best.left, wp.uint8(1), wp.uint8(0))
     for axis in range(3):
@@ -145,7 +150,7 @@ def partition(work: Workspace, item: Waiting, best: Partition):
 
 @wp.func
 def write_box(boxes: Boxes, work: Workspace, item: Waiting, tree: BinaryTree):
-    """The box of a node's triangles."""
+    """Writes the box of a node's triangles."""
     low = wp.vec3(INFINITY, INFINITY, INFINITY)
     high = -low
     for i in range(item.first, item.first + item.count):
@@ -160,7 +165,7 @@ def write_box(boxes: Boxes, work: Workspace, item: Waiting, tree: BinaryTree):
 def build_by_sweep(
     first: int, rules: BuildRules, boxes: Boxes, work: Workspace, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)
 ):
-    """One item. subtrees: (1,) the pairs made."""
+    """One item. subtrees: (1,) range of the pairs made."""
     next_pair = int(1)
     item = Waiting()
     item.count = work.sorted.shape[1]

@@ -1,28 +1,26 @@
-"""Orders of a tree's nodes in memory (survey, section 2.2; Havran 2001).
+"""Orders of a tree's nodes in memory (Havran 2001).
 
-**Problem.** A step through a large tree waits for the node it goes to. How long depends on what came along with the nodes
-before.
+**Problem.** A traversal step in a large tree waits for the node that it goes to. The delay depends on which nodes were loaded
+in the same cache lines before.
 
 **Layouts.** All keep the 8 bytes of a node, with the children of a node side by side (`wrt.kernels.layout.kdtree_nodes`,
 pairs), and differ in the order of the pairs:
 
-    random          none: a pair is anywhere, as if each had been allocated by itself
+    random          none: pairs are at random positions, as if each had been allocated separately
     breadth_first   level after level
     depth_first     the pair of a node's left child follows it, as in the trees that builders make
-    subtrees        a line of the cache, 64 bytes, holds the upper part of a subtree: the pair of its root's children, theirs,
-                    and so on level by level while there is room, here four pairs; what is below begins lines of its own.
-                    Lines are not shared, and not all are full
+    subtrees        a cache line, 64 bytes, holds the upper part of a subtree: the pair of its root's children, their pairs, and
+                    so on level by level while there is room, here four pairs. The subtrees below begin new lines. Lines are not
+                    shared, and not all are full
 
-**What we changed.** Havran's nodes have two pointers, here both children share one, so that a line holds twice as many.
+**What we changed.** Havran's nodes have two pointers; here both children share one, so a line holds twice as many.
 
-**Measured** by `wrt bench layouts` (one thread of a Zen 5, the dragon, random rays; how many times as fast as the random
-layout): with a triangle a block, 17 MB of nodes, breadth first 1.6, depth first 2.2, subtrees 2.5 (Havran expected 1.6 of depth
-first and 2.5 of subtrees, and measured 1.25 and 1.4). With 16 a block the nodes have 191 kB, and no layout gains more than
-a tenth.
+**Results.** Depth first and subtrees are faster for trees that exceed the caches; small trees gain little
+(notebooks/records/2026-11-21-kdtree-layouts.md).
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 2.2).
 """
 
 from collections import deque
@@ -36,38 +34,38 @@ from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
 from wrt.builders.tree import KdTree
 
 LINE = 64
-"""Bytes of a line of the cache."""
+"""Bytes of a cache line."""
 
 PAIRS = 4
-"""Pairs of a line."""
+"""Pairs of nodes in a cache line."""
 
 
 def place_randomly(tree: UnpackedKdTree) -> np.ndarray:
-    """A random order, always the same one."""
+    """A random order with a fixed seed."""
     inner = np.flatnonzero(~tree.is_leaf)
     return in_order(tree, np.random.default_rng(0).permutation(inner))
 
 
 def place_breadth_first(tree: UnpackedKdTree) -> np.ndarray:
-    """By depth."""
+    """Order by depth."""
     inner = np.flatnonzero(~tree.is_leaf)
     return in_order(tree, inner[np.argsort(tree.depth[inner], kind="stable")])
 
 
 def place_depth_first(tree: UnpackedKdTree) -> np.ndarray:
-    """In the tree's own order."""
+    """The tree's own order."""
     return in_order(tree, np.flatnonzero(~tree.is_leaf))
 
 
 def in_order(tree: UnpackedKdTree, inner: np.ndarray) -> np.ndarray:
-    """Places of the children of inner nodes, pair after pair, behind the root's."""
+    """Positions of the children of inner nodes, pair after pair, behind the root's."""
     place = np.zeros(len(tree.axis), dtype=np.int64)
     place[inner] = 2 + 2 * np.arange(len(inner))
     return place
 
 
 def place_subtrees(tree: UnpackedKdTree) -> np.ndarray:
-    """The upper parts of subtrees, a line each; the first line begins with the root, whose own place is a pair."""
+    """The upper parts of subtrees, one per line. The first line begins with the root, which takes the place of a pair."""
     place = np.zeros(len(tree.axis), dtype=np.int64)
     left, right, leaf = tree.left.tolist(), tree.right.tolist(), tree.is_leaf.tolist()
     stack, first, room = [] if leaf[0] else [0], 1, PAIRS - 1
@@ -90,11 +88,11 @@ LAYOUTS: dict[str, Callable[[UnpackedKdTree], np.ndarray]] = {
     "depth_first": place_depth_first,
     "subtrees": place_subtrees,
 }
-"""Name -> (tree) -> (nodes,) for each inner node where its left child is placed, an even number from 2 on; the root is at 0."""
+"""Name -> (tree) -> (nodes,) position of each inner node's left child, an even number from 2 on; the root is at 0."""
 
 
 def lay_out(tree: KdTree, layout: str) -> KdTree:
-    """The tree with its nodes in pairs, in an order of `LAYOUTS`, on the CPU. Only traversals made for pairs can walk it.
+    """Copies the tree with its nodes in pairs, in an order of `LAYOUTS`, on the CPU. It needs traversals compiled for pairs.
 
     Raises:
         ValueError: unknown layout.
@@ -115,7 +113,7 @@ def lay_out(tree: KdTree, layout: str) -> KdTree:
 
 
 def aligned(count: int) -> wp.array:
-    """(count,) vec2i zeros on the CPU, which begin with a line of the cache."""
+    """(count,) vec2i zeros on the CPU, aligned to a cache line."""
     room = wp.zeros(count + LINE // 8, dtype=wp.vec2i, device="cpu")
     begin = -room.ptr % LINE // 8
     return room[begin : begin + count]

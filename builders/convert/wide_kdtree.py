@@ -1,51 +1,40 @@
-"""A kd-tree in nodes of W children: its cells in the layout of a wide BVH (`wrt.kernels.layout.bvh_nodes`), for rays that part
-company.
+"""A kd-tree in nodes of W children: its cells in the layout of a wide BVH (`wrt.kernels.layout.bvh_nodes`), for incoherent
+rays.
 
-**Problem.** A step through a kd-tree is a load from memory that brings one comparison, and then the next step is known. What
-makes a wide BVH quick, W boxes a load, does not depend on how the boxes came about.
+**Problem.** A step through a kd-tree loads one plane from memory for one comparison, and the next step depends on it. A wide
+BVH is fast because a load serves W boxes, and this does not depend on how the boxes were made.
 
-**Idea.** A cell of a kd-tree is a box. A wide node holds up to W cells that cover those of an inner node, so that a ray is
-tested against all of them at once; sorted by entry they are in the order in which the ray passes them, since cells do not
-overlap. Popov et al. (2009) asked what bounding volume hierarchies gain if space is divided and not the set of triangles;
-Ernst and Greiner (2007) and Stich et al. (2009) let triangles be in several boxes, each clipped to its part of space. Here the
-division is finished already, and all that is left to do is to gather it.
+**Idea.** A cell of a kd-tree is a box. A wide node holds up to W cells that cover an inner node, so that a ray is tested
+against all of them at once. Sorted by entry they are in the order in which the ray passes them, because cells do not overlap.
+Popov et al. (2009) examined what bounding volume hierarchies gain if space is divided instead of the set of triangles. Ernst
+and Greiner (2007) and Stich et al. (2009) let triangles be in several boxes, each clipped to its part of space. Here the
+division already exists and only has to be converted.
 
 **Phases**
 1. count: references in the leaves below every node, from the leaves up;
-2. place: cells, and the place of every node in a binary tree (`wrt.builders.bvh.phases.binary_tree`), from the root down. Empty
-   cells have none, their siblings take the place of their parents: a ray that meets only empty cells of a node is done with it;
-3. divide: the triangles below a cell of at most `TOGETHER` blocks are listed, each once, and divided as those of a BVH are
+2. place: cells, and the position of every node in a binary tree (`wrt.builders.bvh.phases.binary_tree`), from the root down.
+   Empty cells get no node, and their siblings replace their parents: a ray that meets only empty cells of a node is done with
+       it;
+3. divide: the triangles below a cell of at most `TOGETHER` blocks are listed, each once, and divided like those of a BVH
    (`wrt.builders.bvh.phases.bvh_subtrees`), by their boxes, clipped to the cell;
 4. join: the boxes of inner nodes, from the leaves up;
 5. collapse to nodes of W children (`wrt.builders.bvh.phases.collapse`).
 
-**What we changed.** The tree is not followed to its leaves. They suit walks by planes: on average fifty triangles, four blocks
-of which a ray would need one, and half as many references again as there are triangles. Where cells are that small, copies
-cost more, of memory above all, than boxes that overlap.
+**What we changed.** The tree is not converted down to its leaves, because these suit traversal by planes: they hold several
+blocks, of which a ray would need one, and duplicate references. For cells that small, duplicates cost more, of memory above
+all, than overlapping boxes (notebooks/records/2026-11-21-wide-kdtree.md).
 
-**Measured** (one thread of a Zen 5, 1024 x 1024 rays; how many times as fast as the best walk by planes, `lockstep` for random
-rays and ambient occlusion, else `packet`; and as packets or streams through the BVH of the same triangles):
-
-               random        ao            shadow        far           near
-    bunny      2.4 (0.81)    3.0 (0.95)    1.5 (1.00)    1.3 (0.96)    1.4 (0.93)
-    dragon     1.3 (0.76)    2.2 (0.75)    1.7 (1.08)    1.3 (0.93)    1.4 (0.92)
-    atrium     1.7 (0.91)    2.0 (0.86)    2.2 (1.00)    1.1 (0.96)    1.2 (1.01)
-
-A random ray of the bunny meets 4 nodes and 1.4 leaves, where `lockstep` takes 18 steps to 4 leaves of 57 triangles. With
-`together=0` there are a quarter more references, and random rays are 0.75 to 0.87 times as fast; with 60, some 1.03 times, but
-little of the tree is left. The form is made in a tenth of the time that the in-place builder takes for the tree.
-
-**Why hits stay the same to the bit.** A hit lies in the interval of its ray in some cell whose leaf lists the triangle
+**Why hits have the same bits.** A hit lies in the interval of its ray in some cell whose leaf lists the triangle
 (`wrt.kernels.traversal.single.single_kdtree`), and in that of the triangle's box. So its t is at least the entry into either
-and at most the leave, and the entry into their intersection is the larger of the two, computed from the same planes by the same
-formula; likewise for the boxes above, which only widen it. No hit lies before the entry of the boxes around it: the consistency
-rule (`wrt.kernels.simd.boxes`).
+and at most the exit. The entry into their intersection is the larger of the two, computed from the same planes by the same
+formula; the same holds for the boxes above, which only widen it. No hit lies before the entry of the boxes around it: the
+consistency rule (`wrt.kernels.simd.boxes`).
 
-**Complexity.** Linear in the nodes, which one thread walks: there is one to some ten triangles. Lists are divided by all
-threads, in time n log n in the references of a leaf.
+**Complexity.** Linear in the nodes, which one thread visits: there is about one node per ten triangles. All threads divide the
+lists, in time n log n in the references of a leaf.
 
 **Limits.** A triangle in several leaves is in several blocks, and tested again for each that a ray meets. Lists and triangle
-records are held beside those of the tree. Finished trees only: what a lazy one adds would have to find its place.
+records are held in addition to those of the tree. The tree must be finished: additions of a lazy build are not supported.
 
 References:
     M. Ernst, G. Greiner: Early split clipping for bounding volume hierarchies. IEEE/EG Symposium on Interactive Ray Tracing
@@ -73,48 +62,50 @@ from wrt.kernels.runtime.launch import launch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TOGETHER = 32
-"""Blocks of references up to which a node is not followed further."""
+"""Blocks of references up to which a node is not divided by its planes: a compromise between duplicate references and the
+kd-tree's own structure (notebooks/records/2026-11-21-wide-kdtree.md)."""
 
 RUN = 32
-"""Lists that one thread divides one after the other, in the same work space."""
+"""Lists that one thread divides one after the other, in the same scratch memory."""
 
 TOO_MANY = wp.constant(1 << 24)
-"""References that no leaf of a wide tree has: what is in two cells is not put together again."""
+"""Number of references that exceeds every leaf of a wide tree: it keeps nodes with children in two cells from becoming
+leaves."""
 
 NOWHERE = wp.constant(-1)
-"""Place of a node below one that is not followed further."""
+"""Position of a node below one that is kept whole."""
 
 SLOTS = wp.constant(2048)
-"""Of a table of triangles, which is never more than half full."""
+"""Slots of a hash table of triangles, which is never more than half full."""
 
 GOLDEN = wp.constant(wp.uint32(2654435769))
-"""2^32 over the golden ratio."""
+"""2^32 over the golden ratio, for Fibonacci hashing."""
 
 
 @wp.struct
 class Cells:
-    """What is known of the nodes of a kd-tree, by number."""
+    """Data of the nodes of a kd-tree, by node number."""
 
     low: wp.array(dtype=wp.vec3)
-    """(nodes,) the cell."""
+    """(nodes,) lower corner of the cell."""
     high: wp.array(dtype=wp.vec3)
     references: wp.array(dtype=wp.vec2i)
-    """(nodes,) of the leaves below: the first, and how many."""
+    """(nodes,) the first reference of the leaves below, and their number."""
     place: wp.array(dtype=int)
-    """(nodes,) its node of the binary tree; an inner node that has an empty child shares it with the other one."""
+    """(nodes,) its node of the binary tree. An inner node with an empty child shares it with the other child."""
     parted: wp.array(dtype=int)
-    """(parted,) nodes of the binary tree that have children in two cells, parents before children; room for all nodes."""
+    """(parted,) nodes of the binary tree with children in two cells, parents before children; sized for all nodes."""
     pairs: wp.array(dtype=int)
-    """(parted,) their children."""
+    """(parted,) pairs of their children."""
     whole: wp.array(dtype=int)
-    """(whole,) nodes of the kd-tree that are not followed further, and not empty."""
+    """(whole,) nonempty nodes of the kd-tree that are kept whole."""
     totals: wp.array(dtype=int)
-    """(2,) how many of these there are: parted, whole."""
+    """(2,) lengths of the lists parted and whole."""
 
 
 @wp.kernel
 def count_references(first: int, nodes: wp.array(dtype=wp.vec2i), cells: Cells):
-    """One item: children before parents."""
+    """One item. Counts references, children before parents."""
     for i in range(nodes.shape[0]):
         at = nodes.shape[0] - 1 - i
         node = nodes[at]
@@ -126,7 +117,7 @@ def count_references(first: int, nodes: wp.array(dtype=wp.vec2i), cells: Cells):
 
 @wp.func
 def divide_cell(cells: Cells, at: int, node: wp.vec2i):
-    """Gives the children of an inner node their cells."""
+    """Computes the cells of the children of an inner node."""
     axis = kdtree.split_axis(node)
     right = kdtree.right_child(node)
     low = cells.low[at]
@@ -142,14 +133,15 @@ def divide_cell(cells: Cells, at: int, node: wp.vec2i):
 
 @wp.func
 def move_in(cells: Cells, node: int, place: int, first_reference: int):
-    """Gives a node its place."""
+    """Sets the position of a node."""
     cells.place[node] = place
     cells.references[node] = wp.vec2i(first_reference, cells.references[node][1])
 
 
 @wp.kernel
 def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: Cells, tree: BinaryTree):
-    """One item: parents before children. The root has its cell and its place, 0. most: references that are left together."""
+    """One item. Places nodes, parents before children. The root's cell and its position, 0, are set. most: references of a node
+    that is kept whole."""
     parted = int(0)
     whole = int(0)
     for at in range(nodes.shape[0]):
@@ -200,13 +192,13 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
 """
 )
 def write_clipped(boxes: Boxes, triangle: int, low: wp.vec3, high: wp.vec3, references: wp.array(dtype=float), i: int):
-    """Reference number i: a triangle's box, clipped to a cell."""
+    """Writes reference number i: a triangle's box, clipped to a cell."""
     ...
 
 
 @wp.func
 def is_new(table: wp.array(dtype=int), triangle: int):
-    """Whether a triangle is not in the table yet, whose free slots are 0; it is put there."""
+    """Whether a triangle is not yet in the hash table, whose free slots are 0. Inserts it."""
     number = triangle + 1
     slot = int((wp.uint32(number) * GOLDEN) >> wp.uint32(21))  # Fibonacci hashing
     while table[slot] != 0 and table[slot] != number:
@@ -226,13 +218,13 @@ def gather(
     at: int,
     references: wp.array(dtype=float),
 ):
-    """Writes the references of the triangles below a node, each once, clipped to its cell; how many they are."""
+    """Writes the references of the triangles below a node, each once, clipped to its cell; returns their number."""
     table = wp.zeros(shape=(SLOTS,), dtype=int)
     low = cells.low[at]
     high = cells.high[at]
     first = cells.references[at][0]
     listed = cells.references[at][1]
-    several = kdtree.split_axis(nodes[at]) != LEAF  # a leaf lists each once, and may have any number
+    several = kdtree.split_axis(nodes[at]) != LEAF  # a leaf lists each triangle once, and may have any number
     count = int(0)
     below = int(at)
     while listed > 0:
@@ -271,8 +263,8 @@ def divide_lists(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a run of nodes that are not followed further. list_width: of the kd-tree's blocks; triangles: references of all
-    leaves; the rest as of `wrt.builders.bvh.phases.bvh_subtrees`, with work space by run."""
+    """Item: a run of nodes that are kept whole. list_width: width of the kd-tree's blocks. triangles: references of all leaves.
+    The other arguments are those of `wrt.builders.bvh.phases.bvh_subtrees`, with scratch memory per run."""
     run = first + wp.tid()
     for number in range(run * RUN, wp.min((run + 1) * RUN, subtrees.shape[0])):
         at = cells.whole[number]
@@ -287,7 +279,7 @@ def divide_lists(
 
 @wp.kernel
 def join_boxes(first: int, cells: Cells, tree: BinaryTree):
-    """One item: children before parents."""
+    """One item. Computes the boxes of inner nodes, children before parents."""
     for i in range(cells.totals[0]):
         at = cells.totals[0] - 1 - i
         for component in range(8):
@@ -297,14 +289,14 @@ def join_boxes(first: int, cells: Cells, tree: BinaryTree):
 
 
 def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, together: int = TOGETHER) -> Bvh:
-    """The tree in nodes of `config.cost.width` children, on the CPU, where tree and triangles have to be.
+    """Converts a tree to nodes of `config.cost.width` children, on the CPU. Tree and triangles must be on the CPU too.
 
     Args:
-        tree: nodes in depth-first order, none of which waits to be built.
-        triangles: those that it was built over.
-        config: what nodes and blocks cost.
-        together: a node below which there are no more references than in so many blocks is not followed further; 0: down to
-            the leaves.
+        tree: a finished tree with nodes in depth-first order.
+        triangles: the triangles of the tree.
+        config: cost of nodes and blocks.
+        together: a node with at most as many references as fit into this number of blocks is divided by its triangles' boxes,
+            not by its planes; 0: the tree is converted down to its leaves.
 
     Raises:
         ValueError: `together` is out of its range, or there would be more than `wrt.kernels.layout.bvh_nodes.MAX_BLOCKS`
@@ -340,7 +332,7 @@ def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, togethe
 
 
 def _empty_cells(tree: KdTree) -> Cells:
-    """Room for what is known of the nodes; the root's cell and place are."""
+    """Allocates the data of the nodes, and sets the root's cell and position."""
     device, count = tree.nodes.device, len(tree.nodes)
     cells = Cells()
     cells.low, cells.high = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))

@@ -1,10 +1,10 @@
 """The octree over the regions of influence areas, built level by level from pairs of a cell and an area.
 
-A cell is a leaf if every region that touches it encloses it, or at the greatest depth; the others are cut into eight. A child
-is tested against the regions that touch its parent alone, all pairs of a slice of cells in one launch: a level costs as many
-tests as it has such pairs, not cells times areas. A leaf's word tells the list of areas that touch it; each different list is
-held once. Where many regions overlap nearly every leaf has a long list of its own, so an octree that outgrows MOST_BYTES is
-refused instead of filling the memory.
+A cell is a leaf if every region that touches it encloses it, or at the greatest depth. Other cells are divided into eight. A
+child is tested only against the regions that touch its parent, all pairs of a slice of cells in one launch. So a level costs
+one test per pair, not cells times areas. A leaf's word holds the number of the list of areas that touch it, and each distinct
+list is stored once. Where many regions overlap, nearly every leaf has its own long list, so an octree that exceeds MOST_BYTES
+is rejected.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from wrt.kernels.influence.region_tests import APART, TOUCHING, Region, classify
 from wrt.kernels.runtime.launch import launch
 
 MOST_BYTES = 1 << 30
-"""Memory of an octree while it is built, but for a slice: what a full one of eight levels takes whose lists are short."""
+"""Most memory of an octree during its build, without the current slice: the size of a full one of eight levels with short
+lists."""
 
 CELL_BYTES = 56
-"""Of a cell: its word, and while its level is built its corners and where its pairs begin."""
+"""Bytes per cell: its word and, while its level is built, its corners and the start of its pairs."""
 
 SLICE_PAIRS = 1 << 21
-"""Pairs that are tested at a time, but for those of a single cell: some 50 MB."""
+"""Pairs that are tested in one launch, about 50 MB. A single cell may have more."""
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of a level, and their pairs.
+    """Cells of a level and their pairs.
 
     Attributes:
         low, high: (N, 3) corners.
-        begin: (N + 1,) each cell's first pair, and their number.
-        area: (pairs,) int32, ascending for each cell: those whose regions touch it.
-        is_mixed: (N,) bool, whether the region of some area touches the cell without enclosing it.
+        begin: (N + 1,) each cell's first pair, followed by the number of pairs.
+        area: (pairs,) int32 areas whose regions touch the cell, ascending within each cell.
+        is_mixed: (N,) bool, whether some region touches the cell without enclosing it.
     """
 
     low: np.ndarray
@@ -51,11 +52,11 @@ class Cells:
 
     @property
     def bytes(self) -> int:
-        """Memory of the pairs."""
+        """Bytes of the pairs."""
         return self.area.nbytes
 
     def children(self, parents: np.ndarray, regions: wp.array) -> Cells:
-        """The eight children of some cells, one cell's after the other's."""
+        """The eight children of each of the cells `parents`, in the order of the parents."""
         low, high = cut_cells(self.low[parents], self.high[parents])
         sizes = np.repeat(np.diff(self.begin)[parents], 8)
         ends = np.cumsum(sizes)
@@ -70,7 +71,7 @@ class Cells:
 
     @classmethod
     def joined(cls, parts: Sequence[Cells]) -> Cells:
-        """The cells of all parts."""
+        """The concatenated cells of all parts."""
         if len(parts) == 1:
             return parts[0]
         counts = np.concatenate([np.diff(part.begin) for part in parts])
@@ -79,11 +80,11 @@ class Cells:
 
 
 class AreaLists:
-    """The different lists of areas, in the order in which they are found.
+    """The distinct lists of areas, in the order in which they are found.
 
     Attributes:
-        lists: of ascending areas, int32.
-        bytes: what they take.
+        lists: ascending areas, int32.
+        bytes: their memory.
     """
 
     def __init__(self) -> None:
@@ -95,7 +96,7 @@ class AreaLists:
         return [np.frombuffer(key, dtype=np.int32) for key in self._numbers]
 
     def number(self, areas: np.ndarray) -> int:
-        """The number of a list."""
+        """The number of a list; a new list gets the next number."""
         key = areas.tobytes()
         if key not in self._numbers:
             self._numbers[key] = len(self._numbers)
@@ -108,16 +109,16 @@ def build_octree(
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """(child words, lists of areas) of an octree in the layout of `wrt.kernels.influence.area_assignment.AreaTree`.
 
-    The look-up may find a point on the border of two cells in either but for rounding, which a region that touches both is not
-    apart from (`wrt.kernels.influence.region_tests.is_apart`).
+    The look-up may find a point on the border of two cells in either, and rounding may move it across. A region that touches
+    both cells is therefore classified as not apart from either (`wrt.kernels.influence.region_tests.is_apart`).
 
     Args:
         structs: the regions.
         low, high: (3,) corners of the root, which all regions touch.
-        depth: levels below the root at most.
+        depth: most levels below the root.
 
     Raises:
-        ValueError: it would take more than MOST_BYTES.
+        ValueError: the octree would take more than MOST_BYTES.
     """
     count = len(structs)
     regions = wp.array(list(structs), dtype=Region, device="cpu")
@@ -147,13 +148,13 @@ def build_octree(
 
 
 def slices(chosen: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
-    """Runs of the chosen cells with up to SLICE_PAIRS pairs each, or of a single cell; pairs: of each cell."""
+    """Runs of the chosen cells with up to SLICE_PAIRS pairs each, or a single cell. `pairs`: number of pairs of each cell."""
     place = np.cumsum(pairs[chosen]) // SLICE_PAIRS
     return np.split(chosen, np.flatnonzero(np.diff(place)) + 1)
 
 
 def classify(regions: wp.array, low: np.ndarray, high: np.ndarray, cell: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """(pairs,) uint8 for pairs of a cell, whose corners are (N, 3), and an area: APART, TOUCHING or ENCLOSED."""
+    """(pairs,) uint8 APART, TOUCHING or ENCLOSED for pairs of a cell, whose corners are (N, 3), and an area."""
     corners = [wp.array(np.ascontiguousarray(a), dtype=wp.vec3d, device="cpu", copy=False) for a in (low, high)]
     pairs = [wp.array(a, dtype=int, device="cpu", copy=False) for a in (cell, area)]
     state = wp.empty(len(cell), dtype=wp.uint8, device="cpu")
@@ -162,7 +163,7 @@ def classify(regions: wp.array, low: np.ndarray, high: np.ndarray, cell: np.ndar
 
 
 def cut_cells(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Corners (8 N, 3) of the eight children of N cells, one cell's after the other's."""
+    """Corners, (8 N, 3), of the eight children of N cells, in the order of the parents."""
     upper = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)], dtype=bool)
     middle = (0.5 * (low + high))[:, None]
     lows = np.where(upper, middle, low[:, None])

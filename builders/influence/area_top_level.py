@@ -1,13 +1,13 @@
-"""The top level of influence areas: an octree over their regions, and which triangles touch each.
+"""The top level of influence areas: an octree over their regions, and the triangles that touch each region.
 
 **Octree** (Falcone 2024, section 5.5.2; `wrt.builders.influence.area_octree`). A leaf lists the areas whose regions touch it,
-so no area is ever missing. Near the surface of a region a leaf lists it for points outside too; the thesis lets them pass, here
-the look-up tests the region itself, on which the hits depend. A depth of 0 is the thesis' other structure, an array of the
-regions with a box around each. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
+so a look-up misses no area. Near the surface of a region, a leaf also lists it for points outside. The thesis accepts these
+points; here the look-up tests the region itself, because the hits depend on it. A depth of 0 gives the thesis' other structure:
+an array of the regions with their boxes. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
 
-**Triangles of an area.** All whose boxes touch the region moved outward by `margin_of`; see
-`wrt.kernels.influence.area_assignment` for why. A triangle with a vertex, an edge or its interior in the region is among them,
-and some whose box alone reaches in.
+**Triangles of an area.** All triangles whose boxes touch the region moved outward by `margin_of`; see
+`wrt.kernels.influence.area_assignment` for the reason. The list contains every triangle that has a vertex, an edge or an
+interior point in the region, and some of which only the box reaches into it.
 
 References:
     L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
@@ -33,25 +33,27 @@ from wrt.kernels.influence.view import AreaView
 from wrt.kernels.runtime.launch import launch
 
 MAX_AREAS = (1 << 16) - 2
-"""Areas of a scene: their numbers, and one for none, are 16 bits."""
+"""Most influence areas of a scene: their numbers, and one value for none, have 16 bits."""
 
 MAX_DEPTH = 8
 """Greatest depth of the octree: up to 19 million cells."""
 
 MARGIN = 2.0**-17
-"""By which regions are widened, as a share of the greatest reach of a ray that starts in them: eight times its slack."""
+"""Widening of a region for its triangles, relative to the greatest reach of a ray that starts in it: eight times the ray's
+slack."""
 
 TOUCH = 2.0**-20
-"""Rounding of a ray's origin, as a share of the largest coordinate of the scene and of the point that rays go through."""
+"""Rounding of a ray's origin, relative to the largest coordinate of the scene and of the point through which the rays pass."""
 
 
 def region_of(area: InfluenceArea, low: np.ndarray, high: np.ndarray) -> Region:
-    """Where the rays of an area start: its cuboid, or its frustum from the apex on, as rays of cameras start there.
+    """The set of ray origins of an area: its cuboid, or its frustum extended to the apex, because rays of cameras start there.
 
-    An area without an end ends behind the scene.
+    An area of infinite depth ends behind the scene.
 
     Args:
-        low, high: corners of the scene's box, in the scene's coordinates.
+        area: the influence area.
+        low, high: (3,) corners of the scene's box, in the scene's coordinates.
     """
     forward, up = area.frame[2], tuple(area.frame[1])
     corners = np.where(forward > 0.0, high, low)  # the farthest
@@ -66,16 +68,17 @@ def region_of(area: InfluenceArea, low: np.ndarray, high: np.ndarray) -> Region:
 
 
 def touch_of(areas: Sequence[InfluenceArea], center: np.ndarray) -> float:
-    """By how much regions are widened for the look-up, so that no rounding of its origin takes a ray out of its area."""
+    """Widening of regions for the look-up, so that rounding its origin never takes a ray out of its area."""
     return TOUCH * float(max(np.abs(center).max(), *(np.abs(area.position).max() for area in areas)))
 
 
 def margin_of(region: Region, touch: float, low: np.ndarray, high: np.ndarray) -> float:
-    """How far from the region a triangle's box may lie which a ray that is still inside can meet, rounding included.
+    """Greatest distance from the region to the box of a triangle that a ray inside it can meet, rounding included.
 
     Args:
-        touch: by how much the look-up widens the region.
-        low, high: corners of the scene's box, in the scene's coordinates.
+        region: the region, not widened.
+        touch: distance by which the look-up widens the region.
+        low, high: (3,) corners of the scene's box, in the scene's coordinates.
     """
     corners = region.frame.widened(touch).corners
     return touch + MARGIN * float(np.abs([corners - low, corners - high]).max())
@@ -85,8 +88,9 @@ def triangles_in(region: Region, touch: float, triangles: TriangleBoxes) -> np.n
     """Ids, ascending, of the triangles whose boxes touch the widened region.
 
     Args:
-        touch: by how much the look-up widens the region.
-        triangles: on the CPU.
+        region: the region, not widened.
+        touch: distance by which the look-up widens the region.
+        triangles: boxes of all triangles, on the CPU.
     """
     low, high = triangles.low + triangles.center, triangles.high + triangles.center
     struct = region.struct(triangles.center, margin_of(region, touch, low, high))
@@ -95,7 +99,7 @@ def triangles_in(region: Region, touch: float, triangles: TriangleBoxes) -> np.n
 
 
 def boxes_of(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
-    """The boxes of some triangles, at least one."""
+    """The boxes of the triangles `ids`, at least one."""
     boxes, device = Boxes(), triangles.boxes.low.device
     low, high = (np.ascontiguousarray(a.numpy()[:, ids]) for a in (triangles.boxes.low, triangles.boxes.high))
     boxes.low, boxes.high = (wp.array(a, dtype=float, device=device) for a in (low, high))
@@ -103,9 +107,9 @@ def boxes_of(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
 
 
 def renumber(tree: Bvh, ids: np.ndarray, triangles: TriangleBoxes) -> Bvh:
-    """A tree over some triangles, with their numbers among all and the box of all.
+    """Renumbers a tree over the triangles `ids` to the ids and the box of the whole scene.
 
-    Ascending ids keep the order of hits at the same t; the box keeps each ray's slack, and with it every bit of a hit.
+    Ascending ids keep the order of hits at equal t. The scene's box keeps each ray's slack, and therefore every bit of a hit.
     """
     local = tree.primitive.numpy()
     primitive = np.where(local < 0, -1, ids[local]).astype(np.int32)
@@ -119,18 +123,18 @@ class TopLevel:
     """Finds the influence areas of a point or a ray.
 
     Attributes:
-        cells: cells of all levels of the octree.
-        lists: different lists of areas.
-        struct: for kernels.
+        cells: number of cells of all levels of the octree.
+        lists: number of distinct lists of areas.
+        struct: the structure for kernels.
 
     Args:
-        areas: in the order in which they are to be found.
-        regions: of the areas, in the scene's coordinates.
-        touch: by how much regions are widened.
-        depth: levels of the octree below its root at most; 0 for an array.
-        sine: of the greatest angle between an affine ray and the area's ray through its origin.
-        center: of the scene.
-        device: where rays will look areas up.
+        areas: influence areas in order of precedence: a look-up returns the first that matches.
+        regions: their regions, in the scene's coordinates.
+        touch: distance by which regions are widened.
+        depth: most levels of the octree below its root; 0 for an array.
+        sine: sine of the greatest angle between an affine ray and the area's ray through its origin.
+        center: (3,) the scene's centre.
+        device: device on which rays look areas up.
     """
 
     def __init__(
@@ -146,7 +150,7 @@ class TopLevel:
         self.center, self.device = center, device
         structs = [region.struct(center, touch) for region in regions]
         low, high = np.min([struct.low for struct in structs], axis=0), np.max([struct.high for struct in structs], axis=0)
-        size = (high - low).max() * (1.0 + MARGIN)  # the faces of regions are inside, not on the cube's
+        size = (high - low).max() * (1.0 + MARGIN)  # keeps the faces of regions strictly inside the cube
         child, lists = build_octree(structs, low, low + size, depth)
         self.cells, self.lists = len(child), lists
         tree = AreaTree()
@@ -162,15 +166,15 @@ class TopLevel:
 
     @property
     def bytes(self) -> int:
-        """Memory of the cells and lists."""
+        """Bytes of the cells and lists."""
         return sum(array.capacity for array in (self.struct.child, self.struct.begin, self.struct.area))
 
     def candidates(self, points: np.ndarray) -> np.ndarray:
-        """(N, areas) bool for (N, 3) points: which areas the leaf around each lists."""
+        """(N, areas) bool for (N, 3) points: the areas that the leaf around each point lists."""
         flat = wp.array(points - self.center, dtype=wp.vec3d, device=self.device)
         numbers = wp.empty(len(points), dtype=int, device=self.device)
         launch(list_points, len(points), [self.struct, flat, numbers], device=self.device, chunk=4096)
         table = np.zeros((len(self.lists) + 1, len(self.struct.regions)), dtype=bool)
         for row, areas in zip(table, self.lists, strict=False):
             row[areas] = True
-        return table[numbers.numpy()]  # -1, for outside the root, is the last row
+        return table[numbers.numpy()]  # -1, for points outside the root, selects the last row

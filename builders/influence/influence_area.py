@@ -1,14 +1,14 @@
-"""Influence areas: parts of a scene where the directions of rays are known, as descriptions.
+"""Influence areas: descriptions of the parts of a scene in which the directions of rays are known.
 
-A plane influence area holds parallel rays, as those of a directional light or of an orthographic camera: a cuboid whose rays
-leave one face, the window, at right angles. A point influence area holds radial rays, as those of a point light or of a
-pinhole camera: a frustum whose rays leave its near plane on lines through its apex. Trees are built for areas
-(`wrt.builders.cost`), and rays are told by area (`affine`; batches that are traced, by the loops of
+A plane influence area holds parallel rays, such as those of a directional light or an orthographic camera. It is a cuboid whose
+rays leave one face, the window, at right angles. A point influence area holds radial rays, such as those of a point light or a
+pinhole camera. It is a frustum whose rays leave its near plane on lines through its apex. Trees are built for areas
+(`wrt.builders.influence.projected_cost`), and rays are assigned to areas (`affine`; for traced batches, by the loops of
 `wrt.kernels.influence.area_lanes`).
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: chapter 3, section 5.4.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024 (chapter 3, section 5.4).
 """
 
 from dataclasses import dataclass
@@ -23,24 +23,25 @@ from wrt.kernels.runtime.launch import launch
 Point = tuple[float, float, float]
 
 SINE_OF_PARALLEL = 1e-6
-"""`up` has to be farther than that from the direction."""
+"""Least sine of the angle between `up` and the direction."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneInfluenceArea:
     """A cuboid of parallel rays.
 
-    Rays leave a rectangle and run along `direction`. Ray x, y of it leaves position + x right + y up, for |x| <= width / 2
-    and |y| <= height / 2 (`frame`); the area is what lies at most `depth` in front of the rectangle, borders included.
+    Rays leave a rectangle and run along `direction`. The ray at (x, y) leaves position + x right + y up, for |x| <= width / 2
+    and |y| <= height / 2 (`frame`). The area is the closed set of points at most `depth` in front of the rectangle.
 
     Attributes:
-        position: middle of the rectangle.
-        direction: of the rays, of any length.
-        width, height: sides of the rectangle, in the scene's units.
-        depth: how far the area reaches along the rays; may be inf.
-        up: what is up in the rectangle, of any length; None for the axis that is most across the rays.
+        position: centre of the rectangle.
+        direction: direction of the rays, of any length.
+        width, height: sides of the rectangle, in scene units.
+        depth: extent of the area along the rays, in scene units; may be inf.
+        up: upward direction of the rectangle, of any length; None for the coordinate axis most perpendicular to the rays.
 
     Raises:
+        TypeError: width, height or depth is not a number.
         ValueError: a value is not finite or not above 0, the direction is 0, or `up` is parallel to it.
     """
 
@@ -63,7 +64,7 @@ class PlaneInfluenceArea:
         return frame_of(self.direction, self.up)
 
     def view(self, center: np.ndarray) -> AreaView:
-        """The area for kernels, relative to a scene's center, (3,) float64."""
+        """The area for kernels, relative to `center`, (3,) float64, the centre of a scene."""
         view = _view(self, center)
         view.near, view.far = 0.0, self.depth
         view.half = wp.vec2(self.width / 2, self.height / 2)
@@ -71,11 +72,14 @@ class PlaneInfluenceArea:
         return view
 
     def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+        """Which rays belong to the area, in either direction: (N,) bool. See `affine_rays`.
 
         Args:
             origins, directions: (N, 3).
             tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+
+        Raises:
+            ValueError: as in `affine_rays`.
         """
         return affine_rays(self, origins, directions, tolerance)
 
@@ -84,17 +88,18 @@ class PlaneInfluenceArea:
 class PointInfluenceArea:
     """A frustum of rays on lines through one point.
 
-    The area is what is seen from `position` at a depth from `near` to `far` along `direction`, at most half the field of view
-    from it to each side, borders included. Rays leave the near plane.
+    The area is the closed set of points that are visible from `position`, at a depth in [near, far] along `direction` and
+    within half the field of view to each side. Rays leave the near plane.
 
     Attributes:
-        position: the point that all lines go through.
-        direction: middle of the field of view, of any length.
-        fov: horizontal and vertical field of view, in degrees, each above 0 and below 180.
-        near, far: depths, 0 < near < far; far may be inf.
-        up: what is up in the picture, of any length; None for the axis that is most across the direction.
+        position: the point through which all lines pass.
+        direction: centre of the field of view, of any length.
+        fov: horizontal and vertical field of view, in degrees, each in (0, 180).
+        near, far: depths in scene units, 0 < near < far; far may be inf.
+        up: upward direction of the image, of any length; None for the coordinate axis most perpendicular to the direction.
 
     Raises:
+        TypeError: near or far is not a number.
         ValueError: a value is out of its range or not finite, the direction is 0, or `up` is parallel to it.
     """
 
@@ -126,7 +131,7 @@ class PointInfluenceArea:
         return tan(radians(self.fov[0]) / 2), tan(radians(self.fov[1]) / 2)
 
     def view(self, center: np.ndarray) -> AreaView:
-        """The area for kernels, relative to a scene's center, (3,) float64."""
+        """The area for kernels, relative to `center`, (3,) float64, the centre of a scene."""
         view = _view(self, center)
         view.near, view.far = self.near, self.far
         view.half = wp.vec2(*self.tangents)
@@ -134,11 +139,14 @@ class PointInfluenceArea:
         return view
 
     def affine(self, origins: np.ndarray, directions: np.ndarray, tolerance: float = 1.0) -> np.ndarray:
-        """Which rays belong to the area, forward or backward: (N,) bool. See `affine_rays`.
+        """Which rays belong to the area, in either direction: (N,) bool. See `affine_rays`.
 
         Args:
             origins, directions: (N, 3).
             tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+
+        Raises:
+            ValueError: as in `affine_rays`.
         """
         return affine_rays(self, origins, directions, tolerance)
 
@@ -147,13 +155,21 @@ InfluenceArea = PlaneInfluenceArea | PointInfluenceArea
 
 
 def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray, tolerance: float) -> np.ndarray:
-    """Which rays start in an area and run along its ray through their origin, or straight against it.
+    """Which rays start in an area and run along its ray through their origin, in the same or the opposite direction.
+
+    Args:
+        area: the influence area.
+        origins, directions: (N, 3).
+        tolerance: greatest angle between a ray and the area's ray, in degrees, in [0, 90).
+
+    Returns:
+        (N,) bool.
 
     Raises:
         ValueError: origins and directions are not (N, 3), or the tolerance is out of its range.
     """
     if not 0.0 <= tolerance < 90.0:
-        raise ValueError(f"tolerance is {tolerance}; it must be from 0 up to, not including, 90 degrees")
+        raise ValueError(f"tolerance is {tolerance}; it must be at least 0 and below 90 degrees")
     origins, directions = np.asarray(origins, dtype=np.float64), np.asarray(directions, dtype=np.float32)
     if origins.shape != directions.shape or origins.ndim != 2 or origins.shape[1] != 3:
         raise ValueError(f"origins {origins.shape} and directions {directions.shape} must both be (N, 3)")
@@ -175,20 +191,20 @@ def frame_of(direction: Point, up: Point | None) -> np.ndarray:
     forward = np.array(direction)
     scale = np.abs(forward).max()
     if scale == 0.0:
-        raise ValueError("direction is zero; give one of any other length")
+        raise ValueError("direction is zero; pass a vector of any other length")
     forward = forward / scale
     forward /= np.linalg.norm(forward)
     upward = np.eye(3)[np.abs(forward).argmin()] if up is None else np.array(up)
     right = np.cross(forward, upward)
     sine, length = np.linalg.norm(right), np.linalg.norm(upward)
     if not sine > SINE_OF_PARALLEL * length:
-        raise ValueError(f"up is {up}, which is zero or parallel to the direction; leave it out, or give another one")
+        raise ValueError(f"up is {up}, which is zero or parallel to the direction; omit it or pass another vector")
     right /= sine
     return np.array([right, np.cross(right, forward), forward])
 
 
 def check_numbers(name: str, value: object, count: int) -> tuple[float, ...]:
-    """Returns so many finite numbers; raises a ValueError that names the argument otherwise."""
+    """Returns `count` finite numbers; raises a ValueError that names the argument otherwise."""
     try:
         numbers = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -199,7 +215,7 @@ def check_numbers(name: str, value: object, count: int) -> tuple[float, ...]:
 
 
 def check_positive(name: str, value: float, endless: bool = False) -> None:
-    """Raises an error if a value is not above 0, or infinite where that is not allowed."""
+    """Raises TypeError for a value that is no number, ValueError for one not above 0, or infinite unless `endless`."""
     if isinstance(value, bool) or not isinstance(value, int | float | np.number):
         raise TypeError(f"{name} must be a number, not {type(value).__name__}")
     if not (value > 0.0 and (endless or isfinite(value))):
@@ -207,7 +223,7 @@ def check_positive(name: str, value: float, endless: bool = False) -> None:
 
 
 def _settle(area: InfluenceArea) -> None:
-    """Makes tuples of what was given as arrays, and checks that there is a frame."""
+    """Converts the attributes of an area to tuples, and checks that its directions define a frame."""
     object.__setattr__(area, "position", check_numbers("position", area.position, 3))
     object.__setattr__(area, "direction", check_numbers("direction", area.direction, 3))
     if area.up is not None:
@@ -216,7 +232,7 @@ def _settle(area: InfluenceArea) -> None:
 
 
 def _view(area: InfluenceArea, center: np.ndarray) -> AreaView:
-    """A view with the place and the axes of an area."""
+    """A view with the position and the axes of an area."""
     view = AreaView()
     view.eye = wp.vec3(*(np.array(area.position) - center))
     view.right, view.up, view.forward = (wp.vec3(*axis) for axis in area.frame)

@@ -1,24 +1,23 @@
-"""What a box is worth where the directions of rays are known: the projected area heuristic, for a mixture of influence areas.
+"""The projected area heuristic: the weight of a box where the directions of rays are known, for a mixture of influence areas.
 
-**Problem.** The surface area heuristic takes the share of rays that meet a box, of those that meet the one around it, for the
-ratio of their surface areas: right for lines in all directions. In front of a light, or of a camera, it is the ratio of the
-areas that the boxes cover as seen along the rays (Falcone 2024, chapter 2; `wrt.kernels.influence`).
+**Problem.** The surface area heuristic assumes that the share of rays that meet a box, among those that meet the enclosing box,
+is the ratio of their surface areas. This holds for lines in all directions. In front of a light or a camera, the share is the
+ratio of the areas that the boxes cover as seen along the rays (Falcone 2024, chapter 2; `wrt.kernels.influence`).
 
-**Cost.** Prices stay those of `wrt.builders.cost`: a split costs weight(left) leaf(n_left) + weight(right) leaf(n_right) over
+**Cost.** Prices are those of `wrt.builders.cost`: a split costs weight(left) leaf(n_left) + weight(right) leaf(n_right) over
 the node's weight. Only the weight of a box changes, and a mixture of distributions is a sum of weights,
 
     weight(box) = sum over areas of share_i A_i(box) / A_i(scene)  +  share of the others S(box) / S(scene)
 
-with A_i the area of the projection and S the surface area: the probability that a ray that meets the scene's box meets this
-one. An area that sees nothing of the scene's box is left out; if none sees any, surface area is all there is.
+where A_i is the projected area and S the surface area: the probability that a ray that meets the scene's box meets this box. An
+area that does not see the scene's box is omitted. If no area sees it, only the surface area counts.
 
-**A little of every direction.** Projected areas are 0 for flat boxes seen from the side, and for boxes outside of all areas:
-any split of those is as cheap as any other. So a small share of rays in all directions is kept (`RayDistribution.others`); it
-decides where the areas say nothing.
+**Rays in all directions.** Projected areas are 0 for flat boxes seen from the side, and for boxes outside all areas, so all
+splits of such boxes would cost the same. A small share of rays in all directions (`RayDistribution.others`) decides there.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
     B. Fabianowski, C. Fowler, J. Dingliana: A cost metric for scene-interior ray origins. Eurographics 2009, short papers.
 """
 
@@ -40,34 +39,34 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Mixture:
-    """`RayDistribution` for a scene, as kernels see it."""
+    """`RayDistribution` for a scene, for kernels."""
 
     views: wp.array(dtype=AreaView)
     factor: wp.array(dtype=float)
-    """(areas,) share of an area's rays over the projected area of the scene's box; 0 if it sees nothing of it."""
+    """(areas,) share of an area's rays over the projected area of the scene's box; 0 if the area does not see that box."""
     share: wp.array(dtype=float)
     """(areas,) share of an area's rays among those of all areas."""
     count: int
-    """Areas."""
+    """Number of areas."""
     weighed: int
-    """Areas that count in weights: all, or 0 where surface area is all there is."""
+    """Number of areas that count in weights: all, or 0 if only the surface area counts."""
     others: float
     """Share of rays in all directions over half the surface area of the scene's box."""
     area: float
-    """Projected area of the scene's box, on average over the areas."""
+    """Projected area of the scene's box, averaged over the areas."""
 
 
 @dataclass(frozen=True)
 class RayDistribution:
-    """Where the rays go, as a mixture.
+    """The distribution of rays as a mixture.
 
     Attributes:
         areas: influence areas, at least one.
-        shares: of the rays, one an area, above 0; only their ratios count. None: all alike.
-        others: share of all rays that go in all directions, from 0 to 1; with 1, boxes are weighed by surface area.
+        shares: share of the rays of each area, above 0; only their ratios count. None for equal shares.
+        others: share of all rays that go in all directions, in [0, 1]; with 1, boxes are weighed by surface area.
 
     Raises:
-        TypeError: `areas` holds something else.
+        TypeError: `areas` contains an object of another type.
         ValueError: there is no area, or a value is out of its range.
     """
 
@@ -80,7 +79,7 @@ class RayDistribution:
         if self.shares is not None:
             object.__setattr__(self, "shares", tuple(map(float, self.shares)))
             if len(self.shares) != len(self.areas) or not all(share > 0.0 and isfinite(share) for share in self.shares):
-                raise ValueError(f"shares is {self.shares}; it must be {len(self.areas)} numbers above 0, one an area, or None")
+                raise ValueError(f"shares is {self.shares}; pass {len(self.areas)} numbers above 0, one per area, or None")
         if not 0.0 <= self.others <= 1.0:
             raise ValueError(f"others is {self.others}; it must be from 0 to 1")
 
@@ -88,9 +87,9 @@ class RayDistribution:
         """The weights for a scene.
 
         Args:
-            low, high: (3,) its box, relative to `center`.
-            center: (3,) what its positions are relative to.
-            device: where trees are built.
+            low, high: (3,) the scene's box, relative to `center`.
+            center: (3,) the origin of the scene's positions.
+            device: device on which trees are built.
         """
         views = wp.array([area.view(center) for area in self.areas], dtype=AreaView, device=device)
         scene = [wp.array([corner], dtype=wp.vec3, device=device) for corner in (low, high)]
@@ -114,12 +113,12 @@ class RayDistribution:
 
 
 def check_areas(areas: Sequence[InfluenceArea]) -> tuple[InfluenceArea, ...]:
-    """The areas as a tuple; raises an error if there is none, or something else among them."""
+    """The areas as a tuple; raises ValueError if there is none, TypeError for an object of another type."""
     if isinstance(areas, PlaneInfluenceArea | PointInfluenceArea):
         return (areas,)
     areas = tuple(areas)
     if not areas:
-        raise ValueError("areas is empty; give at least one wrt.PlaneInfluenceArea or wrt.PointInfluenceArea")
+        raise ValueError("areas is empty; pass at least one wrt.PlaneInfluenceArea or wrt.PointInfluenceArea")
     for area in areas:
         if not isinstance(area, PlaneInfluenceArea | PointInfluenceArea):
             kind = type(area).__name__
@@ -135,13 +134,13 @@ def project_boxes(
     high: wp.array(dtype=wp.vec3),
     areas: wp.array(dtype=float),
 ):
-    """Item: a box."""
+    """Item: a box. Writes its projected area."""
     i = first + wp.tid()
     areas[i] = projected_area(view, low[i], high[i])
 
 
 def project(view: AreaView, low: wp.array, high: wp.array) -> np.ndarray:
-    """(boxes,) float32: projected areas of boxes, see `projected_area`."""
+    """(boxes,) float32 projected areas of boxes, see `projected_area`."""
     areas = wp.empty(len(low), dtype=float, device=low.device)
     launch(project_boxes, len(low), [view, low, high, areas], device=low.device)
     return areas.numpy()
@@ -156,7 +155,7 @@ def half_surface(low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def box_weight(mixture: Mixture, low: wp.vec3, high: wp.vec3):
-    """Probability that a ray that meets the scene's box meets this one; INFINITY, never NaN, where floats overflow."""
+    """Probability that a ray that meets the scene's box meets this box; INFINITY, never NaN, if float32 overflows."""
     weight = mixture.others * half_surface(low, high)
     for i in range(mixture.weighed):
         weight += mixture.factor[i] * projected_area(mixture.views[i], low, high)
@@ -165,7 +164,8 @@ def box_weight(mixture: Mixture, low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def facing(mixture: Mixture, center: wp.vec3):
-    """How much rays at a point run along each axis: |v_x| / (|v_x| + |v_y| + |v_z|) and so on, on average over the areas."""
+    """Shares of the direction of rays at a point along each axis, |v_x| / (|v_x| + |v_y| + |v_z|) and so on, averaged over
+    areas."""
     total = wp.vec3()
     for i in range(mixture.count):
         along = wp.abs(direction_at(mixture.views[i], center))

@@ -1,15 +1,16 @@
-"""Regions of space as users describe them: `Aabb`, `Obb` and `Frustum`, in float64 and in the scene's coordinates.
+"""Regions of space for users: `Aabb`, `Obb` and `Frustum`, in float64 and in the scene's coordinates.
 
     region = Frustum(eye=(0, 0, 3), forward=(0, 0, -1), fov_x=60, fov_y=40, near=0, far=10)
-    region.contains(points)             # bool, a point each
-    region.intersects(low, high)        # bool, a box each: anything in common?
-    region.encloses(low, high)          # bool: all of the box inside?
-    region.box                          # the axis-aligned box around it
+    region.contains(points)             # bool per point
+    region.intersects(low, high)        # bool per box: do they overlap?
+    region.encloses(low, high)          # bool per box: is all of it inside?
+    region.box                          # the axis-aligned box around the region
 
-Each is described by few numbers and turned into the one shape that kernels know (`wrt.kernels.influence.region_tests`); that
-carries the box around it, which is asked first: what Falcone calls an AABB for OBB (section 5.3.3), for every kind of region.
+A region is converted to the one shape that kernels know (`wrt.kernels.influence.region_tests`). That shape includes the
+axis-aligned box around the region, which is tested first: what Falcone calls an AABB for OBB (section 5.3.3), for every kind of
+region.
 
-**Margin.** Who must not miss anything widens a region: `struct(center, margin)` moves each face outward by the margin.
+**Margin.** Conservative queries widen a region: `struct(center, margin)` moves each face outward by the margin.
 
 References:
     L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
@@ -35,7 +36,7 @@ Vector = tuple[float, float, float]
 ORIGIN = np.zeros(3)
 
 PARALLEL = 1e-6
-"""Sine of the angle between two directions below which they span no plane."""
+"""Sine of the angle between two directions below which they count as parallel."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Frame:
         axes: (3, 3), rows right, up and forward: orthogonal unit vectors.
         near, far: least and greatest depth.
         half: (2,) half sizes along right and up at depth 0.
-        slope: (2,) by which these grow for each unit of depth.
+        slope: (2,) growth of these per unit of depth.
     """
 
     origin: np.ndarray
@@ -58,20 +59,20 @@ class Frame:
     slope: np.ndarray
 
     def widened(self, margin: float) -> Frame:
-        """The same with each face moved outward by a distance."""
+        """The frame with each face moved outward by a distance."""
         half = self.half + margin * np.sqrt(1.0 + self.slope**2)
         return Frame(self.origin, self.axes, self.near - margin, self.far + margin, half, self.slope)
 
     @property
     def corners(self) -> np.ndarray:
-        """(8, 3): those of the near rectangle, then those of the far one."""
+        """(8, 3) corners of the near rectangle, then of the far one."""
         signs = np.array([(x, y) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
         depths = np.repeat([self.near, self.far], 4)[:, None]
         across = np.tile(signs, (2, 1)) * (self.half + depths * self.slope)
         return self.origin + np.concatenate([across, depths], axis=1) @ self.axes
 
     def struct(self, center: np.ndarray) -> kernel.Region:
-        """For kernels, relative to a point."""
+        """The frame for kernels, relative to a point."""
         corners = self.corners - center
         slack = 2.0**-46 * np.abs(corners).max()
         region = kernel.Region()
@@ -85,7 +86,7 @@ class Frame:
 
 
 class Region:
-    """What all regions can be asked. Points and boxes are in the scene's coordinates, in float64; surfaces are inside."""
+    """Queries of all regions. Points and boxes are float64, in the scene's coordinates. Regions include their surface."""
 
     def _make_frame(self) -> Frame:
         raise NotImplementedError
@@ -106,7 +107,7 @@ class Region:
         return np.array([self.corners.min(axis=0), self.corners.max(axis=0)])
 
     def contains(self, points: Any) -> np.ndarray:
-        """Which points are inside: (...) bool for (..., 3) points; NaN is not.
+        """Which points are inside: (...) bool for (..., 3) points. NaN is outside.
 
         Raises:
             ValueError: the last dimension is not 3.
@@ -114,9 +115,9 @@ class Region:
         return contain_points([self], points)[..., 0]
 
     def intersects(self, low: Any, high: Any) -> np.ndarray:
-        """Which boxes have a point in common with the region: (...) bool for lower and upper corners (..., 3).
+        """Which boxes overlap the region: (...) bool for lower and upper corners (..., 3).
 
-        One that touches it, within 64 roundings in float64, does; an empty box, low > high, does not.
+        A box that touches the region, within 64 roundings in float64, overlaps it. An empty box, low > high, does not.
 
         Raises:
             ValueError: the last dimension is not 3, or the shapes do not broadcast.
@@ -124,7 +125,7 @@ class Region:
         return classify_boxes([self.struct()], low, high)[..., 0] != kernel.APART
 
     def encloses(self, low: Any, high: Any) -> np.ndarray:
-        """Which boxes are in the region from corner to corner; arguments as in `intersects`."""
+        """Which boxes lie entirely in the region; arguments as in `intersects`."""
         return classify_boxes([self.struct()], low, high)[..., 0] == kernel.ENCLOSED
 
     def struct(self, center: Any = ORIGIN, margin: float = 0.0) -> kernel.Region:
@@ -163,14 +164,14 @@ class Obb(Region):
     """An oriented box.
 
     Attributes:
-        center: (3,) its middle.
-        half_size: (3,) from there to its faces along right, up and forward; not negative.
+        center: (3,) its centre.
+        half_size: (3,) distances from the centre to the faces along right, up and forward; not negative.
         forward: (3,) direction, of any length.
-        up: (3,) what is upward, of any length, not along `forward`; None for z, or y where `forward` is along z. The box's own
-            up is what of it is orthogonal to `forward`; right is forward x up.
+        up: (3,) upward direction, of any length, not parallel to `forward`; None for z, or for y if `forward` is along z. The
+            box's own up is the component orthogonal to `forward`; right is forward x up.
 
     Raises:
-        ValueError: a value is not finite or out of its range, or two directions span no plane.
+        ValueError: a value is not finite or out of its range, or two directions are parallel.
     """
 
     center: Vector
@@ -181,7 +182,7 @@ class Obb(Region):
     def __post_init__(self) -> None:
         _, half, _ = _set_vectors(self, "center", "half_size", "forward")
         if min(half) < 0.0:
-            raise ValueError(f"half_size is {half}; pass no negative size")
+            raise ValueError(f"half_size is {half}; it must not be negative")
         object.__setattr__(self, "up", check_up(self.forward, self.up))
 
     def _make_frame(self) -> Frame:
@@ -191,17 +192,17 @@ class Obb(Region):
 
 @dataclass(frozen=True, kw_only=True)
 class Frustum(Region):
-    """A truncated pyramid: what a pinhole camera sees between two depths.
+    """A truncated pyramid: the points that a pinhole camera sees between two depths.
 
     Attributes:
         eye: (3,) the apex.
         forward: (3,) direction of the axis, of any length.
         fov_x, fov_y: angles between opposite side faces along right and up, in degrees, in (0, 180).
-        near, far: depths along the axis at which it begins and ends, 0 <= near < far; with near 0 the eye is part of it.
+        near, far: depths along the axis of its ends, 0 <= near < far; with near 0 the eye belongs to it.
         up: as in `Obb`.
 
     Raises:
-        ValueError: as in `Obb`, an angle out of its range, or depths that are not 0 <= near < far.
+        ValueError: as in `Obb`; or an angle is out of its range; or not 0 <= near < far.
     """
 
     eye: Vector
@@ -227,19 +228,19 @@ class Frustum(Region):
 
 
 def check_up(forward: Vector, up: Any) -> Vector:
-    """What is upward where `forward` is ahead.
+    """The vector `up`, or a default for `forward`.
 
     Raises:
-        ValueError: one is zero or not finite, or both are along one line.
+        ValueError: `forward` or `up` is zero or not finite, or they are parallel.
     """
     length = np.linalg.norm(forward)
     if not length > 0.0:
-        raise ValueError(f"forward is {forward}; pass a direction other than zero")
+        raise ValueError(f"forward is {forward}; pass a nonzero vector")
     if up is None:
         return (0.0, 0.0, 1.0) if abs(forward[2]) < 0.9 * length else (0.0, 1.0, 0.0)
     up = as_vector("up", up)
     if not np.linalg.norm(np.cross(forward, up)) > PARALLEL * length * np.linalg.norm(up):
-        raise ValueError(f"up {up} is zero or along forward {forward}; pass a direction across it")
+        raise ValueError(f"up {up} is zero or parallel to forward {forward}; pass another vector")
     return up
 
 
@@ -247,7 +248,7 @@ def as_vector(name: str, value: Any) -> Vector:
     """Three finite numbers.
 
     Raises:
-        ValueError: they are not.
+        ValueError: the value is anything else.
     """
     array = np.asarray(value)
     if array.shape != (3,) or array.dtype.kind not in "fiu" or not np.isfinite(array).all():
@@ -256,7 +257,7 @@ def as_vector(name: str, value: Any) -> Vector:
 
 
 def contain_points(regions: Sequence[Region], points: Any) -> np.ndarray:
-    """(..., regions) bool for (..., 3) points: which are in which."""
+    """(..., regions) bool for (..., 3) points: whether each point is in each region."""
     points = _as_points("points", points)
     inside = wp.empty((points.size // 3, len(regions)), dtype=wp.bool, device="cpu")
     flat = wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device="cpu")
@@ -266,8 +267,8 @@ def contain_points(regions: Sequence[Region], points: Any) -> np.ndarray:
 
 
 def classify_boxes(regions: Sequence[kernel.Region], low: Any, high: Any) -> np.ndarray:
-    """(..., regions) uint8 for the corners (..., 3) of boxes: `wrt.kernels.influence.region_tests.APART`, `TOUCHING` or
-    `ENCLOSED`."""
+    """(..., regions) uint8 `wrt.kernels.influence.region_tests.APART`, `TOUCHING` or `ENCLOSED` for the corners (..., 3) of
+    boxes."""
     low, high = np.broadcast_arrays(_as_points("low", low), _as_points("high", high))
     corners = [wp.array(np.ascontiguousarray(a.reshape(-1, 3).T), dtype=wp.float64, device="cpu") for a in (low, high)]
     count = low.size // 3
@@ -278,7 +279,7 @@ def classify_boxes(regions: Sequence[kernel.Region], low: Any, high: Any) -> np.
 
 
 def _set_vectors(region: Region, *names: str) -> list[Vector]:
-    """Turns attributes of a frozen region into tuples of three finite numbers, and returns them."""
+    """Converts attributes of a frozen region to tuples of three finite numbers, and returns them."""
     vectors = [as_vector(name, getattr(region, name)) for name in names]
     for name, vector in zip(names, vectors, strict=True):
         object.__setattr__(region, name, vector)

@@ -1,12 +1,13 @@
-"""Kd-tree builders: one file per way to build, and the table of them.
+"""Kd-tree builders: one file per method, and the table of all builders.
 
-**Contract.** A builder is a function `build(triangles, config) -> KdTree`: boxes of the triangles in
-(`wrt.builders.triangle_boxes.TriangleBoxes`), cost model and stop rules as a frozen `KdTreeConfig`, a tree in the layout of
-`wrt.kernels.layout.kdtree_nodes` out, with the time of each phase. The root's box is that of the triangles; a triangle is
-listed in every leaf whose interior its box meets, and a triangle that lies in a splitting plane on the side that the split
-chose.
+**Contract.** A builder is a function `build(triangles, config) -> KdTree`. It takes the boxes of the triangles
+(`wrt.builders.triangle_boxes.TriangleBoxes`), and the cost model and stop rules as a frozen `KdTreeConfig`. It returns a tree
+in the layout of `wrt.kernels.layout.kdtree_nodes`, with the time of each phase. The root's box is that of the triangles. A
+triangle is listed in every leaf whose interior its box meets. A triangle in a splitting plane is listed on the side that the
+split chose.
 
-To add a builder: write its file, add one line to `KDTREE_BUILDERS`; tests, command line and benchmarks pick it up.
+To add a builder, write its file and add one line to `KDTREE_BUILDERS`. The tests, the command line and the benchmarks read the
+table.
 """
 
 from collections.abc import Callable
@@ -34,15 +35,15 @@ from wrt.kernels.layout.kdtree_nodes import MAX_INDEX
 
 @dataclass(frozen=True)
 class KdTreeBuilder:
-    """A way to build a kd-tree.
+    """A method of building a kd-tree.
 
     Attributes:
         name: key in `KDTREE_BUILDERS`.
         paper: authors, title, year.
         build: (boxes, config) -> tree.
-        most_triangles: beyond so many it takes too long to be put to the test; it still builds.
-        clips: whether it clips triangles to cells where the config asks for that.
-        start: (boxes, config, device that traces it) -> a tree that grows as rays ask for it; None if it is built at once.
+        most_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
+        clips: whether it clips triangles to cells if the config asks for it.
+        start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
     """
 
     name: str

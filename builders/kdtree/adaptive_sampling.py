@@ -1,23 +1,29 @@
-"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark, Stoll 2006; survey, section 4.2).
+"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark and Stoll 2006).
 
-**Problem.** The cost along an axis is known exactly only at every end of every box; a few evenly spaced samples miss its steps.
+**Problem.** Evaluating the cost at every end of every box is expensive, and a few evenly spaced samples miss its steps.
 
-**Algorithm.** Let C_L and C_R be the triangles to the left and to the right of a plane. A first scan of the node takes 8 evenly
-spaced samples an axis. C_L - C_R climbs from -n to n; 8 more samples go where it climbs most: of 8 levels evenly spaced from
--n to n, each gives one sample to the segment in which it is crossed, and the samples of a segment divide it evenly. A second
-scan counts at all 16. Between two samples C_L and C_R are taken as linear; the areas of both sides are, so the cost is a
-quadratic, whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
-One thread.
+**Algorithm.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. A first scan of the node
+takes 8 evenly spaced samples per axis. C_L - C_R increases from -n to n, and 8 more samples go where it increases most: of 8
+levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the samples of a segment
+divide it evenly. A second scan counts at all 16 samples. Between two samples C_L and C_R are interpolated linearly. The areas
+of both sides are linear too, so the cost is a quadratic, whose minimum is tried along with the samples. Nodes of at most 36
+triangles are searched exactly (`exact_planes`). One thread.
 
-**Complexity.** O(N) a level: two scans, the second of which compares with 16 planes at a time.
+**Data.** One list of references per node (`reference_lists`).
 
-**What we changed.** The samples divide the box of a node's triangles instead of the node's own, so its faces, which cut off
-empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the price of its minimum does not.
+**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search`, which calls `place_samples`,
+`count_samples` and `search_axis` for each axis. Classify and partition: `reference_lists.divide`, one pass
+over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for inner nodes.
+
+**Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
+
+**What we changed.** The samples divide the box of a node's triangles, not the node's own box, so its faces, which cut off empty
+space, are candidate planes too. The quadratic ignores that leaves are counted in blocks; the cost of its minimum does not.
 
 References:
     W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
 import warp as wp
@@ -39,15 +45,15 @@ EXACT = wp.constant(36)
 """Triangles of a node up to which every plane is tried."""
 
 UNIFORM = wp.constant(8)
-"""Samples of the first scan, and as many of the second, along an axis."""
+"""Samples along an axis in the first scan; the second adds as many."""
 
 SAMPLES = wp.constant(16)
-"""Samples along an axis; the second scan compares with all of them at a time."""
+"""Samples along an axis; the second scan compares a box with all of them at once."""
 
 
 @wp.func
 def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
-    """Writes the positions of an axis' 16 samples down, ascending, after the first scan."""
+    """Writes the ascending positions of an axis' 16 samples, after the first scan."""
     low = frame.inner_low[axis]
     width = (frame.inner_high[axis] - low) / float(UNIFORM + 1)
     level_gap = 2.0 * float(frame.triangles) / float(UNIFORM)
@@ -92,13 +98,13 @@ def place_samples(lists: ReferenceLists, number: int, frame: Frame, axis: int):
 """
 )
 def count_samples(lists: ReferenceLists, number: int, first: int, count: int, axis: int, at: int):
-    """The second scan: at every sample, the triangles to its left, and behind these counts those to its right."""
+    """The second scan: for every sample, counts the triangles to its left; the counts to the right follow all of these."""
     ...
 
 
 @wp.struct
 class Sample:
-    """A position and the triangles on both sides of it."""
+    """A position and the numbers of triangles on both sides of it."""
 
     position: float
     left: float
@@ -107,7 +113,7 @@ class Sample:
 
 @wp.func
 def lowest_between(along: AxisFrame, a: Sample, b: Sample):
-    """Where, from 0 at a to 1 at b, the quadratic between two samples is lowest."""
+    """Parameter, from 0 at a to 1 at b, at which the quadratic between two samples is lowest."""
     grown = (b.position - a.position) * along.rim
     area_left = along.face + (a.position - along.low) * along.rim
     area_right = along.face + (along.high - a.position) * along.rim
@@ -130,7 +136,7 @@ def try_segment(cost: SplitCost, along: AxisFrame, a: Sample, b: Sample, best: S
 
 @wp.func
 def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, at: int, best: Split):
-    """The best of `best` and the planes of one axis, whose samples are placed and counted."""
+    """The best of `best` and the planes of one axis whose samples have been placed and counted."""
     along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
     total = float(frame.triangles)
     best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
@@ -156,14 +162,14 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     best = no_split()
     for axis in range(3):
         place_samples(lists, number, frame, axis)
-        # the first scan's counts of later axes lie behind those of this one and of earlier ones
+        # the first scan's counts of later axes are stored behind those of this axis and of earlier ones
         count_samples(lists, number, frame.first[0], frame.triangles, axis, 6 * bins)
         best = search_axis(cost, lists, number, frame, axis, 6 * bins, best)
     return best
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes, on one thread of it."""
+    """Builds the tree on the device that holds the boxes, on a single thread."""
     return build_scanning(
         triangles,
         config,

@@ -1,24 +1,30 @@
-"""Parallel build of an approximate SAH kd-tree by min-max binning (Shevtsov, Soupikov, Kapustin 2007; survey, section 4.2).
+"""Parallel build of an approximate SAH kd-tree by min-max binning (Shevtsov, Soupikov and Kapustin 2007).
 
-**Problem.** Sorting all events, and keeping them sorted through every split, is most of the time of an exact build.
+**Problem.** Sorting all events, and keeping them sorted through every split, takes most of the time of an exact build.
 
-**Algorithm.** Count in 32 bins an axis where boxes begin and end, and try only the planes between bins (`bins`); of large nodes
-only every log10(n)-th triangle is counted. Nodes of at most 32 triangles are searched exactly (`exact_planes`). Large nodes are
-split level by level, by all threads together (`reference_levels`); the others are tasks in a pool that all threads share,
-each of which builds a subtree depth first (`subtrees`).
+**Algorithm.** Count the begins and ends of boxes in 32 bins per axis, and try only the planes between bins (`bins`). In large
+nodes only every log10(n)-th triangle is counted. Nodes of at most 32 triangles are searched exactly (`exact_planes`). Large
+nodes are split level by level, by all threads together (`reference_levels`). The others are tasks in a pool that all threads
+share, each of which builds a subtree depth first (`subtrees`).
 
-**Complexity.** O(N) a level, with sequential access to memory only.
+**Data.** One list of references per node (`reference_lists`).
 
-**What we changed.** The paper cuts the scene into regions of equal triangle counts first, one a thread, which balances the load
-and costs tracing speed (it traces at 70 % of the exact tree's speed); here the top is split by cost, in parallel over its
-triangles. The bins divide the box of a node's triangles instead of the node's own, so its faces are planes too, and empty space
-is cut off where it ends. Triangles are moved as whole references, not as indices. Sampling begins where a node is so large
-that its counts stay good. The tree is the same for any number of threads, chunks and tasks.
+**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search`, by bins or exactly. Classify and partition:
+`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for
+inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
+
+**Complexity.** O(N) per level, with sequential memory access only.
+
+**What we changed.** The paper first divides the scene into regions of equal triangle counts, one per thread. This balances the
+load and costs tracing speed (it traces at 70 % of the exact tree's speed). Here the top is split by cost, in parallel over its
+triangles. The bins divide the box of a node's triangles, not the node's own box, so its faces are candidate planes too, and
+empty space is cut off exactly. Triangles are moved as whole references, not as indices. Sampling starts only in nodes large
+enough for reliable counts. The tree is the same for any number of threads, chunks and tasks.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
         scenes. Computer Graphics Forum 26(3), 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
 import warp as wp
@@ -36,21 +42,20 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads
 
 BINS = 32
-"""Bins an axis, and triangles of a node up to which every plane is tried."""
+"""Bins per axis, and triangles of a node up to which every plane is tried."""
 
 SAMPLED = 10_000
-"""Triangles of a node from which on only some of them are counted."""
+"""Triangles of a node from which on only a sample of them is counted."""
 
 TASKS_PER_THREAD = 2
-"""A node of more than its share of triangles, if there were so many tasks a thread, is split by all threads together."""
+"""Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
 LEAST_LARGE = 1 << 15
-"""Triangles below which a node is not worth more than one thread: a level costs the host some 1.5 ms, and the whole subtree of
-such a node takes a thread 6. (Processor time of the bunny, 69,630 triangles, on two threads: 16.6 ms with this bound, 20.4 with
-half of it, 14.3 as a single task.)"""
+"""Triangles below which a single thread builds a node: the host's fixed cost per level exceeds the gain of splitting it
+together (notebooks/records/2026-11-22-binned-kdtree-tasks.md)."""
 
 CLIPPED_LARGE = 1 << 14
-"""The same where triangles are clipped, which only tasks do: for any number of threads."""
+"""The same bound if triangles are clipped, which only tasks do; fixed, so that the tree does not depend on the threads."""
 
 
 @wp.func
@@ -72,6 +77,6 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
     large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
-    if config.split_clipping:  # which levels clip is not to depend on the threads
+    if config.split_clipping:  # the levels that clip must not depend on the number of threads
         large = CLIPPED_LARGE
     return build_scanning(triangles, config, Scan(method(config), LevelRules(large, BINS, SAMPLED), values_for(BINS)))

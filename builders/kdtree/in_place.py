@@ -1,25 +1,32 @@
-"""In-place parallel build of an SAH kd-tree (Choi et al. 2010; survey, section 4.2.2).
+"""In-place parallel build of an SAH kd-tree (Choi et al. 2010).
 
-**Problem.** A build that goes depth first has one node, then two, then four to share among the cores, and it copies every
-list at every level while it does.
+**Problem.** A depth-first build has one node, then two, then four to share among the cores, and meanwhile copies every list at
+every level.
 
-**Algorithm.** The events of all triangles are sorted once per axis (`events`). The top levels are built breadth first,
-parallel over the geometry, in place: nodes are written to triangles, not triangles to nodes (`levels`). As soon as there
-are enough live nodes, each becomes a task that builds its subtree depth first (`subtrees`); the parts are then put together
-in depth-first order (`assembly`). Exact SAH everywhere: every plane at which a triangle's box starts or ends is tried.
+**Algorithm.** The events of all triangles are sorted once per axis (`events`). The top levels are built breadth first, in
+parallel over the geometry and in place: nodes are assigned to triangles, triangles are not moved to nodes (`levels`). As soon
+as there are enough live nodes, each becomes a task that builds its subtree depth first (`subtrees`). The parts are then
+assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts or ends
+is tried.
 
-**Complexity.** O(N log N): the sort, then O(N) a level.
+**Data.** Sorted events of the whole mesh (`events`), and for each triangle the list of its nodes (`levels.Membership`); in the
+tasks, sorted events per node (`event_lists`).
 
-**What we changed.** The paper keeps breadth-first order while a level has fewer nodes than cores; here until it has several
-times as many, so that tasks can be shared out evenly. Sweeps start from the counts of the chunks before them, as in the
-same paper's nested algorithm, instead of from a shared counter. The split that a node gets does not depend on the phase in
-which it is built: the tree is the same for any number of threads, chunks and tasks. Only tasks clip triangles
-(`clipped_events`); where that is asked for, the size of the mesh alone decides at which level they begin.
+**Phases.** Sort: `sorted_events`. Top levels: `build_levels` (search, stop, emit and classify of `levels`). Fill: `fill` copies
+events and triangles to the tasks. Subtrees: search, stop, classify, partition and emit of `subtrees`. Assembly: `assemble`.
+
+**Complexity.** O(N log N): the sort, then O(N) per level.
+
+**What we changed.** The paper builds breadth first while a level has fewer nodes than cores; here until it has several times as
+many, so that tasks balance. Sweeps start from the counts of the preceding chunks, as in the same paper's nested algorithm,
+instead of from a shared counter. The split of a node does not depend on the phase in which it is built, so the tree is the same
+for any number of threads, chunks and tasks. Only tasks clip triangles (`clipped_events`); with clipping, the size of the mesh
+alone decides at which level they begin.
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
         High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2, algorithm 4.2.2).
 """
 
 import numpy as np
@@ -42,47 +49,47 @@ from wrt.kernels.layout.struct_arrays import array_of_structs
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
 
 TASKS_PER_THREAD = 2
-"""Live nodes per thread at which the build goes over to subtrees, with many threads: every level that they split together costs
-each of them a pass over memory (notebooks/records/2026-11-22-scaling.md)."""
+"""Live nodes per thread at which the build switches to subtrees, with many threads. Small, because every level that the threads
+split together costs each of them a pass over memory (notebooks/records/2026-11-22-scaling.md)."""
 
 LEAST_TASKS = 8
-"""Live nodes for few threads, up to twice as many a thread: enough to share them out evenly."""
+"""Live nodes at which the build switches to subtrees, with few threads; enough to balance their load."""
 
 CLIPPED_TRIANGLES = 1 << 12
-"""Triangles of the mesh per live node at which a build that clips does so, for any number of threads: only tasks clip."""
+"""Triangles of the mesh per live node at which a clipping build switches to subtrees, for any number of threads."""
 
 MAX_LEVELS = 12
-"""Levels after which the build goes over to subtrees in any case."""
+"""Levels after which the build switches to subtrees whatever the number of live nodes."""
 
 SPARE_ROOM = 1.5
-"""Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
+"""Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 LAUNCHED = 8
-"""Chunks of items per thread: enough to balance the load, as claiming one costs next to nothing."""
+"""Chunks of items per thread: enough to balance the load, because claiming a chunk costs almost nothing."""
 
 TRIANGLES = 1 << 11
-"""Triangles whose classification is worth a chunk of its own."""
+"""Least number of triangles in a chunk of the classification."""
 
 EVENTS_PER_NODE = 256
-"""Events of a chunk for each live node: a chunk keeps some hundred bytes for each of them."""
+"""Events of a chunk per live node; a chunk stores a few hundred bytes for each live node."""
 
 CHUNKS_PER_THREAD = 4
-"""Chunks of all axes together that a thread has at least, if there are enough events."""
+"""Least number of chunks per thread, over all axes, if there are enough events."""
 
 KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, copy_subtrees)
-"""One kernel of each module: compiling them is no phase of the build."""
+"""One kernel of each module, compiled before the phases of the build are timed."""
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    if config.split_clipping:  # which levels clip is not to depend on the threads
+    if config.split_clipping:  # the levels that clip must not depend on the number of threads
         return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
     tasks = TASKS_PER_THREAD * get_num_threads()
     return build_in_place(triangles, config, max(tasks, min(2 * tasks, LEAST_TASKS)))
 
 
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
-    """Builds the tree; levels are split together until there are so many tasks."""
+    """Builds the tree; levels are split together until there are `least_tasks` tasks."""
     builder = InPlaceBuilder(triangles, config)
     load((*KERNELS, specialise(make_build_subtrees, builder.method)), builder.device)
     with builder.phase("sort"):
@@ -107,7 +114,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
 
 
 def cut_events(events: Events, nodes: int) -> int:
-    """Sets the size of chunks that suits so many live nodes; returns the number of chunks of an axis."""
+    """Sets the size of chunks for this number of live nodes; returns the number of chunks of an axis."""
     most = max(events.count)
     longest = max(EVENT_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
     events.chunk = min(max(EVENT_CHUNK, EVENTS_PER_NODE * nodes), longest)
@@ -139,7 +146,7 @@ class InPlaceBuilder:
         launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=LAUNCHED)
 
     def build_levels(self, events: Events, least_tasks: int) -> Membership:
-        """Builds level after level until there are enough live nodes; returns which of them each triangle lies in."""
+        """Builds level after level until there are enough live nodes; returns the nodes that contain each triangle."""
         count = self.triangles.count
         membership = Membership()
         membership.first = wp.array(np.arange(count + 1, dtype=np.int32), dtype=int, device=self.device)
@@ -150,7 +157,7 @@ class InPlaceBuilder:
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(2, dtype=int, device=self.device)
             self.run(level_phase.new_generation, 1, self.live, children, counts)
-            total, open_nodes = map(int, counts.numpy())  # the one round trip of a level
+            total, open_nodes = map(int, counts.numpy())  # the only host round trip of a level
             membership = self.reclassify(membership)
             self.levels.append(self.live.numpy())
             self.live = children[:total]
@@ -159,8 +166,8 @@ class InPlaceBuilder:
         return membership
 
     def count_members(self, membership: Membership) -> None:
-        """Has the last level's nodes hold as many triangles as there are in them: what is copied to them must find room, and of
-        NaN the counts of a sweep may have another opinion."""
+        """Sets the triangle counts of the last level's nodes to the actual numbers, because what is copied to them must fit.
+        The counts of a sweep may differ if there is NaN."""
         last = self.levels[-1]
         last["triangles"] = np.bincount(membership.node.numpy(), minlength=len(last))
         self.live = wp.array(last, dtype=LiveNode, device=self.device)
@@ -180,7 +187,7 @@ class InPlaceBuilder:
         self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
 
     def reclassify(self, membership: Membership) -> Membership:
-        """The triangles' nodes on the next level."""
+        """Computes the triangles' nodes on the next level."""
         count = self.triangles.count
         counts = wp.zeros(count + 1, dtype=int, device=self.device)
         boxes = self.triangles.boxes
@@ -193,7 +200,7 @@ class InPlaceBuilder:
         return new
 
     def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
-        """Makes one task of each live node: its triangles, its events, and room to work in; and the roots of the tasks."""
+        """Makes one task of each live node: its triangles, events and working memory. Also returns the roots of the tasks."""
         room = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
         lists = lists_for(room, self.triangles, self.config)
         frames = wp.empty(len(room.tasks), dtype=Frame, device=self.device)

@@ -1,4 +1,4 @@
-"""How a kd-tree is to be built."""
+"""Configuration of a build of a kd-tree."""
 
 from dataclasses import dataclass, field
 
@@ -8,7 +8,7 @@ from wrt.builders.tree import StopRules
 LONGEST = "longest"
 ROUND_ROBIN = "round_robin"
 AXES = {LONGEST: "the node's longest axis", ROUND_ROBIN: "x, y, z in turn, level by level"}
-"""Which axis a median split takes."""
+"""The axis of a median split, by name."""
 
 
 @dataclass(frozen=True)
@@ -16,10 +16,10 @@ class KdTreeConfig:
     """Cost model and stop rules, the same for every kd-tree builder.
 
     Attributes:
-        cost: what a split is worth.
+        cost: the cost of splits and leaves.
         stop: when a node becomes a leaf.
-        split_clipping: whether triangles are clipped to the cells that they are in, for builders that can (`clipping`).
         axis: key in `AXES`, for builders that split at a median; the others try all axes.
+        split_clipping: whether triangles are clipped to the cells that contain them, for builders that support it (`clipping`).
 
     Raises:
         ValueError: unknown axis.

@@ -1,13 +1,13 @@
-"""What a finished kd-tree looks like: counts, histograms, and its cost by the surface area heuristic.
+"""Statistics of a finished kd-tree: counts, histograms, and its cost by the surface area heuristic.
 
-The expected cost of a ray that hits the root's box (survey, equation 4.5, with blocks for triangles and no cost for the
-visit of a leaf as such):
+The expected cost of a ray that hits the root's box (Rahikainen 2013, equation 4.5, with blocks instead of triangles and no cost
+for the visit of a leaf):
 
     sum over inner nodes of C_t SA(i) / SA(root)  +  sum over leaves of C_b blocks(n) SA(l) / SA(root)
 
 References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 from dataclasses import dataclass
@@ -23,11 +23,11 @@ LEAF = 3
 
 @dataclass(frozen=True)
 class KdTreeStatistics:
-    """Figures of a kd-tree.
+    """Statistics of a kd-tree.
 
     Attributes:
         nodes: inner nodes and leaves.
-        leaves: leaves, empty ones included.
+        leaves: leaves, including empty ones.
         empty_leaves: leaves without triangles.
         references: entries of all leaf lists.
         duplication: references per triangle.
@@ -55,15 +55,15 @@ class KdTreeStatistics:
 
 @dataclass(frozen=True)
 class UnpackedKdTree:
-    """The nodes of a tree as separate arrays on the host, one entry a node.
+    """The nodes of a tree as separate arrays on the host, one entry per node.
 
     Attributes:
         axis: 0, 1, 2, or 3 for a leaf.
-        position: of the splitting plane; 0 for a leaf.
+        position: position of the splitting plane; 0 for a leaf.
         left, right: children; -1 for a leaf.
-        first_block, triangles: of a leaf; 0 for an inner node.
-        depth: of the node.
-        low, high: (nodes, 3) float64, its box; planes outside it (`wrt.builders.kdtree.update.refill`) cut off nothing.
+        first_block, triangles: first block and number of triangles of a leaf; 0 for an inner node.
+        depth: depth of the node.
+        low, high: (nodes, 3) float64, its box. A plane outside the box (`wrt.builders.kdtree.update.refill`) cuts off nothing.
     """
 
     axis: np.ndarray
@@ -83,7 +83,7 @@ class UnpackedKdTree:
 
 
 def unpack(tree: KdTree) -> UnpackedKdTree:
-    """Reads a tree back, level by level."""
+    """Unpacks a tree into arrays on the host, level by level."""
     words = tree.nodes.numpy()
     count = len(words)
     axis, payload = words[:, 1] & 3, words[:, 1] >> 2
@@ -120,7 +120,7 @@ def kdtree_statistics(tree: KdTree, triangle_count: int, cost: SurfaceAreaCost) 
     Args:
         tree: the tree.
         triangle_count: triangles of the mesh.
-        cost: the cost model by which it was built.
+        cost: the cost model of its build.
     """
     flat = unpack(tree)
     leaf = flat.is_leaf

@@ -1,12 +1,20 @@
-"""Median splits: a node is halved, in space or in number, and the cost only says when to stop (survey, chapter 4).
+"""Median splits: a node is halved in space or in number; the cost only decides when to stop (Fussell and Subramanian 1988).
 
-**Algorithm.** The spatial median is the middle of the node's box along an axis; the object median is the plane with as many
-triangles on one side as on the other, here the median of the boxes' middles. The axis is the longest of the node, or x, y, z in
-turn (`KdTreeConfig.axis`): the longest was long thought the better one, and Wald (2004) found that it need not be. An axis
-on which no plane divides the node is passed over. One thread.
+**Problem.** A search for the cheapest plane takes most of the time of a build.
 
-**Complexity.** O(N) a level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N)
-on average, for the other.
+**Algorithm.** The spatial median is the middle of the node's box along an axis. The object median is the plane with equally
+many triangles on both sides, here the median of the boxes' centres. The axis is the longest of the node, or x, y, z in turn
+(`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be. An axis on
+which no plane divides the node is skipped. One thread.
+
+**Data.** One list of references per node (`reference_lists`).
+
+**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search_space` or `search_objects`. Classify and partition:
+`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for
+inner nodes.
+
+**Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
+average, for the object median.
 
 **What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
 (`wrt.builders.tree.StopRules`), so that trees differ by their planes alone.
@@ -15,7 +23,7 @@ References:
     D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
     C. A. R. Hoare: Algorithm 65: Find. Communications of the ACM 4(7), 1961.
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (chapter 4).
 """
 
 import warp as wp
@@ -35,7 +43,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def first_axis(lists: ReferenceLists, frame: Frame):
-    """The axis that is to be split, if it can be."""
+    """The axis to split, if a plane on it divides the node."""
     if lists.rules.round_robin:
         return frame.depth % 3
     size = frame.high - frame.low
@@ -66,7 +74,7 @@ def search_space(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fra
 
 @wp.func
 def select(lists: ReferenceLists, number: int, count: int, rank: int):
-    """The value of a rank among the first `count` of a task's values, which are reordered."""
+    """The value of a given rank among the first `count` of a task's values. Reorders them."""
     begin = int(0)
     end = count - 1
     while begin < end:
@@ -84,7 +92,7 @@ def select(lists: ReferenceLists, number: int, count: int, rank: int):
                 lists.value[number, j] = swapped
                 i += 1
                 j -= 1
-        # [begin, j] <= pivot <= [i, end], and what lies between is the pivot
+        # [begin, j] <= pivot <= [i, end], and all values between equal the pivot
         if rank <= j:
             end = j
         elif rank >= i:
@@ -97,7 +105,7 @@ def select(lists: ReferenceLists, number: int, count: int, rank: int):
 
 @wp.func
 def median_position(lists: ReferenceLists, number: int, frame: Frame, axis: int):
-    """The median of the middles of the node's triangles."""
+    """The median of the centres of the boxes of the node's triangles."""
     for i in range(frame.triangles):
         at = (frame.first[0] + i) * 8 + axis
         lists.value[number, i] = 0.5 * (load_float(lists.reference, at) - load_float(lists.reference, at + 4))
@@ -117,12 +125,12 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree of spatial medians on the device that holds the boxes, on one thread of it."""
+    """Builds the tree of spatial medians on the device that holds the boxes, on a single thread."""
     return build_scanning(triangles, config, one_task(scanning(search_space, config.split_clipping), triangles.count, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree of object medians on the device that holds the boxes, on one thread of it."""
+    """Builds the tree of object medians on the device that holds the boxes, on a single thread."""
     return build_scanning(
         triangles, config, one_task(scanning(search_objects, config.split_clipping), triangles.count, values=triangles.count)
     )

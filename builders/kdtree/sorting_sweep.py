@@ -1,21 +1,29 @@
-"""Serial sweep that sorts every node anew: the judge of the fast builders (survey, Algorithm 4.1.3).
+"""Serial sweep that sorts every node anew: the reference for the fast builders (Wald and Havran 2006, O(N log^2 N)).
 
-**Algorithm.** Per node and axis: list the events of its triangles (end, planar, start), sort them by position, sweep over
-them with the counts N_L, N_P, N_R, and keep the plane of least cost. Nothing is kept from the parent but the list of its
-triangles.
+**Problem.** Comparing every plane with every triangle takes O(N^2).
+
+**Algorithm.** Per node and axis: list the events of its triangles (end, planar, start), sort them by position, sweep over them
+with the counts N_L, N_P, N_R, and keep the plane of least cost. A node takes over nothing from its parent except the list of
+its triangles.
+
+**Data.** A list of triangle ids per node on the path from the root, and the events of the current node and axis (`Workspace`).
+
+**Phases** of a node. Search: `find_plane`, which calls `list_events`, `merge_sort` and `sweep_axis` for each axis. Stop:
+`wrt.builders.tree.descend`. Classify, partition, emit: `build_serially`.
 
 **Complexity.** O(N log^2 N): a sort of O(N log N) at each of O(log N) levels. One thread.
 
-**What we changed.** The printed algorithm updates N_L only when a plane is the best so far and adds the ends to it; the
-counts must follow every plane: after the evaluation, N_L grows by the planar and the starting triangles.
+**What we changed.** The algorithm as printed in Rahikainen 2013 (4.1.3) updates N_L only when a plane is the best so far, and
+adds the ends to it. The counts must follow every plane: after the evaluation, N_L grows by the planar and the starting
+triangles.
 
-It shares the cost model and the stop rules with the other builders, and nothing else: where it makes the same tree as they
-do, sorted lists, counts across chunks, classification and assembly are right.
+The build shares only the cost model and the stop rules with the other builders. If it makes the same tree as they do, their
+sorted lists, counts across chunks, classification and assembly are right.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.3).
 """
 
 from time import perf_counter
@@ -37,12 +45,12 @@ STACK = kdtree.MAX_TREE_DEPTH + 1
 
 @wp.struct
 class Waiting:
-    """A node whose triangles are listed and that is still to be built."""
+    """A node whose triangles are listed and that is not built yet."""
 
     low: wp.vec3
     high: wp.vec3
     first: int
-    """Where its list begins in `Workspace.triangle`."""
+    """Start of its list in `Workspace.triangle`."""
     triangles: int
     path: Descent
     depth: int
@@ -55,16 +63,16 @@ class Workspace:
     """Memory of the build."""
 
     triangle: wp.array(dtype=int)
-    """Lists of the nodes on the way from the root to the current one."""
+    """Lists of the nodes on the path from the root to the current one."""
     position: wp.array(dtype=float)
-    """Events of the current node and axis, two buffers of equal size for the sort."""
+    """Events of the current node and axis, in two buffers of equal size for the sort."""
     value: wp.array(dtype=int)
     """triangle << 2 | type."""
     stack: wp.array(dtype=Waiting)
     nodes: wp.array(dtype=wp.vec2i)
     primitive: wp.array(dtype=int)
     used: wp.array(dtype=int)
-    """(3,) results: nodes, lanes of `primitive`, and 1 if the memory was too small."""
+    """(3,) results: number of nodes, number of lanes of `primitive`, and 1 if the memory was too small."""
 
 
 @wp.func
@@ -79,7 +87,7 @@ def comes_first(work: Workspace, a: int, b: int):
 
 @wp.func
 def merge_sort(work: Workspace, count: int):
-    """Sorts the events [0, count); the second half of the buffers is scratch. Returns where the sorted list begins."""
+    """Sorts the events [0, count). The second half of the buffers is scratch. Returns the start of the sorted list."""
     half = work.position.shape[0] / 2
     source = int(0)
     run = int(1)
@@ -150,7 +158,7 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
         right -= lying + ending
         best = better_split(cost, along, position, left, lying, right, best)
         left += lying + starting
-        i += wp.max(ending + lying + starting, 1)  # NaN equals no position, its own either
+        i += wp.max(ending + lying + starting, 1)  # NaN equals no position, not even its own
     return best
 
 
@@ -237,12 +245,12 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
 
 @wp.kernel
 def list_all(first: int, triangle: wp.array(dtype=int)):
-    """Item: a triangle."""
+    """Item: a triangle. Lists it in the root."""
     triangle[first + wp.tid()] = first + wp.tid()
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes, on one thread of it."""
+    """Builds the tree on the device that holds the boxes, on a single thread."""
     start = perf_counter()
     device, count, width = triangles.boxes.low.device, triangles.count, config.cost.width
     root = Waiting()

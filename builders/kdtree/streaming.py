@@ -1,22 +1,28 @@
-"""Streaming build of an SAH kd-tree: sampled breadth first, then exact (Popov et al. 2006; survey, Algorithm 4.2.1).
+"""Streaming build of an SAH kd-tree: sampled breadth first, then exact (Popov, Guenther, Seidel and Slusallek 2006).
 
-**Problem.** The lists of large nodes do not fit the caches, and a sorting build reads them in an order that the plane decides.
+**Problem.** The lists of large nodes do not fit into the caches, and a sorting build reads them in an order that depends on the
+plane.
 
-**Algorithm.** While nodes are large, level after level: boxes stream through memory once; 1024 samples an axis count where they
-begin and end, and the cost is evaluated at the samples. Triangles are copied to their children's part of a second buffer
+**Algorithm.** While nodes are large, level after level: boxes stream through memory once; 1024 samples per axis count their
+begins and ends, and the cost is evaluated at the samples. Triangles are copied to their children's part of a second buffer
 (`reference_levels`). A node of at most 8192 triangles is a task: its events are sorted, and its subtree is built depth first
 with all planes (`event_lists`), in memory that stays in the cache.
 
-**Complexity.** O(N log N), of which the sequential top takes O(N) a level.
+**Data.** References (`wrt.builders.triangle_references`) above, sorted events (`event_lists`) in the tasks.
 
-**What we changed.** The next level is sampled in a pass of its own, because the box of a node's triangles, which the samples
-divide, is known only after the copy; the paper samples the node's box while it copies. Boxes are not clipped. The paper gives
+**Phases.** Top levels: `split_top` of `reference_levels` (search, stop, classify, emit, partition). Sort: `list_events`.
+Subtrees: `search`, `classify`, `partition` and `emit_leaf` of `event_lists`. Assembly: `assemble`.
+
+**Complexity.** O(N log N), of which the sequential top takes O(N) per level.
+
+**What we changed.** The next level is sampled in a separate pass, because the samples divide the box of a node's triangles,
+which is known only after the copy. The paper samples the node's box while it copies. Boxes are not clipped. The paper assigns
 whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of threads.
 
 References:
     S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.1).
 """
 
 import numpy as np
@@ -34,13 +40,13 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load, specialise
 
 SAMPLES = 1024
-"""Bins an axis, with a sample between any two."""
+"""Bins per axis, with a sample between any two."""
 
 EXACT = 8192
 """Triangles of a node up to which every plane is tried."""
 
 SPARE_ROOM = 1.5
-"""Room that a task has for its work, as a multiple of its own lists, at least a third; doubled whenever that was too little."""
+"""Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -69,7 +75,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
 def list_events(
     top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, spare: float
 ) -> tuple[Reservation, EventLists, wp.array]:
-    """Makes one task of each node of the last level: its share, its sorted events, and the roots of the tasks."""
+    """Makes one task of each node of the last level: its memory, its sorted events, and the roots of the tasks."""
     device, roots = top.references.device, top.levels[-1]["frame"]
     room = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
     lists = lists_for(room, triangles, config)

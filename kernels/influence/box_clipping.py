@@ -1,18 +1,19 @@
-"""Boxes that the window or the near plane of an influence area cuts: the area of what is shown of their pictures.
+"""Projected areas of boxes that the window or the near plane of an influence area cuts.
 
-**A window** cuts polygons. The part of one within it is the sum, over its edges, of the integral of y, cut off at the window,
-over the part of x within the window. y is linear in x, so the mean of what is cut off above is that of the trapezoid or
-triangle above the window's edge: no case needs a corner that the others have not.
+**Window.** A window cuts polygons. The area of the part inside is the sum, over the polygon's edges, of the integral of y,
+clamped to the window, over the part of x inside the window. y is linear in x, so the mean of the clamped excess is that of a
+trapezoid or triangle above the window's edge. All cases evaluate the same expression at the same points.
 
-**A near plane** cuts boxes, which have at most one more edge a face then, from where the face leaves the rays' side to where it
-comes back, and one more face, in the plane. Signed areas of the pictures of all faces, each gone around as seen from outside,
-add up to 0, so the new face has the area that the others add up to, and is never looked at.
+**Near plane.** A near plane cuts boxes. A cut box has at most one more edge per face, from where the face crosses the plane to
+where it crosses back, and one more face, in the plane. The signed areas of the projections of all faces, each traversed as seen
+from outside, sum to 0. So the new face has minus the summed area of the others, and is never constructed.
 
-Rounding leaves some of a box that the near plane cuts and that is beside the window: what is less than 2^-21 of the sum of all
-edges' integrals is nothing.
+Rounding leaves a residue for a box that the near plane cuts and that lies beside the window: a result below 2^-21 of the sum of
+all edges' integrals becomes 0.
 
-So neither needs a branch, and both run in vector lanes. Loops go over corners, edges and faces, and in each over the lanes:
-that is as fast as all of it in one loop over the lanes, and compiles in half the time. On CUDA, boxes go one by one.
+Neither case needs a branch, so both run in vector lanes. The outer loops go over corners, edges and faces, and each inner loop
+over the lanes: as fast as a single loop over the lanes, and half the compile time
+(notebooks/records/2026-11-21-bvh-builders.md). On CUDA, boxes are processed one by one.
 """
 
 import warp as wp
@@ -24,11 +25,11 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _EDGES = [(a, a | 1 << axis) for axis in range(3) for a in range(8) if not a >> axis & 1]
 _SIDES = [[(a, b) for a, b in zip(face, (*face[1:], face[0]), strict=True)] for face in FACES]
-"""The edges around each face, from corner to corner."""
+"""Edges around each face, as pairs of corners."""
 
 
 def _table(rows: list) -> str:
-    """Numbers in lists, as C++ has them."""
+    """A C++ initialiser list of numbers."""
     return f"{{{', '.join(_table(row) if isinstance(row, list) else str(row) for row in rows)}}}"
 
 
@@ -53,7 +54,7 @@ _CORNERS = """
             }
         }
 """
-"""As seen, and their pictures."""
+"""C++: the corners in the view's frame, and their projections."""
 
 _WHOLE_EDGES = """
             WRT_ROLLED for (int e = 0; e < 12; ++e) {
@@ -65,7 +66,7 @@ _WHOLE_EDGES = """
                 }
             }
 """
-"""Edges of boxes that the near plane does not cut; from 0 to 0 of those behind it."""
+"""C++: edges of boxes that the near plane does not cut; edges of boxes behind it run from 0 to 0."""
 
 _CUT_EDGES = """
             WRT_ROLLED for (int e = 0; e < 12; ++e) {
@@ -98,7 +99,8 @@ _CUT_EDGES = """
                 }
             }
 """
-"""What is left of each edge in front of the near plane, from 0 to 0 if nothing is; then the edge in the plane of each face."""
+"""C++: the part of each edge in front of the near plane, from 0 to 0 if there is none; then the edge of each face in the
+plane."""
 
 _INTEGRALS = """
         WRT_ROLLED for (int k = 0; k < (by_near ? 18 : 12); ++k) WRT_FOR_LANES(i) {
@@ -112,7 +114,7 @@ _INTEGRALS = """
             size[i] += WRT_ABS(integral[k][i]);
         }
 """
-"""Along each edge, of y - base over x, both cut off at the window."""
+"""C++: the integral of y - base over x along each edge, both clamped to the window."""
 
 _FACES_ADDED = """
         float area[W], rest[W];
@@ -137,7 +139,7 @@ _FACES_ADDED = """
 
 
 def _clipped(lanes: int, count: str, load: str, store: str) -> str:
-    """A snippet that clips boxes, so many at once; `begin` is the first of them."""
+    """C++ that clips `lanes` boxes at once; `begin` is the first of them."""
     return f"""{HEAD}
 #ifndef WRT_ROLLED
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
@@ -187,7 +189,7 @@ def _clipped(lanes: int, count: str, load: str, store: str) -> str:
     + "return 0.0f;"
 )
 def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3, by_near: bool) -> float:
-    """Area of what the window shows of a box's picture; by_near: whether the near plane may cut the box."""
+    """Area of a box's projection within the window. `by_near`: whether the near plane may cut the box."""
     ...
 
 
@@ -205,14 +207,14 @@ def clipped_area(view: AreaView, low: wp.vec3, high: wp.vec3, by_near: bool) -> 
     )
 )
 def clipped_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, by_near: bool, areas: wp.array(dtype=float)):
-    """`clipped_area` of many boxes, as `whole_areas`."""
+    """`clipped_area` of many boxes. Arrays as in `whole_areas`."""
     ...
 
 
 @wp.func
 def projected_area(view: AreaView, low: wp.vec3, high: wp.vec3):
-    """Area of what the window shows of a box's picture: parallel rays, in square units across them; radial ones, in the plane
-    at depth 1. 0 for a box outside the area's rays."""
+    """Area of a box's projection within the window. Parallel rays: in square units across the rays; radial rays: in the plane
+    at depth 1. 0 for a box that no ray of the area meets."""
     area = whole_area(view, low, high)
     if area < 0.0:
         area = clipped_area(view, low, high, area == NEEDS_NEAR)

@@ -1,26 +1,28 @@
-"""Boxes as a ray distribution sees them: the share of its rays that meet a box is the area of the box's projection.
+"""Projected areas of boxes: the share of an influence area's rays that meet a box.
 
-**Problem.** Surface area is the right measure of a box for lines in all directions. Where all rays are parallel, or all go
-through one point, it is the area that the box covers as seen along the rays (Falcone 2024, chapter 2): of its shadow on a
-plane across parallel rays, of its perspective picture for radial ones. Rays leave the area's near plane and pass through its
-window, so only what is behind the one and within the other counts (section 6.2.2).
+**Problem.** Surface area measures how many lines of all directions meet a box. If all rays are parallel, or all pass through
+one point, the right measure is the area that the box covers as seen along the rays (Falcone 2024, chapter 2): its shadow on a
+plane across parallel rays, its perspective image for radial rays. Rays leave the area's near plane through its window, so only
+the part of a box behind the plane and within the window counts (section 6.2.2).
 
-**A box that needs no clipping** takes one expression, without a branch:
+**A box that needs no clipping** takes one expression without branches:
 
     parallel    |f_x| d_y d_z + |f_y| d_x d_z + |f_z| d_x d_y       three parallelograms, seen along the unit vector f
-    radial      1/2 sum over the six faces of |area of its picture|  each point of the picture lies on two faces
+    radial      1/2 sum over the six faces of |projected area|      each point of the projection lies on two faces
 
-The eight corners of the second are sums of one of two terms an axis, so they cost 18 products, and the pictures of the faces
-are quadrilaterals, whose area is half the cross product of their diagonals. The published form follows the silhouette
-around, which is less arithmetic, but other corners for other boxes: this one runs in vector lanes, a box a lane.
+The eight corners of the radial form are sums of one of two terms per axis, so they cost 18 products. The projections of the
+faces are quadrilaterals, whose area is half the cross product of their diagonals. The published form follows the silhouette
+instead. That takes less arithmetic, but the corners differ from box to box; the form here runs in vector lanes, one box per
+lane.
 
-A box that the window or the near plane cuts is left to `clipping`.
+`clipping` handles boxes that the window or the near plane cuts.
 
-The far end of an area plays no part: rays go on. Pictures of radial areas are measured in the plane at depth 1.
+The far end of an area is ignored, because rays continue beyond it. Projections of radial areas are measured in the plane at
+depth 1.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
 """
 
 import warp as wp
@@ -31,10 +33,10 @@ from wrt.kernels.simd.lanes import FOR_LANES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NEEDS_WINDOW = wp.constant(-1.0)
-"""In place of an area: the box has to be cut off at the window first."""
+"""Returned instead of an area: the box must be clipped to the window."""
 
 NEEDS_NEAR = wp.constant(-2.0)
-"""In place of an area: the box has to be cut off at the near plane first."""
+"""Returned instead of an area: the box must be clipped to the near plane."""
 
 
 _TERMS = "\n".join(
@@ -43,7 +45,7 @@ _TERMS = "\n".join(
     for end in ("low", "high")
     for name in ("x", "y", "z")
 )
-"""What a coordinate low0 .. high2 of a box adds to (x, y, z) of a corner."""
+"""C++: the contribution of each coordinate low0 .. high2 of a box to (x, y, z) of a corner."""
 
 _PARALLEL = f"""{_TERMS}
     const float dx = high0 - low0, dy = high1 - low1, dz = high2 - low2;
@@ -66,7 +68,7 @@ _CORNERS = "\n".join(
     for c, (a, b, d) in enumerate(_ENDS)
 )
 FACES = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
-"""Corners of each face, one after the other around it."""
+"""Corners of each face, in order around it."""
 _QUADRILATERALS = "\n".join(
     f"area += WRT_ABS((x{c} - x{a}) * (y{d} - y{b}) - (x{d} - x{b}) * (y{c} - y{a}));" for a, b, c, d in FACES
 )
@@ -99,7 +101,7 @@ HEAD = f"""{FOR_LANES}
     const float half_x = view.half.c[0], half_y = view.half.c[1], near = view.near;
     const bool radial = view.radial;
 """
-"""Of the snippets for boxes: the view in plain numbers."""
+"""C++ at the start of every snippet for boxes: the view as plain numbers."""
 
 _WHOLE = f"""{HEAD}
     const float across0 = WRT_ABS(z_0), across1 = WRT_ABS(z_1), across2 = WRT_ABS(z_2);
@@ -117,8 +119,8 @@ _LANE = "\n".join(f"const float low{a} = from[{a} * count + i], high{a} = from[{
     return area;
 """)
 def whole_area(view: AreaView, low: wp.vec3, high: wp.vec3) -> float:
-    """Area of what the window shows of a box's picture, if that is all or nothing; else NEEDS_WINDOW, or NEEDS_NEAR, whatever
-    the window does. An empty box has 0."""
+    """Area of a box's projection if it lies wholly inside or outside the window; else NEEDS_WINDOW. NEEDS_NEAR if the near
+    plane cuts the box, whatever the window does. 0 for an empty box."""
     ...
 
 
@@ -129,7 +131,7 @@ def whole_area(view: AreaView, low: wp.vec3, high: wp.vec3) -> float:
     else WRT_FOR(count, i) {{ {_LANE} {_PARALLEL} to[i] = area; }}
 """)
 def whole_areas(view: AreaView, boxes: wp.array(dtype=float), count: int, areas: wp.array(dtype=float)):
-    """`whole_area` of many boxes, in vector lanes, the same to the bit.
+    """`whole_area` of many boxes in vector lanes, with the same bits.
 
-    boxes: `count` lower x, then y, z and upper x, y, z. areas: of each."""
+    boxes: (6 * count,) lower x, then lower y, lower z, upper x, upper y, upper z. areas: (count,) results."""
     ...

@@ -1,4 +1,4 @@
-"""Convex polygons in the plane: hull, clipping, area. For the few boxes of a tree whose projection needs them.
+"""Convex polygons in the plane: hull, clipping, area. Used for the few boxes of a tree that the fast expressions do not cover.
 
 A polygon is the first `count` points of a local array with room for MAX_CORNERS, counter-clockwise.
 
@@ -12,8 +12,8 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_CORNERS = 40
-"""The two chains of a hull of 20 points have at most 39, whatever rounding, overflow or NaN make of their turns; clipping
-leaves at most so many in any case."""
+"""The two chains of a hull of 20 points have at most 39 corners, even if rounding, overflow or NaN corrupt the turn tests.
+Clipping stops at this number too."""
 
 
 @wp.func
@@ -24,7 +24,7 @@ def cross(a: wp.vec2, b: wp.vec2):
 
 @wp.func
 def polygon_area(polygon: wp.array(dtype=wp.vec2), count: int):
-    """Signed area, by the shoelace formula from the first corner, so that a small polygon far off keeps its digits."""
+    """Signed area by the shoelace formula relative to the first corner, so that a small distant polygon keeps its digits."""
     twice = float(0.0)
     for i in range(2, count):
         twice += cross(polygon[i - 1] - polygon[0], polygon[i] - polygon[0])
@@ -53,11 +53,11 @@ def clip(polygon: wp.array(dtype=wp.vec2), count: int, normal: wp.vec2, bound: f
 
 @wp.func
 def clip_to_window(polygon: wp.array(dtype=wp.vec2), count: int, half: wp.vec2):
-    """Cuts a polygon off at the rectangle |x| <= half x, |y| <= half y; returns its number of corners."""
+    """Clips a polygon to the rectangle |x| <= half x, |y| <= half y; returns its number of corners."""
     spare = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     left = int(count)
     side = int(0)
-    while side < 4:  # a loop that Warp does not unroll: this is compiled into many kernels
+    while side < 4:  # a loop that Warp does not unroll, because many kernels compile this code
         sign = wp.where(side < 2, 1.0, -1.0)
         across = side % 2 == 0
         normal = wp.vec2(wp.where(across, sign, 0.0), wp.where(across, 0.0, sign))
@@ -68,7 +68,7 @@ def clip_to_window(polygon: wp.array(dtype=wp.vec2), count: int, half: wp.vec2):
 
 @wp.func
 def clip_to_polygon(polygon: wp.array(dtype=wp.vec2), count: int, other: wp.array(dtype=wp.vec2), sides: int):
-    """Cuts a polygon off at another one's sides; returns its number of corners."""
+    """Clips a polygon to another one; returns its number of corners."""
     spare = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     left = int(count)
     for side in range(sides):
@@ -96,7 +96,7 @@ def convex_hull(points: wp.array(dtype=wp.vec2), count: int, hull: wp.array(dtyp
     """Writes the convex hull of at most 20 points, which it sorts; returns its number of corners (Andrew 1979)."""
     sort_points(points, count)
     corners = int(0)
-    least = int(1)  # corners that stay: of the lower chain one, then, for the upper chain, all of the lower one
+    least = int(1)  # corners that stay: one of the lower chain; then, for the upper chain, the whole lower chain
     for i in range(2 * count - 1):
         point = points[wp.where(i < count, i, 2 * count - 2 - i)]
         while corners > least and cross(hull[corners - 1] - hull[corners - 2], point - hull[corners - 2]) <= 0.0:

@@ -1,14 +1,14 @@
-"""The outline of a box as an influence area sees it, and what two of them have in common within the area's window.
+"""The outline of a box as an influence area sees it, and the overlap of two projections within the area's window.
 
-The corners on the outline follow from the side of the box that the eye is on: along each axis below, beside or above it. A
-table has them for all 27 cases (`SILHOUETTES`), made here from the definition: an edge is on the outline if one of its two
-faces is seen and the other is not. A box that the near plane cuts has the convex hull of what is left as its outline: the
-corners behind the plane have no picture, and the points where the plane cuts edges are new corners.
+The corners on the outline follow from the eye's position relative to the box: along each axis below, beside or above it. A
+table lists them for all 27 cases (`SILHOUETTES`). It is generated from the definition: an edge is on the outline if one of its
+two faces is visible and the other is not. The outline of a box that the near plane cuts is the convex hull of the remaining
+part: corners behind the plane have no projection, and the points where the plane cuts edges are new corners.
 
 References:
     D. Schmalstieg, R. F. Tobler: Real-time bounding box area computation. TU Wien, Technical Report TR-186-2-99-10, 1999.
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: sections 5.4.1 and 5.4.2, appendices A.9 and A.10.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024 (sections 5.4.1 and 5.4.2, appendices A.9 and A.10).
 """
 
 from itertools import product
@@ -23,8 +23,8 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 def _outline(signs: tuple[int, ...]) -> list[int]:
-    """Corners of the outline of a box, counter-clockwise, seen in a direction with these signs; 0: its rays spread from
-    between the two faces."""
+    """Corners of the outline of a box, counter-clockwise, seen in a direction with these signs. 0: the eye is between the two
+    faces of that axis."""
     if signs == (0, 0, 0):
         return []
 
@@ -47,19 +47,20 @@ def _outline(signs: tuple[int, ...]) -> list[int]:
 
 
 def _turns_left(loop: list[int], signs: tuple[int, ...]) -> bool:
-    """Whether corners follow one another counter-clockwise, with right = forward x up as `AreaView` has it."""
+    """Whether the corners run counter-clockwise, with right = forward x up as in `AreaView`."""
     corners = np.array([[c >> axis & 1 for axis in range(3)] for c in loop], dtype=float)
     normal = np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
     return float(normal @ np.array(signs)) < 0.0
 
 
 def _packed(loop: list[int]) -> int:
-    """Number of corners in bits 0 to 2, corner i in the 3 bits from 3 + 3 i on."""
+    """Number of corners in bits 0 to 2; corner i in the 3 bits from bit 3 + 3 i on."""
     return len(loop) | sum(corner << 3 + 3 * i for i, corner in enumerate(loop))
 
 
 SILHOUETTES = tuple(_packed(_outline(signs[::-1])) for signs in product((-1, 0, 1), repeat=3))
-"""Outline by (s_x + 1) + 3 (s_y + 1) + 9 (s_z + 1), see `_packed`; s = 1 along an axis: seen from below, -1: from above."""
+"""Outlines, indexed by (s_x + 1) + 3 (s_y + 1) + 9 (s_z + 1), packed by `_packed`. s = 1: seen from below the axis, -1:
+above."""
 
 
 @wp.func_native(f"""
@@ -73,7 +74,7 @@ def silhouette(index: int) -> int:
 
 @wp.func
 def corner_of(low: wp.vec3, high: wp.vec3, index: int):
-    """Corner of a box; bit a of the index: the upper end along axis a."""
+    """Corner of a box. Bit a of the index selects the upper end along axis a."""
     return wp.vec3(
         wp.where((index & 1) != 0, high[0], low[0]),
         wp.where((index & 2) != 0, high[1], low[1]),
@@ -83,7 +84,7 @@ def corner_of(low: wp.vec3, high: wp.vec3, index: int):
 
 @wp.func
 def side_of(view: AreaView, low: wp.vec3, high: wp.vec3):
-    """Index into `SILHOUETTES`."""
+    """Index of a box into `SILHOUETTES`."""
     below = direction_at(view, low)
     above = direction_at(view, high)
     index = int(0)
@@ -107,7 +108,7 @@ def least_depth(view: AreaView, low: wp.vec3, high: wp.vec3):
 
 @wp.func
 def cut_corners(view: AreaView, low: wp.vec3, high: wp.vec3, points: wp.array(dtype=wp.vec2)):
-    """Pictures of the corners of what is left of a box behind the near plane; returns their number, at most 20."""
+    """Projections of the corners of the part of a box behind the near plane; returns their number, at most 20."""
     count = int(0)
     for c in range(8):
         here = seen_from(view, corner_of(low, high, c))
@@ -127,7 +128,7 @@ def cut_corners(view: AreaView, low: wp.vec3, high: wp.vec3, points: wp.array(dt
 
 @wp.func
 def projected_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
-    """Writes the picture of a box, not cut off at the window; returns its number of corners, 0 if it has no picture."""
+    """Writes the projection of a box, not clipped to the window; returns its number of corners, 0 if it has no projection."""
     if least_depth(view, low, high) >= view.near:
         entry = silhouette(side_of(view, low, high))
         count = entry & 7
@@ -141,13 +142,13 @@ def projected_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(d
 
 @wp.func
 def visible_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
-    """Writes what the window shows of a box's picture; returns its number of corners."""
+    """Writes the part of a box's projection within the window; returns its number of corners."""
     return clip_to_window(hull, projected_hull(view, low, high, hull), view.half)
 
 
 @wp.func
 def shared_area(view: AreaView, low: wp.vec3, high: wp.vec3, other_low: wp.vec3, other_high: wp.vec3):
-    """Area of what the pictures of two boxes have in common within the window: rays that meet both."""
+    """Area of the overlap of the projections of two boxes within the window: the measure of the rays that meet both."""
     one = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     other = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     corners = visible_hull(view, low, high, one)

@@ -1,8 +1,8 @@
 """An influence area as kernels see it, the direction of its rays at a box, and which rays belong to it.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
 """
 
 import warp as wp
@@ -14,20 +14,20 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class AreaView:
-    """Where the rays of an influence area start, and where they go.
+    """Start points and directions of the rays of an influence area.
 
-    A point p is seen at x = right . (p - eye), y = up . (p - eye), at depth = forward . (p - eye); x and y are divided by the
-    depth if the rays are radial.
+    A point p has the coordinates x = right . (p - eye), y = up . (p - eye) and depth = forward . (p - eye). x and y are divided
+    by the depth if the rays are radial.
     """
 
     eye: wp.vec3
-    """The point that radial rays go through; of parallel ones, the middle of the rectangle that they leave."""
+    """The point through which radial rays pass; for parallel rays, the centre of the rectangle that they leave."""
     right: wp.vec3
     up: wp.vec3
     forward: wp.vec3
     """Orthogonal unit vectors."""
     near: float
-    """Depth at which rays start, > 0 if they are radial, 0 if not."""
+    """Depth at which rays start: > 0 for radial rays, 0 for parallel ones."""
     far: float
     """Depth at which the area ends."""
     half: wp.vec2
@@ -44,14 +44,14 @@ def seen_from(view: AreaView, point: wp.vec3):
 
 @wp.func
 def picture_of(view: AreaView, seen: wp.vec3):
-    """(x, y) in the picture of what `seen_from` gave."""
+    """(x, y) of the projection of a result of `seen_from`."""
     scale = wp.where(view.radial, 1.0 / seen[2], 1.0)
     return wp.vec2(seen[0] * scale, seen[1] * scale)
 
 
 @wp.func
 def holds_point(view: AreaView, point: wp.vec3):
-    """Whether a point lies in the area, which is closed on all sides; never if it is NaN or infinite."""
+    """Whether a point lies in the area, which is closed on all sides. False for NaN and infinity."""
     seen = seen_from(view, point)
     reach = wp.where(view.radial, seen[2], 1.0)
     return (
@@ -64,16 +64,16 @@ def holds_point(view: AreaView, point: wp.vec3):
 
 @wp.func
 def direction_at(view: AreaView, point: wp.vec3):
-    """Direction of the area's ray through a point, of any length; for a box, that at its centre stands for all."""
+    """Direction of the area's ray through a point, not normalised. For a box, the ray through its centre represents all."""
     return wp.where(view.radial, point - view.eye, view.forward)
 
 
 @wp.func
 def is_aligned(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float):
-    """Whether a ray runs along the area's ray through its origin, or straight against it, but for an angle.
+    """Whether a ray deviates by at most an angle from the area's ray through its origin, in the same or the opposite direction.
 
-    Both senses count: a shadow ray runs to the light on the line of a ray that comes from it. sine: of the greatest angle,
-    which is at most a right one. Rays with a direction that is 0, NaN, infinite, or whose square is, are not aligned.
+    Both directions count, because a shadow ray runs towards the light on the line of a ray from the light. `sine`: of the
+    greatest angle, which is at most 90 degrees. False for directions that are zero, NaN or infinite, or whose square is.
     """
     along = direction_at(view, origin)
     off = wp.cross(along, direction)
@@ -96,6 +96,6 @@ def tell_affine(
     sine: float,
     affine: wp.array(dtype=wp.bool),
 ):
-    """Item: a ray, relative to the view's centre."""
+    """Item: a ray, relative to the view's centre. Writes whether it belongs to the area."""
     i = first + wp.tid()
     affine[i] = is_affine(view, origins[i], directions[i], sine)

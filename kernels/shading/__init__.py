@@ -1,12 +1,12 @@
-"""Pictures: what happens to a pixel between its camera ray and its colour, one step a file.
+"""Shading: the steps from a camera ray to the colour of its pixel, one file per step.
 
     camera.py     pixels -> rays
     normals.py    a mesh -> smooth normals at the corners of its triangles
     surface.py    hits -> points, normals and colours; rays to the light
-    ambient.py    points -> rays into the hemisphere; how many of them leave the scene
-    film.py       light and openness -> linear colour, summed over a pixel's samples; linear -> display colour
-    sampling.py   well spread random numbers
+    ambient.py    points -> rays into the hemisphere, and the number of them that leave the scene
+    film.py       light and visibility -> linear colour, summed over a pixel's samples; linear -> display colour
+    sampling.py   low-discrepancy random numbers
 
-**Contract.** Every step is a kernel over the pixels of a tile that writes what belongs to its own pixel only, and its
-random numbers follow from the pixel's place in the picture: neither tiles, threads nor the device show in the result.
+**Contract.** Every step is a kernel over the pixels of a tile and writes only the data of its own pixel. Its random numbers
+follow from the pixel's position in the image. So the result does not depend on tiles, threads or the device.
 """

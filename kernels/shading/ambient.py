@@ -1,7 +1,7 @@
-"""Ambient occlusion: which share of the light of an even sky reaches a point.
+"""Ambient occlusion: the share of the light of a uniform sky that reaches a point.
 
-The share is the integral of visibility times cosine over the hemisphere. Rays are drawn with a density proportional to
-the cosine, so that it is simply the share of rays that leave the scene (or go on for longer than a given distance).
+The share is the integral of visibility times cosine over the hemisphere. Rays are drawn with a density proportional to the
+cosine, so the estimate is the share of rays that leave the scene (or travel farther than a given distance).
 
 References:
     S. Zhukov, A. Iones, G. Kronin: An ambient light illumination model. Eurographics Workshop on Rendering, 1998.
@@ -25,7 +25,7 @@ def ambient_directions(
     index: int,
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Item: a point. Direction number `index` of its pixel's sequence; 0 for a miss.
+    """Item: a point. Writes direction number `index` of its pixel's sequence; 0 for a miss.
 
     Directions about a smooth normal that point into the triangle are mirrored at its plane.
     """
@@ -41,7 +41,7 @@ def ambient_directions(
 
 @wp.kernel
 def count_open(first: int, occluded: wp.array(dtype=wp.bool), open_rays: wp.array(dtype=int)):
-    """Item: a point. Counts the ray if it met nothing."""
+    """Item: a point. Counts the ray if it is not occluded."""
     i = first + wp.tid()
     if not occluded[i]:
         open_rays[i] += 1

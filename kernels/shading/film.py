@@ -1,4 +1,4 @@
-"""From light to colour: linear while samples are summed, sRGB in the end.
+"""From light to colour: samples are summed in linear light, then converted to sRGB.
 
 References:
     IEC 61966-2-1:1999, Default RGB colour space, sRGB.
@@ -13,26 +13,26 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Lighting:
-    """Colours, linear."""
+    """Linear colours of the light sources and the background."""
 
     light: wp.vec3
     ambient: wp.vec3
     background_low: wp.vec3
-    """At the lower edge of the picture; the share of the upper one grows in proportion to the height."""
+    """At the lower edge of the image. The background blends linearly with height to `background_high`."""
     background_high: wp.vec3
 
 
 @wp.struct
 class Received:
-    """What reaches N points."""
+    """Visibility of the light and the sky from N points."""
 
     shadows: bool
     in_shadow: wp.array(dtype=wp.bool)
     """(N,) if `shadows`."""
     ambient_samples: int
-    """0: all of the sky reaches every point."""
+    """Ambient rays per point; 0: the whole sky reaches every point."""
     open_rays: wp.array(dtype=int)
-    """(N,) ambient rays that met nothing."""
+    """(N,) number of ambient rays that are not occluded."""
 
 
 @wp.kernel
@@ -52,7 +52,7 @@ def expose(
     color = lighting.background_low + height * (lighting.background_high - lighting.background_low)
     if wp.length_sq(surface.face_normal[i]) > 0.0:
         direct = surface.cosine[i]
-        if received.shadows:  # noqa: SIM102 - in a kernel, `and` reads both sides, and the array may not be there
+        if received.shadows:  # noqa: SIM102 - in a kernel, `and` evaluates both sides, and the array may be missing
             if received.in_shadow[i]:
                 direct = 0.0
         openness = float(1.0)
@@ -72,7 +72,7 @@ def display(linear: float):
 
 @wp.kernel
 def develop(first: int, film: wp.array2d(dtype=wp.vec3), samples: int, image: wp.array2d(dtype=wp.vec3)):
-    """Item: a pixel. Display colour of the mean of its samples."""
+    """Item: a pixel. Writes the display colour of the mean of its samples."""
     i = first + wp.tid()
     row = i / film.shape[1]
     column = i % film.shape[1]

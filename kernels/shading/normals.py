@@ -1,9 +1,9 @@
 """Smooth normals at the corners of triangles, with creases kept.
 
-A corner's normal is the sum of the normals of the triangles round its vertex, each weighted by its angle there, so that
-the result does not depend on how a surface was cut into triangles (Thuermer and Wuethrich 1998). Only triangles whose
-planes differ from the corner's own by less than the crease angle count: a cube stays a cube. As pictures are shaded on both
-sides, a neighbour of the opposite winding counts with its normal reversed.
+A corner's normal is the sum of the normals of the triangles around its vertex, each weighted by its angle there, so that the
+result does not depend on how a surface is triangulated (Thuermer and Wuethrich 1998). Only triangles whose planes differ from
+the corner's own by less than the crease angle count, so a cube keeps its edges. Both sides of a triangle are shaded, so a
+neighbour of opposite winding counts with its normal reversed.
 
 References:
     G. Thuermer, C. A. Wuethrich: Computing vertex normals from polygonal facets. Journal of Graphics Tools 3(1), 1998.
@@ -14,12 +14,12 @@ import warp as wp
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MAX_VALENCE = wp.constant(256)
-"""A vertex of more triangles is shaded flat: each of its corners looks at all the others."""
+"""Vertices of more triangles are shaded flat, because each of their corners reads all the others."""
 
 
 @wp.func
 def unit_or_zero(v: wp.vec3d):
-    """Unit vector, or 0 where there is none; scaled first, so that no square under- or overflows."""
+    """Unit vector, or 0 if there is none. The vector is scaled first, so that no square under- or overflows."""
     size = wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
     result = wp.vec3d()
     if size > wp.float64(0.0):
@@ -42,7 +42,7 @@ def face_normals_and_angles(
     normals: wp.array(dtype=wp.vec3),
     angles: wp.array(dtype=float),
 ):
-    """Item: a triangle. Its unit normal and its three angles, in radians."""
+    """Item: a triangle. Writes its unit normal and its three angles, in radians."""
     i = first + wp.tid()
     face = faces[i]
     normals[i] = wp.vec3(face_normal(vertices, face))
@@ -55,14 +55,14 @@ def face_normals_and_angles(
 
 @wp.struct
 class VertexCorners:
-    """Which corners meet at a vertex. Corner c of triangle f has the number 3 f + c."""
+    """The corners that meet at each vertex. Corner c of triangle f has the number 3 f + c."""
 
     vertex: wp.array(dtype=int)
-    """(3 F,) vertex of each corner, points that coincide counted as one."""
+    """(3 F,) vertex of each corner; coinciding points count as one vertex."""
     start: wp.array(dtype=int)
-    """(V + 1,) where each vertex's list starts."""
+    """(V + 1,) start of each vertex's list."""
     corner: wp.array(dtype=int)
-    """(3 F,) the lists."""
+    """(3 F,) the concatenated lists."""
 
 
 @wp.kernel
@@ -74,7 +74,8 @@ def smooth_corner_normals(
     crease_cosine: float,
     out: wp.array(dtype=wp.vec3),
 ):
-    """Item: a corner. Its smooth unit normal, on the side of its triangle's normal; that normal itself at a crease."""
+    """Item: a corner. Writes its smooth unit normal, on the side of its triangle's normal; at a crease, the triangle's
+    normal."""
     i = first + wp.tid()
     own = normals[i / 3]
     start = around.start[around.vertex[i]]

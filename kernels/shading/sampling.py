@@ -1,13 +1,13 @@
-"""Well spread random numbers without a table: Owen-scrambled Sobol points, a sequence of its own for every pixel.
+"""Low-discrepancy random numbers without a table: Owen-scrambled Sobol points, with a separate sequence for every pixel.
 
-**Problem.** A pixel's ambient rays should cover the hemisphere evenly, however many there are; those of neighbouring
-pixels should have nothing in common, or the error shows as bands and ghosts of edges instead of as fine grain.
+**Problem.** A pixel's ambient rays should cover the hemisphere evenly, whatever their number. Those of neighbouring pixels
+should be uncorrelated, otherwise the error shows as bands and ghost edges instead of fine grain.
 
-**Method.** The first two dimensions of the Sobol sequence are a (0, 2)-sequence: every run of 2^k points, counted from a
-multiple of 2^k, has one point in each elementary box of area 2^-k. Owen's scrambling flips each bit at random,
-depending on all the bits above it; it keeps that property, removes the regular pattern and makes the estimate unbiased.
-Laine and Karras found a hash that does so from the lowest bit up, in a few multiplications; Burley applies it between two
-reversals of the bits, to the index (so that each pixel has an order of its own) and to each coordinate. Constants theirs.
+**Method.** The first two dimensions of the Sobol sequence are a (0, 2)-sequence: every run of 2^k points that starts at a
+multiple of 2^k has one point in each elementary box of area 2^-k. Owen scrambling flips each bit at random, depending on all
+higher bits. It keeps that property, removes the regular pattern and makes the estimate unbiased. Laine and Karras found a hash
+that does this from the lowest bit up, in a few multiplications. Burley applies it between two bit reversals, to the index (so
+that each pixel has its own order) and to each coordinate. The constants are theirs.
 
 References:
     I. M. Sobol: On the distribution of points in a cube and the approximate evaluation of integrals.
@@ -26,7 +26,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 TWO_PI = wp.constant(6.283185307179586)
 UNIT = wp.constant(2.0**-24)
 
-# Constants of 32 bits: as literals in a kernel they would be signed.
+# 32-bit constants: as literals in a kernel they would be signed.
 MIX_1 = wp.constant(wp.uint32(0x9E3779B1))
 MIX_2 = wp.constant(wp.uint32(0x85EBCA6B))
 MIX_3 = wp.constant(wp.uint32(0xC2B2AE35))
@@ -43,7 +43,7 @@ HIGHEST_BIT = wp.constant(wp.uint32(0x80000000))
 
 @wp.func
 def mix(value: wp.uint32, salt: wp.uint32):
-    """A hash of two numbers; every bit of the result depends on every bit of both."""
+    """Hash of two numbers. Every bit of the result depends on every bit of both."""
     h = value * MIX_1 + salt
     h = (h ^ (h >> wp.uint32(16))) * MIX_2
     h = (h ^ (h >> wp.uint32(13))) * MIX_3
@@ -52,7 +52,7 @@ def mix(value: wp.uint32, salt: wp.uint32):
 
 @wp.func
 def reverse_bits(x: wp.uint32):
-    """Bit 0 becomes bit 31, and so on."""
+    """Reverses the order of the 32 bits."""
     r = (x >> wp.uint32(16)) | (x << wp.uint32(16))
     r = ((r & ODD_BYTES) >> wp.uint32(8)) | ((r & wp.uint32(0x00FF00FF)) << wp.uint32(8))
     r = ((r & ODD_NIBBLES) >> wp.uint32(4)) | ((r & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
@@ -62,7 +62,7 @@ def reverse_bits(x: wp.uint32):
 
 @wp.func
 def owen_scramble_reversed(x: wp.uint32, seed: wp.uint32):
-    """Scrambles a number whose bits are reversed: each bit is flipped depending on those below it (Laine, Karras 2011)."""
+    """Scrambles a bit-reversed number: each bit is flipped depending on the bits below it (Laine and Karras 2011)."""
     r = x + seed
     r = r ^ (r * OWEN_1)
     r = r ^ (r * OWEN_2)

@@ -1,11 +1,11 @@
-"""From hits to the points that light falls on, and the rays from there to the light.
+"""From hits to shading points, and the rays from there to the light.
 
-**Where a secondary ray starts.** Off the triangle and away from its edges, to the side where the ray came from, as
-`wrt.kernels.query.spawn` explains; as far off as `OFFSET` times the reach of the point in the scene.
+**Origins of secondary rays.** They lie off the triangle and away from its edges, on the side from which the ray came, as
+`wrt.kernels.query.spawn` explains, at a distance of `OFFSET` times the reach of the point in the scene.
 
-**Smooth normals and the terminator.** Where a smooth normal still faces the light, the flat triangle may face away from it
-and lie in its own shadow, whose edge then shows the triangles. Hanika moves the origin of the shadow ray off the triangle to
-the curved surface that the normals describe: up where the surface is convex, nowhere else. Flat normals: no shift.
+**Smooth normals and the terminator.** Where a smooth normal still faces the light, the flat triangle may face away from it and
+shadow itself, and the edge of that shadow shows the triangles. Hanika moves the origin of the shadow ray off the triangle to
+the curved surface that the normals describe: upwards where the surface is convex, nowhere else. Flat normals give no shift.
 
 References:
     J. Hanika: Hacking the shadow terminator. Ray Tracing Gems II, 2021.
@@ -21,18 +21,18 @@ from wrt.kernels.shading.normals import unit_or_zero
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 OFFSET = wp.constant(2.0**-18)
-"""Distance of secondary origins from the surface, as a share of the point's reach: eight times that of
-`wrt.kernels.query.spawn`, four times the slack of boxes."""
+"""Distance of secondary origins from the surface, relative to the point's reach: eight times that of `wrt.kernels.query.spawn`,
+four times the slack of boxes."""
 
 
 @wp.struct
 class Appearance:
-    """Triangles and what is needed to shade them."""
+    """Triangles and their shading attributes."""
 
     mesh: SceneMesh
     smooth: bool
     corner_normals: wp.array(dtype=wp.vec3)
-    """(3 F,) if `smooth`; F counts what instances share once."""
+    """(3 F,) if `smooth`. Geometry shared by instances counts once in F."""
     albedo: wp.array(dtype=wp.vec3)
     """(F,) or (1,), linear."""
     albedo_stride: int
@@ -40,20 +40,20 @@ class Appearance:
 
 @wp.struct
 class Surface:
-    """What N camera rays have met."""
+    """Shading points of N camera rays."""
 
     origin: wp.array(dtype=wp.vec3d)
-    """Where ambient rays start, in the caller's coordinates."""
+    """(N,) origins of ambient rays, in the caller's coordinates."""
     face_normal: wp.array(dtype=wp.vec3)
-    """Unit, on the side of the ray; 0 for a miss."""
+    """(N,) unit vectors on the side of the ray; 0 for a miss."""
     normal: wp.array(dtype=wp.vec3)
-    """Unit, for shading: smooth or the same."""
+    """(N,) unit vectors for shading: smooth, or equal to `face_normal`."""
     albedo: wp.array(dtype=wp.vec3)
     cosine: wp.array(dtype=float)
-    """Between the normal and the direction to the light; 0 where the surface faces away."""
+    """(N,) cosine between the normal and the direction to the light; 0 where the surface faces away."""
     shadow_origin: wp.array(dtype=wp.vec3d)
     shadow_direction: wp.array(dtype=wp.vec3)
-    """To the light: t = 1 is there. 0 where no ray is needed."""
+    """(N,) vectors to the light, which is at t = 1; 0 where no ray is needed."""
 
 
 @wp.func
@@ -68,7 +68,7 @@ def corner_normal(scene: Appearance, triangle: Triangle, corner: int):
 
 @wp.func
 def lifted(point: wp.vec3d, corner: wp.vec3d, normal: wp.vec3d):
-    """How far the point is below the plane through a corner and across its normal, as a vector up to it; 0 above."""
+    """Vector from the point up to the plane through a corner and perpendicular to its normal; 0 if the point is above it."""
     return -wp.min(wp.float64(0.0), wp.dot(point - corner, normal)) * normal
 
 
@@ -83,7 +83,7 @@ def find_surface(
     uv: wp.array(dtype=wp.vec2),
     surface: Surface,
 ):
-    """Item: a camera ray and its hit, if any."""
+    """Item: a camera ray and its hit, if any. Writes its shading point."""
     i = first + wp.tid()
     side_normal = wp.vec3d()
     normal = wp.vec3d()

@@ -1,22 +1,23 @@
-"""Ray-triangle tests: one file per published test, and the table of them.
+"""Ray-triangle tests: one file per published test, and the table of all tests.
 
-**Contract** (`wrt.kernels.triangle.support.triangle_contract`). A test is a `TriangleTest`: a record of floats a triangle
-(`wrt.kernels.triangle.support.record_blocks`), a struct per ray that `prepare` makes once before a traversal, and the
-intersection itself in three forms that give the same bits: one ray x one triangle in plain Warp (`intersect`), and, from one
-piece of C++ (`wrt.kernels.triangle.support.lane_form`), one ray x W triangles (`block_test`) and W rays x one triangle
-(`packet_form`). A test decides whether the ray's *line* meets the triangle and where; whether that t counts is the traversal's
-business, by one rule for all tests (`wrt.kernels.simd.boxes`). A NaN anywhere must come out as a miss.
+**Contract** (`wrt.kernels.triangle.support.triangle_contract`). A test is a `TriangleTest`. It consists of a record of floats
+per triangle (`wrt.kernels.triangle.support.record_blocks`), a per-ray struct that `prepare` computes once before a traversal,
+and the intersection in three forms that return the same bits: one ray x one triangle in plain Warp (`intersect`); and,
+generated from one piece of C++ (`wrt.kernels.triangle.support.lane_form`), one ray x W triangles (`block_test`) and W rays x
+one triangle (`packet_form`). A test decides whether and where the ray's *line* meets the triangle. The traversal decides
+whether that t counts, by one rule for all tests (`wrt.kernels.simd.boxes`). A NaN in any input must give a miss.
 
-To add a test: write its file, add one line to `TRIANGLE_TESTS`; tests, command line and benchmarks pick it up.
+To add a test, write its file and add one line to `TRIANGLE_TESTS`. The tests, the command line and the benchmarks read the
+table.
 
-**Kin.** Most tests are one sum of products in different clothes. Volumes that ray and edges span: `pluecker`, `segura_feito`,
-and for rays of one origin `benthin` and `komatsu`. Cramer's rule: `moeller_trumbore`, with the fewest operations
-`kensler_shirley`, with data computed beforehand `moeller_trumbore_precomputed`. The plane first: `badouel`, with data `wald`,
-`baldwin_weber`, `shevtsov`, and without projection `havel_herout`.
+**How the tests are related.** Most tests evaluate the same sums of products in a different order. Signed volumes of the ray and
+the edges: `pluecker`, `segura_feito`, and for rays with a common origin `benthin` and `komatsu`. Cramer's rule:
+`moeller_trumbore`, with the fewest operations `kensler_shirley`, with precomputed data `moeller_trumbore_precomputed`. Plane
+first: `badouel`, with precomputed data `wald`, `baldwin_weber` and `shevtsov`, and without projection `havel_herout`.
 
-**Not here.** The segment test of Jimenez, Segura and Feito (A robust segment/triangle intersection algorithm for interference
-tests, Computational Geometry 43(5), 2010): of the sources that this table follows none gives its definition, only that it
-finds t first, then the barycentric coordinates, and shares what neighbours have in common.
+**Not implemented.** The segment test of J. Jimenez, R. Segura and F. Feito (A robust segment/triangle intersection algorithm
+for interference tests, Computational Geometry 43(5), 2010). The theses that this table follows describe it only in outline: it
+computes t first, then the barycentric coordinates, and shares values between neighbouring triangles.
 """
 
 from wrt.kernels.triangle import (

@@ -1,23 +1,24 @@
-"""Badouel 1990: where does the line meet the plane, and is that point inside the projected triangle?
+"""Badouel 1990: intersect the plane, then test the point in the projected triangle.
 
-**Problem.** Barycentric coordinates of a point in space are three equations for two unknowns.
+**Problem.** The barycentric coordinates of a point in space are two unknowns in three equations.
 
-**Idea.** Intersect the plane first. Then leave out one coordinate, that of the normal's largest component: projected along it,
-the triangle keeps most of its area and its barycentric coordinates, and two equations for two unknowns are left.
+**Idea.** Intersect the plane first. Then drop one coordinate, that of the normal's largest component. The projection along it
+keeps most of the triangle's area and preserves barycentric coordinates, and leaves two equations for two unknowns.
 
-**Data.** The three vertices; the normal and its main axis are found for every ray. Wald's test
-(`wrt.kernels.triangle.wald`) is this one with all that computed beforehand.
+**Data.** The three vertices. The normal and its main axis are computed for every ray. Wald's test (`wrt.kernels.triangle.wald`)
+is the same test with these values precomputed.
 
-**Departures.** The comparison of t with the ray's range, the first exit, is left to the caller. The point is taken relative to
-vertex a from the start, so that its rounding does not grow with the distance from the centre of the scene. The determinant
-of the two equations is the normal's component itself. The survey's two forms of the test differ by a sign and by which edge
-is `b`; here u weighs vertex b and v vertex c.
+**Departures.** The caller compares t with the ray's range, which is the published test's first exit. The point is taken
+relative to vertex a from the start, so that its rounding does not grow with the distance from the centre of the scene. The
+determinant of the two equations is the normal's component itself. Rahikainen 2013 prints two forms that differ by a sign and by
+the edge that is called `b`. Here u weighs vertex b and v weighs vertex c.
 
-**Limits.** The point is computed early and tested late: most rays pay for all of it. Not watertight.
+**Limits.** The inside test comes late, so most rays pay for the whole computation. The test is not watertight.
 
 References:
     D. Badouel: An efficient ray-polygon intersection. Graphics Gems, Academic Press, 1990.
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 import warp as wp
@@ -33,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def intersect(ray: PlainRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     edge_b = corners.b - corners.a
     edge_c = corners.c - corners.a
     normal = cross(edge_b, edge_c)
@@ -69,7 +70,8 @@ LANES = LaneForm(
         ),
     ),
 )
-"""A t that is not finite makes u or v NaN or infinite, or both coordinates of the point 0 times infinity: NaN as well."""
+"""If t is not finite, u or v is NaN or infinite, or both coordinates of the point are 0 times infinity, which is NaN as
+well."""
 
 TEST = TriangleTest(
     name="badouel",

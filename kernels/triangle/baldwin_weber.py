@@ -1,20 +1,20 @@
-"""Baldwin & Weber 2016: move the ray to where the triangle is the unit triangle.
+"""Baldwin and Weber 2016: transform the ray into the space in which the triangle is the unit triangle.
 
-**Problem.** A transformation that takes a triangle to the one with vertices (0, 0), (1, 0), (0, 1) makes the test trivial, but
-its twelve numbers are many to keep and to multiply with.
+**Problem.** A transformation that maps a triangle to (0, 0), (1, 0), (0, 1) makes the test trivial, but its twelve numbers cost
+memory and multiplications.
 
-**Idea.** Where the transformation takes the third axis is free: no point of the plane is moved by it. If it is that of the
-normal's largest component, one column of the matrix becomes (0, 0, 1): nine numbers and the column's index are left, and two
-multiplications less a row. The third row gives t; the first two, applied to the point at t, give u and v.
+**Idea.** The image of the third axis is a free choice, because it moves no point of the plane. If that axis is the one of the
+normal's largest component, one column of the matrix becomes (0, 0, 1). Nine numbers and the column's index remain, and each row
+needs two multiplications fewer. The third row gives t. The first two rows, applied to the point at t, give u and v.
 
-**Data.** Nine floats and the index, 40 bytes: `wrt.kernels.triangle.support.axis_projection`. Found from another side, they are
-the ten numbers of Wald's projection, and the arithmetic is the same; what differs is how the end is compared. The point of the
-paper is how little memory a transformation needs, and that no case has to be told apart.
+**Data.** Nine floats and the index, 40 bytes: `wrt.kernels.triangle.support.axis_projection`. These are the ten numbers of
+Wald's projection, and the arithmetic is the same; only the final comparisons differ. The paper's contribution is that a
+transformation needs so little memory and no case distinction.
 
-**Departures.** The comparison of t with the ray's range, the paper's first exit, is left to the caller, so there is one exit.
-The paper has code for each index; on vectors it selects components, as Wald's does. The hypotenuse belongs to the triangle.
+**Departures.** The caller compares t with the ray's range, the paper's first exit, so one exit remains. The paper has separate
+code for each index; the vector form selects components instead, like Wald's test. The hypotenuse belongs to the triangle.
 
-**Limits.** As Wald's: less precise far from the centre of the scene, not watertight.
+**Limits.** Those of Wald's test: less precise far from the centre of the scene, and not watertight.
 
 References:
     D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation.
@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def intersect(ray: PlainRay, rows: RowsOfPlane):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     hit = plane_hit(ray.origin, ray.direction, rows)
     if hit[1] >= 0.0 and hit[2] >= 0.0 and hit[1] + hit[2] <= 1.0:
         return hit
@@ -52,7 +52,7 @@ LANES = LaneForm(
         ),
     ),
 )
-"""A t that is not finite makes u and v infinite or NaN, and the sum of what is infinite is not at most 1."""
+"""If t is not finite, u and v are infinite or NaN, and their sum is not at most 1."""
 
 TEST = TriangleTest(
     name="baldwin_weber",

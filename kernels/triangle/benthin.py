@@ -1,23 +1,24 @@
-"""Benthin 2006: Pluecker's test for rays from one point.
+"""Benthin 2006: the Pluecker test for rays with a common origin.
 
-**Problem.** The inner product of a ray with an edge is a volume, D . (p x q) as seen from the ray's origin; the cross product
-is most of the work, and the same for all rays of a camera or a point light.
+**Problem.** The inner product of a ray and an edge is a volume, D . (p x q) relative to the ray's origin. The cross product is
+most of the work, and it is the same for all rays of a camera or a point light.
 
-**Idea.** Compute it once for a triangle and an origin: it is the normal of the plane through both ends of the edge and the
-origin. What a ray pays is three dot products, whose signs tell inside from outside, and for a hit a fourth, for the distance.
+**Idea.** Compute the cross product once per triangle and origin. It is the normal of the plane through the edge and the origin.
+A ray then costs three dot products, whose signs decide between inside and outside, and a hit costs a fourth, for the distance.
 
-**Data.** The three planes, the triangle's normal and its distance: 52 bytes, made for a batch's origin as those of
-`wrt.kernels.triangle.komatsu`, whose words for them hold here too. (The thesis makes them for each packet, of 4 rays and up.)
+**Data.** The three planes, the triangle's normal and its distance: 52 bytes, computed for the origin of a batch. The layout and
+its lifetime are those of `wrt.kernels.triangle.komatsu`. (The thesis computes them for each packet of 4 or more rays.)
 
-**And Komatsu's test?** The one here has taken over the plane of the third edge, so both have the same numbers; what is left
-between them is this. Here all three products come first and there is one exit, as Benthin found that most rays leave by the
-inside test; and planes are not turned towards the origin: either sign will do if it is that of all three. So an origin in a
-triangle's own plane sees it from both sides, and a test takes three comparisons more.
+**Difference from Komatsu's test.** Our version of Komatsu's test also has a plane for the third edge, so both tests read the
+same numbers. Here all three products come first and there is one exit, because Benthin found that most rays leave at the inside
+test. The planes are not turned towards the origin: the ray hits if all three signs agree, whichever they are. So a triangle
+whose plane contains the origin is visible from both sides, and a test needs three more comparisons.
 
 **Departures.** The weights of the vertices are the three products over their sum; the thesis computes them after the traversal.
-It compares the distance with the ray's range; here that is the caller's, but for what lies behind the origin.
+The thesis compares the distance with the ray's range. Here the caller does, except that the test rejects hits behind the
+origin.
 
-**Limits.** Those of Komatsu's test: neither `watertight` at vertices nor `accurate` at tips of needles.
+**Limits.** Those of Komatsu's test: it is neither `watertight` at vertices nor `accurate` at tips of needles.
 
 References:
     C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
@@ -37,13 +38,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle and an origin."""
+    """Planes of a triangle for an origin."""
     return seen_from(corners, origin, False)
 
 
 @wp.func
 def intersect(ray: ScaledRay, planes: OriginPlanes):
-    """One ray, one triangle: (t, u, v), t NaN if the ray misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray misses. u and v weigh the vertices b and c."""
     alpha = along_plane(ray.direction, planes, 0)
     beta = along_plane(ray.direction, planes, 3)
     gamma = along_plane(ray.direction, planes, 6)

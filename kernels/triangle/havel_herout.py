@@ -1,25 +1,27 @@
-"""Havel & Herout 2010: three planes in space, no projection.
+"""Havel and Herout 2010: three planes in space, no projection.
 
 **Problem.** Wald's and Shevtsov's tests project onto a coordinate plane, so a triangle's record says which components of the
-ray to take: a table look-up in scalar code, selects on vectors.
+ray to use: a table look-up in scalar code, selects in vector code.
 
-**Idea.** Stay in space. Besides the triangle's own plane there are two planes through its edges along the normal, whose scaled
-distances are u and v at once. The division comes last, as in Shevtsov's test: everything is multiplied by the determinant.
+**Idea.** Stay in three dimensions. Besides the triangle's own plane, use two planes through its edges along the normal, whose
+scaled distances are u and v directly. The division comes last, as in Shevtsov's test: everything is multiplied by the
+determinant.
 
-**Data.** Three planes of four floats, 48 bytes. The test is nothing but dot products, for which the paper takes SSE4's
-instruction; here each lane has its own triangle or ray, and no instruction across lanes is needed.
+**Data.** Three planes of four floats, 48 bytes. The test consists of dot products, for which the paper uses an SSE4
+instruction. Here each lane has its own triangle or ray, so no instruction across lanes is needed.
 
-**Departures.** The planes are computed in float64, then rounded; the triangle's own is scaled by a power of two, which rounds
-nothing, so that the products stay in the range of floats at any size. (The survey's equation 2.14 lacks the parentheses:
-the normal of the plane of u is ((c - a) x N) / |N|^2.) The comparison of t with the ray's range is left to the caller. The
-exits after u and after v are one: with a step each, packets took 1.1 times as long, streams 1.2.
+**Departures.** The planes are computed in float64, then rounded. The triangle's own plane is scaled by a power of two, which
+rounds nothing, so that the products stay in the range of float32 at any size. (Equation 2.14 in Rahikainen 2013 lacks
+parentheses: the normal of the plane of u is ((c - a) x N) / |N|^2.) The caller compares t with the ray's range. The exits after
+u and after v are joined into one, which is faster with lanes (notebooks/records/2026-11-21-triangle-tests.md).
 
-**Limits.** The distances of the planes are from the centre of the scene, and round with it: less precise than a test that
-subtracts a vertex first. Not watertight.
+**Limits.** The distances of the planes are measured from the centre of the scene and round accordingly: the test is less
+precise than one that subtracts a vertex first. It is not watertight.
 
 References:
     J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4).
         IEEE Transactions on Visualization and Computer Graphics 16(3), 2010.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 import warp as wp
@@ -43,12 +45,12 @@ from wrt.kernels.triangle.support.vectors import (
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 ThreePlanes = wp.types.vector(length=12, dtype=wp.float32)
-"""Normal and constant of: the triangle's plane, N . x = n; u = N_u . x + n_u; v = N_v . x + n_v."""
+"""Normals and constants of three planes: the triangle's, N . x = n; u = N_u . x + n_u; v = N_v . x + n_v."""
 
 
 @wp.func
 def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle. One without area has planes that are not finite."""
+    """Planes of a triangle. A triangle without area has planes that are not finite."""
     a = wp.vec3d(corners.a)
     edge_b = wp.vec3d(corners.b) - a
     edge_c = wp.vec3d(corners.c) - a
@@ -70,7 +72,7 @@ def derive(corners: Corners, origin: wp.vec3):
 
 @wp.func
 def intersect(ray: PlainRay, planes: ThreePlanes):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     normal = three(planes, 0)
     det = dot(ray.direction, normal)
     ahead = planes[3] - dot(ray.origin, normal)

@@ -1,18 +1,18 @@
-"""Kensler & Shirley 2006: of all ways to write the test by volumes, the one with the fewest operations.
+"""Kensler and Shirley 2006: the form of the volume test with the fewest operations.
 
-**Problem.** Tests in space (Moeller and Trumbore's, Pluecker's) are all ratios of volumes of tetrahedra that ray and triangle
-span, but a volume can be written in many ways, and their parts can be shared in many ways.
+**Problem.** Tests in three dimensions (Moeller and Trumbore's, Pluecker's) are ratios of volumes of tetrahedra that ray and
+triangle span. A volume can be written in many ways, and the ways share different subexpressions.
 
-**Idea.** Count: of all forms without data computed beforehand, the fewest operations are needed where one cross product is the
-triangle's normal and the other that of the ray's direction with the vector from its origin to the triangle. Then a genetic
-algorithm orders the code. (The order is now the compiler's affair: what is left is the form.)
+**Idea.** Count the operations of all forms without precomputed data. The cheapest form uses two cross products: one is the
+triangle's normal, the other that of the ray's direction and the vector from its origin to the triangle. The paper then orders
+the code with a genetic algorithm. Today's compilers choose the order, so we implement the form alone.
 
 **Data.** The three vertices.
 
-**Departures.** The form is that of `wrt.kernels.triangle.moeller_trumbore_precomputed`, with edges and normal formed for every
-ray; the division is multiplied into the vector to the triangle at once, which saves two multiplications.
+**Departures.** The form is that of `wrt.kernels.triangle.moeller_trumbore_precomputed`, with edges and normal computed for
+every ray. The reciprocal is multiplied into the vector to the triangle at once, which saves two multiplications.
 
-**Limits.** Neither watertight nor, at needles, accurate: the same as Moeller and Trumbore's.
+**Limits.** Those of Moeller and Trumbore's test: not watertight, and not accurate at needles.
 
 References:
     A. Kensler, P. Shirley: Optimizing ray-triangle intersection via automated search. IEEE Symposium on Interactive Ray
@@ -31,7 +31,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def intersect(ray: PlainRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     from_b = corners.a - corners.b
     edge_c = corners.c - corners.a
     normal = cross(edge_c, from_b)
@@ -62,7 +62,7 @@ LANES = LaneForm(
         ),
     ),
 )
-"""One step: an exit before t, which is one more product, was measured to take streams 1.03 times as long, packets 1.06."""
+"""One step. A separate exit before t, which is one more product, is slower (notebooks/records/2026-11-21-triangle-tests.md)."""
 
 TEST = TriangleTest(
     name="kensler_shirley",

@@ -1,38 +1,36 @@
-"""Rays from one point: Komatsu, Kaeriyama, Suzuki, Takizawa, Kobayashi 2008.
+"""Komatsu, Kaeriyama, Suzuki, Takizawa and Kobayashi 2008: a test for rays with a common origin.
 
-**Problem.** Moeller and Trumbore's products depend on ray and triangle. Of the rays of a camera, or of a point light, the
-origin is always the same: most of the work is done again and again.
+**Problem.** Moeller and Trumbore's products depend on ray and triangle. The rays of a camera or a point light share an origin,
+so most of the work is repeated for every ray.
 
-**Idea.** Write Cramer's rule as triple products with the direction D on its own. With S from the triangle to the origin,
-u and v are D . (-S x E2) and D . (S x E1) over -D . N, and t is N . S over that: what D is multiplied with depends on triangle
-and origin only and is computed once. A test takes three dot products, and most tests end after the first or the second:
-each comparison is an exit, four in all.
+**Idea.** Write Cramer's rule as triple products with the direction D as a separate factor. With S from the triangle to the
+origin, u and v are D . (-S x E2) and D . (S x E1) over -D . N, and t is N . S over the same. The factors of D depend on
+triangle and origin only and are computed once. A test takes three dot products, and most tests end after the first or the
+second: each comparison is an exit, four in all.
 
-**Data.** A triangle and an origin make a record: the three vertices (for the triangle's box, and for packet cullings), the
-normals of the planes through the origin and the three edges, the triangle's normal N, and N . S: 88 bytes. They are made for
-a batch's origin and again when the next batch has another (`wrt.Scene` keeps the last ones), in 55-80 ns a triangle on one
-thread. (Measured with a million rays, bunny and dragon: a batch takes 0.85-0.99 of the time that the watertight test needs,
-more of it saved in packets than alone; as the records cost a third of such a batch, they pay only where several share an
-origin. Where leaves are few and small, the paper finds no more: 1.03 with a tree, up to 1.43 without.)
+**Data.** A record belongs to a triangle and an origin: the three vertices (for the triangle's box, and for packet culling), the
+normals of the planes through the origin and the three edges, the triangle's normal N, and N . S: 88 bytes. The records are
+computed for the origin of a batch, and again when the next batch has another origin (`wrt.Scene` keeps the most recent ones).
+Computing them takes about a third of the time of one batch of a million rays, so they pay only if several batches share an
+origin (notebooks/records/2026-11-21-triangle-tests.md).
 
 **What we changed.**
 
-* The paper compares u + v with 1, by the sum of two products that round. Here the third edge has a plane of its own, like the
-  other two: -S x E2 and S x E1 are the planes of two edges already. So two triangles see their common edge through the same
-  three numbers with opposite signs, and no ray passes between them along it (Benthin's form of Pluecker's test, which the
-  paper compares with, has that too). D . N is computed only for a ray that passes all three, and is the fourth exit.
-* The paper drops triangles that face away, at the first exit. Here the planes are turned, when they are made, to the side
-  on which the origin is: both sides of a triangle are hit at no cost, what lies behind the origin leaves at the first three
-  exits, and the fourth drops triangles that are seen edge-on.
-* The planes are computed in float64, by cross products of the vertices as seen from the origin, and then rounded: in float32
+* The paper compares u + v with 1, by the sum of two rounded products. Here the third edge has a plane of its own, as the others
+  do: -S x E2 and S x E1 are already the planes of two edges. Two triangles then see their common edge through the same three
+  numbers with opposite signs, and no ray passes between them along it. (Benthin's form of Pluecker's test, with which the paper
+  compares, has this property too.) D . N is computed only for a ray that passes all three planes, and is the fourth exit.
+* The paper rejects triangles that face away, at the first exit. Here the planes are turned towards the origin when they are
+  computed. Both sides of a triangle are hit at no cost, triangles behind the origin leave at the first three exits, and the
+  fourth exit rejects triangles that are seen edge-on.
+* The planes are computed in float64, by cross products of the vertices relative to the origin, and then rounded. In float32
   their rounding would grow with the square of the distance over the length of an edge.
 * Planes and directions are scaled by powers of two, which rounds nothing, so that tiny triangles do not underflow.
 
-**Limits.** At a *vertex* the planes of several edges meet, each rounded on its own, in no common line. Of 2.9 million rays
-aimed at vertices of closed convex bodies 1 in 2,800 passed through (Moeller and Trumbore: 1 in 10), of 1.7 million at points
-of edges none; so the test is not `watertight`. Near the tip of a needle two planes are almost one, and a hit may lie beyond
-the tip by much more than the slack: it is not `accurate`. An origin in a triangle's own plane sees it, at t = 0, from one
-side only.
+**Limits.** The planes of the edges at a *vertex* round independently and do not meet in a common line, so rays aimed at a
+vertex occasionally pass through (figures in the record). The test is therefore not `watertight`; along edges no ray passes.
+Near the tip of a needle two planes almost coincide, and a hit may lie beyond the tip by much more than the slack: the test is
+not `accurate`. A triangle whose plane contains the origin is hit, at t = 0, from one side only.
 
 References:
     K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
@@ -50,29 +48,29 @@ from wrt.kernels.triangle.support.vectors import cross, largest, scale_to_one
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 OriginPlanes = wp.types.vector(length=13, dtype=wp.float32)
-"""A triangle as seen from an origin: the normals of the planes through the origin and the edges opposite a, b and c, towards
-these, to the same scale; the triangle's normal, away from the origin, to a scale of its own; the distance of the triangle's
-plane from the origin, in lengths of that normal."""
+"""A triangle relative to an origin: the normals of the planes through the origin and the edges opposite a, b and c, pointing
+towards these vertices, on a common scale; the triangle's normal, pointing away from the origin, on its own scale; the distance
+of the triangle's plane from the origin, in lengths of that normal."""
 
 
 @wp.struct
 class ScaledRay:
-    """A direction whose largest component is between 1 and 2."""
+    """A direction scaled by a power of two so that its largest component is between 1 and 2."""
 
     direction: wp.vec3
     power: float
-    """The power of two by which it was divided."""
+    """The power of two by which the direction was divided."""
 
 
 @wp.func_native("return __builtin_bit_cast(float, __builtin_bit_cast(int, size) & 0x7f800000);")
 def power_of_two(size: float) -> float:
-    """The power of two below a normal number."""
+    """The largest power of two that is at most a normal number."""
     ...
 
 
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
-    """Scales the direction, finite and not zero; the origin is in the records."""
+    """Scales a finite, nonzero direction. The records already contain the origin."""
     ray = ScaledRay()
     size = wp.abs(direction)
     ray.power = power_of_two(wp.max(size[0], wp.max(size[1], size[2])))
@@ -82,7 +80,7 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def seen_from(corners: Corners, origin: wp.vec3, turned: bool):
-    """A triangle as seen from an origin; `turned`: whether planes are turned to the side on which the origin is."""
+    """Planes of a triangle for an origin. With `turned`, they are turned towards the origin's side of the triangle."""
     from_origin = wp.vec3d(origin)
     a = wp.vec3d(corners.a) - from_origin
     b = wp.vec3d(corners.b) - from_origin
@@ -107,7 +105,7 @@ def seen_from(corners: Corners, origin: wp.vec3, turned: bool):
 
 @wp.func
 def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle and an origin."""
+    """Planes of a triangle for an origin, turned towards it."""
     return seen_from(corners, origin, True)
 
 
@@ -116,13 +114,13 @@ RECORD = Record(13, derive, per_origin=True)
 
 @wp.func
 def along_plane(direction: wp.vec3, planes: OriginPlanes, first: int):
-    """direction . the normal that begins at `first`."""
+    """Dot product of the direction and the normal that begins at `first`."""
     return (direction[0] * planes[first] + direction[1] * planes[first + 1]) + direction[2] * planes[first + 2]
 
 
 @wp.func
 def intersect(ray: ScaledRay, planes: OriginPlanes):
-    """One ray, one triangle: (t, u, v), t NaN if the ray misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray misses. u and v weigh the vertices b and c."""
     miss = wp.vec3(wp.nan, 0.0, 0.0)
     alpha = along_plane(ray.direction, planes, 0)
     if not alpha >= 0.0:
@@ -185,8 +183,8 @@ EXITS = LaneForm(
 """The test with its four exits."""
 
 LANES = EXITS.joined(3, 1)
-"""The first three in one: nearly all vectors take it, so the branch is foreseen, as one after each plane would not be
-(measured in `wrt.bench.studies.triangles.komatsu_tables`)."""
+"""The first three exits joined into one. Nearly all vectors take it, so the branch is predicted, unlike one after each plane.
+`wrt.bench.studies.triangles.komatsu_tables` measures it."""
 
 TEST = TriangleTest(
     name="komatsu",

@@ -1,10 +1,17 @@
 """Moeller & Trumbore 1997: solve origin + t direction = a + u (b - a) + v (c - a) by Cramer's rule.
 
-Nothing is precomputed; edges are formed on the fly. Fast and short, but not watertight: the third edge is tested through
-u + v <= 1, whose rounding differs from that of the neighbour's own edge.
+**Problem.** Find t and the barycentric coordinates without storing the plane of every triangle.
 
-Two-sided: the determinant is not compared with a small number, only with zero (through the non-finite results that a
-division by zero gives, which fail every comparison).
+**Idea.** The three unknowns t, u, v solve a linear system of three equations. Cramer's rule gives them as ratios of triple
+products that share two cross products.
+
+**Data.** The three vertices. Nothing is precomputed; the test computes the edges for every ray.
+
+**Departures.** The test is two-sided: the determinant is not compared with a small number. A zero determinant gives results
+that are not finite, which fail every comparison.
+
+**Limits.** Fast and short, but not watertight: the third edge is tested through u + v <= 1, whose rounding differs from that of
+the same edge in the neighbouring triangle.
 
 References:
     T. Moeller, B. Trumbore: Fast, minimum storage ray/triangle intersection. Journal of Graphics Tools 2(1), 1997.
@@ -22,7 +29,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def intersect(ray: PlainRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     edge_b = corners.b - corners.a
     edge_c = corners.c - corners.a
     p = cross(ray.direction, edge_c)
@@ -71,7 +78,7 @@ EXITS = LaneForm(
 """The test with the exits of the paper."""
 
 LANES = EXITS.joined(3)
-"""One step: with W lanes, an exit between u and v would be taken by all of them too seldom to pay."""
+"""One step: all W lanes would seldom take an exit between u and v together, so it does not pay."""
 
 TEST = TriangleTest(
     name="moeller_trumbore",

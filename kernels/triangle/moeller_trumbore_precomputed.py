@@ -1,19 +1,18 @@
-"""Moeller and Trumbore's test with edges and normal computed beforehand, as Komatsu et al. 2008 improve it.
+"""Moeller and Trumbore's test with precomputed edges and normal, as improved by Komatsu et al. 2008.
 
-**Problem.** The plain test (`wrt.kernels.triangle.moeller_trumbore`) forms the edges anew for every ray, and two cross
-products.
+**Problem.** The plain test (`wrt.kernels.triangle.moeller_trumbore`) computes the edges and two cross products for every ray.
 
 **Idea.** By the rules of scalar triple products, Cramer's determinants become, with S from the origin to the triangle and
-G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N belong to the triangle;
-one cross product is left.
+G = S x D: u = G . (c - a), v = G . (a - b), t = N . S, each over N . D. The edges and their normal N are properties of the
+triangle; one cross product per test remains.
 
-**Data.** A vertex, two edges and the normal: 48 bytes, a third more than the vertices alone. The normal is formed in float64
+**Data.** A vertex, two edges and the normal: 48 bytes, a third more than the vertices alone. The normal is computed in float64
 and then rounded.
 
-**Departures.** The paper leaves where N . D >= 0: such a triangle faces away. Both sides are hit here, so the quotients are
-formed before they are compared. Its three further exits and t are one step here: lanes seldom leave all at the same one.
+**Departures.** The paper rejects N . D >= 0: such a triangle faces away. Here both sides are hit, so the quotients are computed
+before they are compared. The paper's three further exits and t form one step: lanes seldom all leave at the same exit.
 
-**Limits.** As the plain test, not watertight: u + v <= 1 rounds otherwise than the same edge does in the neighbour.
+**Limits.** Like the plain test it is not watertight: u + v <= 1 rounds differently from the same edge in the neighbour.
 
 References:
     K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
@@ -36,7 +35,7 @@ Edges = wp.types.vector(length=12, dtype=wp.float32)
 
 @wp.func
 def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle."""
+    """Vertex, edges and normal of a triangle."""
     edge_b = corners.a - corners.b
     edge_c = corners.c - corners.a
     normal = cross(wp.vec3d(corners.b) - wp.vec3d(corners.a), wp.vec3d(corners.c) - wp.vec3d(corners.a))
@@ -51,7 +50,7 @@ def derive(corners: Corners, origin: wp.vec3):
 
 @wp.func
 def intersect(ray: PlainRay, edges: Edges):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     normal = three(edges, 9)
     s = three(edges, 0) - ray.origin
     g = cross(s, ray.direction)

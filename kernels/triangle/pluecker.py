@@ -1,25 +1,25 @@
-"""Pluecker's test: on which side of each edge's line does the ray's line pass?
+"""Pluecker test: on which side of each edge's line does the ray's line pass?
 
-**Problem.** A test of barycentric coordinates sees an edge from one triangle as u >= 0, from its neighbour as u + v <= 1; the
-two round apart, and a ray may pass between.
+**Problem.** A test by barycentric coordinates evaluates an edge as u >= 0 in one triangle and as u + v <= 1 in its neighbour.
+The two round differently, and a ray may pass between them.
 
-**Idea.** In Pluecker's coordinates the inner product of two directed lines tells by its sign how they turn about each other. A
-line meets a triangle if it turns about all three edges the same way. Seen from the other triangle the edge is directed the
-other way: the same number with the other sign, if it is computed symmetrically. So no ray passes along an edge.
+**Idea.** In Pluecker coordinates the sign of the inner product of two directed lines is the sense in which they turn about each
+other. A line meets a triangle if it turns about all three edges in the same sense. The other triangle directs the edge the
+other way, which negates the product exactly if it is computed symmetrically. So no ray passes along an edge.
 
-**Data.** The three vertices. Nothing is known beforehand; for rays of one origin see `wrt.kernels.triangle.benthin`.
+**Data.** The three vertices. Nothing is precomputed; for rays with a common origin see `wrt.kernels.triangle.benthin`.
 
 **Departures.**
 
-* The origin is moved to 0, where the ray's moment vanishes: the inner product with the edge from p to q is D . (p x q), the
-  volume that ray and edge span. The moments of lines far from 0 would cancel.
-* p x q itself cancels where an edge is short and far. It is half of (p + q) x (q - p), which does not, and is as
-  antisymmetric. (Davidovic et al. write it so, for the edge functions of rasterisation.)
-* Signs are compared before the distance, which Benthin recommends; the survey remarks that Komatsu et al. measured Pluecker's
-  test with the distance first.
-* The three numbers over their sum are the weights of the vertices, which the test does not give by itself.
+* The origin is moved to 0, where the ray's moment vanishes. The inner product with the edge from p to q is then D . (p x q),
+  the volume that ray and edge span. The moments of lines far from 0 would cancel.
+* p x q itself cancels for a short, distant edge. It is half of (p + q) x (q - p), which does not cancel and is antisymmetric
+  too. (Davidovic et al. write the edge functions of rasterisation in this form.)
+* Signs are compared before the distance, as Benthin recommends. Rahikainen 2013 remarks that Komatsu et al. measured the
+  Pluecker test with the distance first.
+* The weights of the vertices are the three numbers over their sum; the test itself does not provide them.
 
-**Limits.** At a vertex several edges meet, each of which rounds on its own, so the test is not `watertight`.
+**Limits.** The edges at a vertex round independently, so the test is not `watertight`.
 
 References:
     K. Shoemake: Pluecker coordinate tutorial. Ray Tracing News 11(1), 1998.
@@ -27,6 +27,7 @@ References:
     C. Benthin: Realtime ray tracing on current CPU architectures. PhD thesis, Saarland University, 2006.
     T. Davidovic, T. Engelhardt, I. Georgiev, P. Slusallek, C. Dachsbacher: 3D rasterization: a bridge between rasterization
         and ray casting. Graphics Interface 2012.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 import warp as wp
@@ -41,13 +42,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def around(direction: wp.vec3, p: wp.vec3, q: wp.vec3):
-    """Twice the inner product of a line through 0 with the one from p to q."""
+    """Twice the inner product of a line through 0 with the line from p to q."""
     return dot(direction, cross(p + q, q - p))
 
 
 @wp.func
 def intersect(ray: PlainRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     a = corners.a - ray.origin
     b = corners.b - ray.origin
     c = corners.c - ray.origin

@@ -1,21 +1,22 @@
-"""Segura & Feito 2001: the signs of three volumes, one after the other.
+"""Segura and Feito 2001: the signs of three volumes, one after the other.
 
-**Problem.** Which of many triangles does a line meet? Where it meets them is asked of a few, if at all, and a division rounds.
+**Problem.** Many queries only need to know which triangles a line meets. The point is needed for few of them, and a division
+rounds.
 
-**Idea.** Take the line as a segment and see the triangle from that end from which it goes round counterclockwise. Segment and
-edges then span tetrahedra whose signed volumes are all positive if the line passes inside; the first negative one ends the
-test. There is no division. The point is computed on demand, for what is hit.
+**Idea.** Treat the line as a segment and view the triangle from the end from which its vertices run counterclockwise. The
+tetrahedra that segment and edges span all have positive volumes if the line passes inside. The first negative volume ends the
+test. There is no division. The point of a hit is computed on demand.
 
 **Data.** The three vertices.
 
-**Departures.** The end of the segment is beyond any triangle, as the line counts here: which end sees the triangle
-counterclockwise is told by the direction against the normal, not by where the origin is. Volumes are taken from the ray's
-origin, with edges as factors, so that they do not cancel far away; both volumes at vertex a share a cross product. On demand
-is always here: t, u and v are the last step.
+**Departures.** The end of the segment lies beyond any triangle, because here the whole line counts. The sign of direction .
+normal, not the position of the origin, decides which end sees the triangle counterclockwise. Volumes are taken relative to the
+ray's origin, with edges as factors, so that they do not cancel far away. Both volumes at vertex a share a cross product. t, u
+and v are always computed, in the last step.
 
-**Limits.** A volume at an edge starts from another vertex than the neighbour's, and rounds otherwise: unlike Pluecker's form of
-the same signs, it is not exactly antisymmetric, so rays may pass along edges. Each exit costs lanes a question
-whether all have left, and few are left by all: in one step, packets took 0.93 of the time and streams 0.85.
+**Limits.** The volume at an edge starts from a different vertex than in the neighbour and rounds differently. Unlike Pluecker's
+form of the same signs it is not exactly antisymmetric, so rays may pass along edges. Each exit costs a branch over all lanes,
+which all lanes seldom take together; a single step is faster (notebooks/records/2026-11-21-triangle-tests.md).
 
 References:
     R. J. Segura, F. R. Feito: Algorithms to test ray-triangle intersection. Comparative study. WSCG 2001.
@@ -35,7 +36,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.func
 def intersect(ray: PlainRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     edge_b = corners.b - corners.a
     edge_c = corners.c - corners.a
     normal = cross(edge_b, edge_c)

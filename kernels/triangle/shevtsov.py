@@ -1,25 +1,26 @@
-"""Shevtsov, Soupikov, Kapustin 2007: projection as Wald's, inside or not as Pluecker's, the division last.
+"""Shevtsov, Soupikov and Kapustin 2007: Wald's projection, Pluecker's inside test, the division last.
 
-**Problem.** Wald's test divides before it knows whether the triangle is hit; most are not.
+**Problem.** Wald's test divides before it knows whether the triangle is hit. Most triangles are not.
 
-**Idea.** Multiply through by the determinant, the rate at which the ray approaches the plane: the point at which it meets the
-plane, as seen from a vertex, times the determinant, is a sum of products, and so are the barycentric coordinates times it. The
-ray hits where they and what is left of the determinant have the same sign: Pluecker's condition. Only a hit is divided.
+**Idea.** Multiply everything by the determinant, the rate at which the ray approaches the plane. The point at which the ray
+meets the plane, relative to a vertex and times the determinant, is a sum of products, and so are the barycentric coordinates
+times the determinant. The ray hits if these and the remainder of the determinant have the same sign: Pluecker's condition. Only
+a hit divides.
 
-**Data.** Ten floats, 40 bytes: the normal's other two components over its main one, and the plane's distance alike; two
-coordinates of a vertex; two of each of two edges, over the normal's main component; the axis.
+**Data.** Ten floats, 40 bytes: the two other components of the normal over its main one, and the plane's distance over the
+same; two coordinates of a vertex; two of each of two edges, over the normal's main component; the axis.
 
-**Departures.** A flag for triangles across an axis, for which the plane is simpler, is left out: on vectors both kinds meet in
-a loop. The equations (2.13 in Rahikainen's survey) are taken as printed there, and hold. The record is computed in float64,
-then rounded.
+**Departures.** The paper's flag for triangles perpendicular to an axis, whose plane is simpler, is omitted: lanes of both kinds
+run in the same loop. The equations are those printed as (2.13) in Rahikainen 2013, and they are correct. The record is computed
+in float64, then rounded.
 
-**Limits.** Lanes divide all at once, so that to put the division last saves nothing: in one step, packets took 0.95 of the time
-and streams 0.85. The inside is relative to a vertex, which is precise; t is not, as the plane's distance is that from the
-centre of the scene. Not watertight.
+**Limits.** All lanes divide at once, so dividing last saves nothing with lanes; a single step is faster
+(notebooks/records/2026-11-21-triangle-tests.md). The inside test is relative to a vertex, which is precise. t is less precise,
+because the plane's distance is measured from the centre of the scene. The test is not watertight.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
-    H. Rahikainen: Real time ray tracing: current state and future development. 2013.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 import warp as wp
@@ -34,12 +35,12 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 FlatTriangle = wp.types.vector(length=10, dtype=wp.float32)
 """k; n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; a_p, a_q of vertex a; b_p, b_q of the edge b - a and c_p, c_q of the
-edge c - a, over the normal's component k."""
+edge c - a, both over the normal's component k."""
 
 
 @wp.func
 def derive(corners: Corners, origin: wp.vec3):
-    """The precomputation for a triangle. One without area has components that are not finite."""
+    """Record of a triangle. A triangle without area has components that are not finite."""
     a = wp.vec3d(corners.a)
     edge_b = wp.vec3d(corners.b) - a
     edge_c = wp.vec3d(corners.c) - a
@@ -63,7 +64,7 @@ def derive(corners: Corners, origin: wp.vec3):
 
 @wp.func
 def intersect(ray: PlainRay, flat: FlatTriangle):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     o = turned(ray.origin, int(flat[0]))
     d = turned(ray.direction, int(flat[0]))
     det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]

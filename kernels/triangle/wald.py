@@ -1,27 +1,26 @@
-"""Wald 2004: Badouel's projection with everything that belongs to the triangle computed beforehand.
+"""Wald 2004: Badouel's projection with all per-triangle values precomputed.
 
-**Problem.** Badouel's test (`wrt.kernels.triangle.badouel`) finds a triangle's normal, its main axis and the area of its
-projection again for every ray.
+**Problem.** Badouel's test (`wrt.kernels.triangle.badouel`) recomputes the triangle's normal, its main axis and the area of its
+projection for every ray.
 
-**Idea.** Divide the plane's equation by the normal's main component, and write both barycentric coordinates as linear
-functions of the two other coordinates of the point at which the line meets the plane. All that is left is one division and
-ten multiplications.
+**Idea.** Divide the plane's equation by the normal's main component, and write both barycentric coordinates as linear functions
+of the two other coordinates of the point at which the line meets the plane. One division and ten multiplications remain.
 
 **Data.** Ten floats, 40 bytes: the axis, and three rows of three (`wrt.kernels.triangle.support.axis_projection`).
 
-**Integer comparisons.** Waechter compares bit patterns as unsigned integers: those of numbers from 0 to 1 are the least there
-are, up to that of 1, and negative numbers, NaN and infinities come after. So `bits(x) <= bits(1)` alone is 0 <= x <= 1, and u,
-v and u + v take one such comparison each, in place of u >= 0, v >= 0, u + v <= 1. (Only -0 would be sorted wrongly; the
-constants of the rows are made so that no sum is -0.) He found that this saves time on a Pentium 4, in scalar code, and that
-the vector units of its day did not have the comparison. Today's have it, as fast as that of floats: the test of
-`wrt.kernels.triangle.baldwin_weber`, which is this one with comparisons of floats, took 0.96 to 1.07 of the time, run by run.
-What is left of the gain is that NaN needs no thought.
+**Integer comparisons.** Waechter compares bit patterns as unsigned integers. The patterns of the numbers from 0 to 1 are the
+smallest, up to that of 1; negative numbers, NaN and infinities are larger. So `bits(x) <= bits(1)` means 0 <= x <= 1, and u, v
+and u + v take one such comparison each instead of u >= 0, v >= 0, u + v <= 1. (Only -0 would be misclassified; the constants of
+the rows are chosen so that no sum is -0.) Waechter found that this saves time in scalar code on a Pentium 4, whose vector units
+lacked the comparison. On current vector units it is as fast as the comparison of floats in
+`wrt.kernels.triangle.baldwin_weber` (notebooks/records/2026-11-21-triangle-tests.md). The remaining advantage is that NaN needs
+no special case.
 
-**Departures.** The comparison of t with the ray's range is left to the caller. Rows are computed in float64, then rounded.
+**Departures.** The caller compares t with the ray's range. Rows are computed in float64, then rounded.
 
-**Limits.** The constants of the rows grow with the distance of the triangle from the centre of the scene over its size, and
-their rounding with them: hits are less precise than those of tests that subtract a vertex first. Not watertight. On vectors,
-triangles of several main axes meet in one loop, so the axis costs selects instead of a jump.
+**Limits.** The constants of the rows grow with the triangle's distance from the centre of the scene over its size, and so does
+their rounding: hits are less precise than those of tests that subtract a vertex first. The test is not watertight. In vector
+code, triangles of several main axes run in one loop, so the axis costs selects instead of a jump.
 
 References:
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
@@ -44,13 +43,13 @@ BITS_OF_ONE = 0x3F800000
 
 @wp.func_native(f"return __builtin_bit_cast(unsigned, x) <= {BITS_OF_ONE}u;")
 def in_unit_interval(x: float) -> bool:
-    """Whether 0 <= x <= 1, for anything but -0."""
+    """Whether 0 <= x <= 1. Wrong only for -0."""
     ...
 
 
 @wp.func
 def intersect(ray: PlainRay, rows: RowsOfPlane):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     hit = plane_hit(ray.origin, ray.direction, rows)
     if in_unit_interval(hit[1]) and in_unit_interval(hit[2]) and in_unit_interval(hit[1] + hit[2]):
         return hit

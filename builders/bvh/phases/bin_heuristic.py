@@ -1,8 +1,7 @@
-"""What a build by bins asks of its cost model, and the model for rays in all directions.
+"""Interface between a binned build and its cost model, and the model for rays in all directions.
 
-The loops of the binned build and of the collapse are written once (`levels`, `subtrees`, `collapse`); they are made into
-kernels for one `Heuristic` each. Rays in all directions meet a box in proportion to its surface area; `projected` knows more
-of its rays.
+The loops of the binned build and of the collapse are written once (`levels`, `subtrees`, `collapse`) and compiled for each
+`Heuristic`. Rays in all directions meet a box in proportion to its surface area. `projected` has the model for known rays.
 
 References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
@@ -21,15 +20,15 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @dataclass(frozen=True)
 class Heuristic:
-    """How boxes are weighed, and planes chosen.
+    """The weight of boxes and the choice of planes.
 
     Attributes:
-        rays: a Warp struct: what is known of the rays.
-        search: (rules, rays, placement, scratch, slot, tree, frame) -> Plane, the best of a node whose bins are filled.
-        is_leaf: (rules, rays, tree, frame) -> bool, whether a node of more triangles than `BuildRules.grain` is a leaf, though
-            a wide one has to have room for them.
-        weigh: (rays, tree, node) -> float, a node's weight, in proportion to the rays that meet it.
-        weigh_parent: (rays, tree, pair) -> float, that of the box around a pair: the same to the bit as its parent's.
+        rays: a Warp struct with the heuristic's knowledge of the rays.
+        search: (rules, rays, placement, scratch, slot, tree, frame) -> Plane, the best one of a node whose bins are filled.
+        is_leaf: (rules, rays, tree, frame) -> bool, whether a node of more than `BuildRules.grain` triangles is a leaf. It must
+            fit into a leaf of the wide tree.
+        weigh: (rays, tree, node) -> float, a node's weight, proportional to the number of rays that meet it.
+        weigh_parent: (rays, tree, pair) -> float, the weight of the box around a pair, with the same bits as its parent's.
     """
 
     rays: type
@@ -41,20 +40,20 @@ class Heuristic:
 
 @wp.struct
 class AllDirections:
-    """Nothing is known of the rays."""
+    """No knowledge of the rays."""
 
 
 @wp.func
 def cheapest_by_surface(
     rules: BuildRules, rays: AllDirections, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
-    """The cheapest plane of all three axes."""
+    """The plane of least cost over all three axes."""
     return best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
 
 
 @wp.func
 def never(rules: BuildRules, rays: AllDirections, tree: BinaryTree, frame: Frame):
-    """Leaves are made by the collapse."""
+    """Always false: the collapse makes the leaves."""
     return False
 
 

@@ -1,10 +1,10 @@
 """The binary tree between a builder and the collapse to wide nodes.
 
-Nodes come in pairs of siblings. The pair that a node's triangles [first, first + count) are split into is stored somewhere in
-the pairs first + 1 .. first + count - 1, of which there are as many as the subtree can need: so subtrees are built side by
-side without asking each other for room. The root is node 0; pair p is the nodes 2 p and 2 p + 1.
+Nodes come in pairs of siblings. The pair into which a node with the triangles [first, first + count) is split is stored among
+the pairs first + 1 .. first + count - 1, which suffice for its whole subtree. So subtrees are built in parallel without
+allocation. The root is node 0. Pair p consists of the nodes 2 p and 2 p + 1.
 
-A box is kept as (low, -high), 8 floats: it grows by a single minimum, all components at once.
+A box is stored as (low, -high), 8 floats, so a union of boxes is one minimum over all components.
 """
 
 import warp as wp
@@ -20,14 +20,14 @@ LEAF = wp.constant(0)
 
 @wp.struct
 class BinaryTree:
-    """A tree over the triangles in the order `order`; most of the reserved memory stays untouched."""
+    """A tree over the triangles in the order `order`. Most of the reserved memory is never written."""
 
     box: wp.array(dtype=float)
-    """(2 * triangles * 8,) low x, y, z, unused, -high x, y, z, unused, a node."""
+    """(2 * triangles * 8,) per node: low x, y, z, unused, -high x, y, z, unused."""
     range: wp.array(dtype=wp.vec2i)
-    """(2 * triangles,) first triangle in `order` and number of triangles, of inner nodes too."""
+    """(2 * triangles,) first triangle in `order` and number of triangles, also of inner nodes."""
     pair: wp.array(dtype=int)
-    """(2 * triangles,) the pair of its children; LEAF."""
+    """(2 * triangles,) the pair of its children; LEAF for a leaf."""
     order: wp.array(dtype=int)
     """(triangles,) triangle ids."""
 
@@ -42,12 +42,12 @@ class Frame:
     """Its first triangle in the tree's order."""
     count: int
     buffer: int
-    """Where the buffer begins that holds its references: 0 or the number of triangles."""
+    """Start of the buffer that holds its references: 0 or the number of triangles."""
     depth: int
 
 
 def empty_tree(triangles: int, device: wp.Device) -> BinaryTree:
-    """Room for the tree of so many triangles."""
+    """Allocates the tree of a number of triangles."""
     tree = BinaryTree()
     tree.box = wp.empty(16 * triangles, dtype=float, device=device)
     tree.range = wp.empty(2 * triangles, dtype=wp.vec2i, device=device)
@@ -83,7 +83,7 @@ def half_area_of_both(boxes: wp.array(dtype=float), pair: int) -> float:
 
 @wp.func
 def halvings(count: int):
-    """ceil(log2(count)): how often a range is halved until one is left."""
+    """ceil(log2(count)): number of halvings until one element is left."""
     bits = int(0)
     while (1 << bits) < count and bits < 30:
         bits += 1
@@ -92,10 +92,10 @@ def halvings(count: int):
 
 @wp.func
 def must_halve(depth: int, count: int):
-    """Whether a node has to be split in the middle lest its subtree become too deep.
+    """Whether a node must be split in the middle so that its subtree does not become too deep.
 
-    `depth + halvings(count)` never exceeds MAX_WIDE_DEPTH: any other split adds at most 1 to it and is made only below
-    that; a split in the middle does not change it. At a leaf it is at least the depth.
+    `depth + halvings(count)` never exceeds MAX_WIDE_DEPTH. Any other split adds at most 1 to it and is made only below the
+    limit; a split in the middle does not change it. At a leaf it is at least the depth.
     """
     return depth + halvings(count) >= wp.static(MAX_WIDE_DEPTH)
 

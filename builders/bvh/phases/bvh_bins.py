@@ -1,13 +1,13 @@
-"""The innermost loops of the binned build: a range of triangles is binned, its best plane found, the range partitioned.
+"""Innermost loops of the binned build: bin a range of triangles, find its best plane, partition the range.
 
-**Data.** A triangle is a reference of 8 floats (`wrt.builders.triangle_references`). Its centroid, doubled, is low + high. A
-bin is 8 floats too: the box of its triangles grows by one minimum of 8 lanes (Wald 2007, section 3).
+**Data.** A triangle is a reference of 8 floats (`wrt.builders.triangle_references`). Its doubled centroid is low + high. A bin
+is 8 floats too: adding a box to it is one minimum over 8 lanes (Wald 2007, section 3).
 
-**Same bits everywhere.** `Placement` says which bin a centroid falls into. Binning and partition evaluate the same
-expression, so what was counted on the left of a plane goes to the left. Minima and counts do not depend on the order, so
-a range binned in chunks gives what it gives at once.
+**Determinism.** `Placement` maps a centroid to a bin. Binning and partition evaluate the same expression, so the triangles
+counted on the left of a plane are those moved to the left. Minima and counts do not depend on the order, so a range binned in
+chunks gives the same result as in one pass.
 
-Every function works on the scratch of one slot: that of a subtree's task, or of a chunk of the top levels.
+Every function works on the scratch memory of one slot, which belongs to a subtree's task or to a chunk of the top levels.
 
 References:
     I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
@@ -25,11 +25,11 @@ from wrt.kernels.simd.lanes import FOR_LANES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SLOT_BINS = 3 * MAX_BINS
-"""Bins of a slot: axis * bins + bin, packed densely when fewer are in use."""
+"""Bins of a slot, at axis * bins + bin; packed densely if fewer bins are in use."""
 
 FEW = wp.constant(64)
 FEW_BINS = wp.constant(8)
-"""A node of at most FEW triangles gets FEW_BINS bins: clearing and sweeping more would cost more than they improve."""
+"""A node of at most FEW triangles gets FEW_BINS bins, because clearing and sweeping more would cost more than they improve."""
 
 _HEAD = f"""{FOR_LANES}
     constexpr int W = 8;
@@ -41,7 +41,7 @@ _HEAD = f"""{FOR_LANES}
 
 @wp.struct
 class Scratch:
-    """Work space of all slots."""
+    """Scratch memory of all slots."""
 
     box: wp.array(dtype=float)
     """(slots * SLOT_BINS * 8,) box of each bin."""
@@ -56,7 +56,7 @@ class Scratch:
 
 
 def make_scratch(slots: int, device: wp.Device) -> Scratch:
-    """Work space for so many slots."""
+    """Scratch memory for a number of slots."""
     scratch = Scratch()
     scratch.box = wp.empty(slots * SLOT_BINS * 8, dtype=float, device=device)
     for name in ("left_area", "right_area"):
@@ -68,7 +68,7 @@ def make_scratch(slots: int, device: wp.Device) -> Scratch:
 
 @wp.struct
 class Placement:
-    """Which bin a doubled centroid c falls into: (c - low) * scale, cut off at 0 and at the last bin."""
+    """The bin of a doubled centroid c: (c - low) * scale, clamped to [0, bins - 1]."""
 
     low: wp.vec3
     scale: wp.vec3
@@ -80,7 +80,7 @@ class Plane:
     """The best plane found."""
 
     price: float
-    """See `price_of_areas`; INFINITY: there is no plane with triangles on both sides."""
+    """See `price_of_areas`; INFINITY if no plane has triangles on both sides."""
     axis: int
     bin: int
     """First bin on the right."""
@@ -90,7 +90,7 @@ class Plane:
 
 @wp.func
 def no_plane():
-    """A plane that any other beats."""
+    """A plane that costs more than any other."""
     plane = Plane()
     plane.price = INFINITY
     return plane
@@ -98,13 +98,13 @@ def no_plane():
 
 @wp.func
 def bins_for(rules: BuildRules, count: int):
-    """Bins a node gets: few triangles need few."""
+    """Number of bins of a node with `count` triangles."""
     return wp.where(count > FEW, rules.bins, wp.min(rules.bins, FEW_BINS))
 
 
 @wp.func
 def place(domain: wp.array(dtype=float), at: int, bins: int):
-    """The bins of a node. domain: 8 floats a node, (low, -high) of the doubled centroids."""
+    """The bins of a node. domain: 8 floats per node, (low, -high) of the doubled centroids."""
     placement = Placement()
     placement.bins = bins
     for axis in range(3):
@@ -130,7 +130,7 @@ def place(domain: wp.array(dtype=float), at: int, bins: int):
 """
 )
 def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, domain: wp.array(dtype=float), at: int):
-    """The box of the doubled centroids of a range."""
+    """Writes the box of the doubled centroids of a range."""
     ...
 
 
@@ -147,7 +147,7 @@ def centroid_domain(references: wp.array(dtype=float), begin: int, count: int, d
 """
 )
 def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: wp.array(dtype=float), node: int):
-    """The box of a range of triangles."""
+    """Writes the box of a range of triangles."""
     ...
 
 
@@ -198,8 +198,9 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
 def bin_range(references: wp.array(dtype=float), begin: int, count: int, placement: Placement, scratch: Scratch, slot: int):
     """Bins a range of triangles along the three axes.
 
-    The last lane of a bin counts down by one a triangle, in the same instruction that adds -0 to the others: a separate
-    counter would be another load and store. It is emptied before floats run out of whole numbers."""
+    The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
+    counter would need another load and store. The lane is moved to `count` before float32 can no longer represent it
+    exactly."""
     ...
 
 
@@ -218,7 +219,7 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, placeme
 """
 )
 def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
-    """Makes the bins of a slot those of the slots first .. end - 1 together."""
+    """Replaces the bins of a slot by the union of those of the slots first .. end - 1."""
     ...
 
 
@@ -250,13 +251,13 @@ def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
 """
 )
 def sweep_bins(scratch: Scratch, slot: int, bins: int):
-    """Areas and counts on both sides of every plane between bins."""
+    """Computes areas and counts on both sides of every plane between bins."""
     ...
 
 
 @wp.func
 def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int):
-    """The cheapest plane; ties go to the smaller axis, then to the smaller bin."""
+    """The plane of least cost; ties go to the smaller axis, then to the smaller bin."""
     sweep_bins(scratch, slot, bins)
     best = no_plane()
     for axis in range(3):
@@ -294,7 +295,7 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: i
 """
 )
 def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: int, boxes: wp.array(dtype=float), pair: int):
-    """The boxes of the bins on both sides of a plane."""
+    """Writes the boxes of the bins on both sides of a plane."""
     ...
 
 
@@ -350,5 +351,5 @@ def partition_range(
     left_at: int,
     right_at: int,
 ):
-    """Moves a range to the two sides of a plane, in order; writes the boxes of their doubled centroids to `domain`."""
+    """Moves a range to the two sides of a plane, in order, and writes the boxes of their doubled centroids to `domain`."""
     ...

@@ -1,16 +1,16 @@
-"""The top of the binned build: the large nodes of a level at once, parallel over chunks of their triangles.
+"""The top levels of the binned build: all large nodes of a level at once, in parallel over chunks of their triangles.
 
 A level takes four launches:
 
-    bin         every chunk bins its triangles; the centroid box of its node is put together from what the chunks of the
-                level before left
-    search      every node merges the bins of its chunks, finds its best plane, and says where each of its chunks has to
-                write: the counts in the chunk's own bins tell how many of its triangles go to the left
-    partition   every chunk moves its triangles to the other buffer, in order, and leaves the centroid boxes of both sides
+    bin         every chunk bins its triangles. The centroid box of its node is the union of the partial boxes that the chunks
+                of the previous level wrote
+    search      every node merges the bins of its chunks, finds its best plane, and computes the write positions of its chunks:
+                the counts in a chunk's own bins tell how many of its triangles go to the left
+    partition   every chunk moves its triangles to the other buffer, in order, and writes the centroid boxes of both sides
     emit        lists the children that are still large, with their chunks; the others become tasks (`subtrees`)
 
-Minima and counts are the same in any order and grouping, so neither chunks nor threads show in the result, and a node gets
-the split that a task would give it.
+Minima and counts do not depend on order and grouping. So the result does not depend on chunks or threads, and a node gets the
+same split as in a task.
 """
 
 from functools import cache
@@ -50,10 +50,10 @@ class LiveNode:
 
     frame: Frame
     chunk_first: int
-    """Its chunks of this level follow one another."""
+    """First chunk; the chunks of a node on this level are contiguous."""
     chunk_count: int
     part_first: int
-    """Its centroid box is that of the parts part_first, part_first + 2, ... that the level before left."""
+    """Its centroid box is the union of the parts part_first, part_first + 2, ... that the previous level wrote."""
     part_count: int
     placement: Placement
     plane: Plane
@@ -70,7 +70,7 @@ class Chunk:
     """First reference."""
     count: int
     to_left: int
-    """Where its triangles on the left of the plane are written to."""
+    """Position to which its triangles on the left of the plane are written."""
     to_right: int
 
 
@@ -88,7 +88,7 @@ def make_references(
 
 @wp.func
 def merge_parts(node: LiveNode, parts: wp.array(dtype=float), domain: wp.array(dtype=float), at: int):
-    """Puts the centroid box of a node together."""
+    """Computes the centroid box of a node from its parts."""
     for lane in range(8):
         least = load_float(parts, node.part_first * 8 + lane)
         for part in range(1, node.part_count):
@@ -108,7 +108,7 @@ def bin_chunks(
     domain: wp.array(dtype=float),
     scratch: Scratch,
 ):
-    """Item: a chunk. domain: (chunks * 8,)."""
+    """Item: a chunk. Bins its triangles. domain: (chunks * 8,)."""
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]
@@ -119,7 +119,7 @@ def bin_chunks(
 
 @cache
 def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel whose item is a live node."""
+    """The kernel that finds the planes of the live nodes."""
     rays_type, search = heuristic.rays, heuristic.search
 
     def search_planes(
@@ -134,7 +134,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
         merged_first: int,
         tree: BinaryTree,
     ):
-        """Item: a live node. merged_first: the slots from here on are for the merged bins of the nodes."""
+        """Item: a live node. Slots from merged_first on hold the merged bins of the nodes."""
         index = first + wp.tid()
         node = nodes[index]
         frame = node.frame
@@ -168,19 +168,19 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
 @with_known_layout
 @wp.struct
 class Totals:
-    """How many there are of each."""
+    """Running totals of a build."""
 
     nodes: int
     chunks: int
     tasks: int
     pairs: int
     levels: int
-    """Levels that are done."""
+    """Levels completed."""
 
 
 @wp.func
 def add_chunks(index: int, node: LiveNode, size: int, chunks: wp.array(dtype=Chunk)):
-    """Cuts a live node into chunks of `size` triangles."""
+    """Divides a live node into chunks of `size` triangles."""
     for i in range(node.chunk_count):
         chunk = Chunk()
         chunk.node = index
@@ -191,7 +191,7 @@ def add_chunks(index: int, node: LiveNode, size: int, chunks: wp.array(dtype=Chu
 
 @wp.kernel
 def cut_root(first: int, nodes: wp.array(dtype=LiveNode), size: int, chunks: wp.array(dtype=Chunk)):
-    """One item. The chunks of the first level."""
+    """One item. Makes the chunks of the first level."""
     add_chunks(0, nodes[0], size, chunks)
 
 
@@ -209,8 +209,8 @@ def emit_children(
     top: wp.array(dtype=int),
     totals: wp.array(dtype=Totals),
 ):
-    """One item. Children of more than `large` triangles live on, the others become tasks, as does a node without a split, and
-    as do all children of the last level. top: the pairs made."""
+    """One item. Lists the children of more than `large` triangles as live nodes. The other children, nodes without a split, and
+    all children of the last level become tasks. top: the pairs made."""
     total = totals[0]
     live = total.nodes
     total.nodes = 0
@@ -254,7 +254,7 @@ def partition_chunks(
     chunks: wp.array(dtype=Chunk),
     parts: wp.array(dtype=float),
 ):
-    """Item: a chunk. Leaves the centroid boxes of its left and right triangles in the parts 2 * chunk and 2 * chunk + 1."""
+    """Item: a chunk. Writes the centroid boxes of its left and right triangles to the parts 2 * chunk and 2 * chunk + 1."""
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]

@@ -1,7 +1,7 @@
 """The lower part of the binned build: one task builds one subtree, depth first.
 
-A node's references lie in one of two buffers; its children's are written to the same places of the other one. The right
-child waits on a stack. Phases of a node: stop, search, partition, emit.
+A node's references lie in one of two buffers. Its children's references are written to the same positions of the other one. The
+right child is pushed on a stack. Phases of a node: stop, search, partition, emit.
 """
 
 from functools import cache
@@ -75,7 +75,7 @@ def divide_in_the_middle(
     pair: int,
     tree: BinaryTree,
 ):
-    """Leaves a node's triangles where they are: the first `left` of them are the left child's."""
+    """Splits a node's list without moving it: the first `left` triangles belong to the left child."""
     begin = frame.buffer + frame.first
     range_box(references, begin, left, tree.box, 2 * pair)
     range_box(references, begin + left, frame.count - left, tree.box, 2 * pair + 1)
@@ -85,8 +85,8 @@ def divide_in_the_middle(
 
 @cache
 def make_build_subtree(heuristic: Heuristic) -> wp.Function:
-    """`wp.func(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree) -> end` of the pairs that it made,
-    which begin at `task.first + 1`; the rest as of the kernel below."""
+    """`wp.func(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree) -> end` of the pairs made, which
+    begin at `task.first + 1`. The other arguments are those of the kernel below."""
     rays_type, search, is_leaf = heuristic.rays, heuristic.search, heuristic.is_leaf
 
     @wp.func
@@ -152,7 +152,7 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
 
 @cache
 def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel whose item is a task."""
+    """The kernel that builds the tasks' subtrees."""
     rays_type, build_subtree = heuristic.rays, make_build_subtree(heuristic)
 
     def build_subtrees(
@@ -170,8 +170,8 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
     ):
         """Item: a task.
 
-        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, and after them
-        that of the current one. subtrees: (tasks,) the pairs that each task made.
+        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, followed by that
+        of the current one. subtrees: (tasks,) range of the pairs that each task made.
         """
         slot = first + wp.tid()
         task = tasks[slot]

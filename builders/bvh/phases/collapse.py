@@ -1,26 +1,26 @@
-"""From a binary tree to nodes of W children, in the layout of `wrt.kernels.layout.bvh_nodes`, at the least possible cost.
+"""Optimal collapse of a binary tree to nodes of W children, in the layout of `wrt.kernels.layout.bvh_nodes`.
 
-**Problem.** A node can take any W descendants of a binary node that cover it, and any subtree of few triangles can be one
-leaf. Opening the largest child until there are W leaves many nodes nearly empty.
+**Problem.** The children of a wide node can be any W descendants of a binary node that cover it, and any small subtree can be
+one leaf. Opening the largest child repeatedly until there are W leaves many nodes nearly empty.
 
-**Algorithm.** A dynamic programme from the leaves up (Ylitie, Karras, Laine 2017, section 3.1; blocks for triangles). For
-every binary node n of weight A(n), its surface area or what else a `Heuristic` weighs it by, F(n, j) is the least cost of its
-triangles if they may take up to j lanes:
+**Algorithm.** Dynamic programming from the leaves up (Ylitie, Karras and Laine 2017, section 3.1; with blocks instead of
+triangles). A binary node n has the weight A(n): its surface area, or another weight by a `Heuristic`. F(n, j) is the least cost
+of its triangles if they may take up to j lanes:
 
-    leaf(n) = A(n) C_b blocks(n)                               if n has at most so many triangles as a leaf may
+    leaf(n) = A(n) C_b blocks(n)                               if a leaf may hold the triangles of n
     D(n, j) = min over k of F(left, k) + F(right, j - k)       both children share the lanes
     F(n, 1) = min(leaf(n), A(n) C_t + D(n, W))                 a lane: a leaf, or a wide node
     F(n, j) = min(F(n, 1), D(n, j))
 
 Wide nodes are then made from the root down, level by level, in parallel:
 
-    pick    every node picks its children by following the minima, and counts its inner ones and the blocks of its leaves
-    scan    the counts of the nodes before it tell each node where its children and blocks begin
+    pick    every node picks its children by following the minima, and counts its inner children and the blocks of its leaves
+    scan    a prefix sum of the counts gives each node the start of its children and blocks
     list    the next level's nodes are listed
 
 When all levels are known, one launch writes boxes, child words and leaf blocks.
 
-**Complexity.** O(W^2) a binary node, in W vector steps.
+**Complexity.** O(W^2) per binary node, in W vector steps.
 
 References:
     I. Wald, C. Benthin, S. Boulos: Getting rid of packets: efficient SIMD single-ray traversal using multi-branching BVHs.
@@ -56,14 +56,14 @@ NO_NODE = wp.constant(0x7FFFFFFF)
 
 @wp.struct
 class WideLevels:
-    """The wide nodes as they are found, in breadth-first order."""
+    """The wide nodes found so far, in breadth-first order."""
 
     source: wp.array(dtype=int)
-    """(nodes,) the binary node that each stands for."""
+    """(nodes,) the binary node that each wide node represents."""
     pick: wp.array2d(dtype=int)
-    """(nodes, W) the binary nodes of its children; ~node: it is to be a leaf; NO_NODE."""
+    """(nodes, W) the binary nodes of its children; ~node if the child is a leaf; NO_NODE for an unused lane."""
     first: wp.array(dtype=wp.vec2i)
-    """(nodes,) its first inner child and its first block; before the scan, how many it has of each."""
+    """(nodes,) its first inner child and its first block; before the scan, the numbers of both."""
 
 
 @wp.func_native(
@@ -98,20 +98,20 @@ def combine(
     inner: float,
     leaf: float,
 ):
-    """F(n, 1 .. W) of the parent of a pair from those of the pair's nodes.
+    """Computes F(n, 1 .. W) of the parent of a pair from those of the pair's nodes.
 
-    left, right: where their costs are; LEAF: they are leaves that cost left_leaf, right_leaf. inner: A(n) C_t."""
+    left, right: indices of their costs; LEAF for leaves, which cost left_leaf and right_leaf. inner: A(n) C_t."""
     ...
 
 
 @cache
 def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
-    """What a binary node costs as a leaf, and at least if it may take so many lanes."""
+    """Two functions: the cost of a binary node as a leaf, and its least cost in a number of lanes."""
     rays_type, weigh = heuristic.rays, heuristic.weigh
 
     @wp.func
     def cost_as_leaf(rules: BuildRules, rays: rays_type, tree: BinaryTree, node: int):
-        """leaf(n); INFINITY if it has too many triangles."""
+        """leaf(n); INFINITY if it has too many triangles for a leaf."""
         count = tree.range[node][1]
         return wp.where(count <= rules.max_leaf, weigh(rays, tree, node) * leaf_cost(rules.cost, count), INFINITY)
 
@@ -128,13 +128,13 @@ def make_costs(heuristic: Heuristic) -> tuple[wp.Function, wp.Function]:
 
 @cache
 def make_solve(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel that solves subtrees, and what is above them."""
+    """The kernel that computes F for subtrees, and then for the pairs above them."""
     rays_type, weigh_parent = heuristic.rays, heuristic.weigh_parent
     cost_as_leaf, _ = make_costs(heuristic)
 
     @wp.func
     def solve_pair(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int):
-        """F of the node that a pair belongs to."""
+        """Computes F of the node to which a pair belongs."""
         left = 2 * pair
         right = left + 1
         count = tree.range[left][1] + tree.range[right][1]
@@ -161,7 +161,7 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
         listed: wp.array(dtype=int),
         costs: wp.array(dtype=float),
     ):
-        """Item: a range of pairs, parents before children; of pairs in the list `listed`, if that is not empty."""
+        """Item: a range of pairs, parents before children; indices into the list `listed` if that is not empty."""
         pairs = ranges[first + wp.tid()]
         for i in range(pairs[1] - pairs[0]):
             pair = pairs[1] - 1 - i
@@ -174,13 +174,13 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
 
 @cache
 def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel whose item is a node of the level."""
+    """The kernel that picks the children of the nodes of a level."""
     rays_type = heuristic.rays
     cost_as_leaf, least_cost = make_costs(heuristic)
 
     @wp.func
     def share_lanes(rules: BuildRules, rays: rays_type, tree: BinaryTree, costs: wp.array(dtype=float), pair: int, lanes: int):
-        """Lanes of a pair's left node in D(n, lanes)."""
+        """Number of lanes of a pair's left node in D(n, lanes)."""
         best = float(INFINITY)
         share = int(1)
         for k in range(1, lanes):
@@ -201,7 +201,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
         costs: wp.array(dtype=float),
         wide: WideLevels,
     ):
-        """Item: a node of the level."""
+        """Item: a node of the level. Writes its children and their counts."""
         index = level_first + first + wp.tid()
         width = 1 << rules.cost.width_bits
         waiting = wp.zeros(shape=(MAX_WIDTH,), dtype=wp.vec2i)
@@ -210,7 +210,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
         depth = int(0)
         held = int(0)
         counts = wp.vec2i(0, 0)
-        share = bool(True)  # the root has to be a node, even if a leaf or a lane would do
+        share = bool(True)  # the root must become a node, even if a leaf or a lane would cost less
         picking = bool(True)
         while picking:
             pair = tree.pair[node]
@@ -223,7 +223,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
                 node = 2 * pair
                 lanes = left
             else:
-                # costs do not tell where surface areas overflow or are NaN: what has no children is a leaf whatever it costs
+                # costs are no guide if surface areas overflow or are NaN: what has no children is a leaf whatever it costs
                 is_leaf = pair == LEAF
                 if tree.range[node][1] <= rules.max_leaf and not is_leaf:
                     is_leaf = cost_as_leaf(rules, rays, tree, node) <= least_cost(rules, rays, tree, costs, node, 1)
@@ -249,7 +249,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
 
 @wp.kernel
 def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, totals: wp.array(dtype=int)):
-    """One item. totals: (2,) wide nodes and blocks so far."""
+    """One item: the prefix sum over a level. totals: (2,) wide nodes and blocks so far."""
     nodes = totals[0]
     blocks = totals[1]
     for index in range(level_first, level_end):
@@ -263,7 +263,7 @@ def scan_level(first: int, level_first: int, level_end: int, wide: WideLevels, t
 
 @wp.kernel
 def list_children(first: int, level_first: int, width: int, wide: WideLevels):
-    """Item: a node of the level."""
+    """Item: a node of the level. Lists its inner children."""
     index = level_first + first + wp.tid()
     to = wide.first[index][0]
     for lane in range(width):
@@ -283,7 +283,7 @@ def write_nodes(
     child: wp.array(dtype=int),
     primitive: wp.array(dtype=int),
 ):
-    """Item: a wide node."""
+    """Item: a wide node. Writes its boxes, child words and leaf blocks."""
     index = first + wp.tid()
     width = 1 << width_bits
     next_child = wide.first[index][0]
@@ -318,15 +318,15 @@ def write_nodes(
 
 @dataclass
 class BinaryBuild:
-    """What a builder hands over.
+    """Result of a builder before the collapse.
 
     Attributes:
         tree: the binary tree.
         subtrees: (subtrees,) vec2i ranges of pairs, parents before children.
         top: pairs above the subtrees, parents before children; may be empty.
-        space: (16 * triangles,) float32, to be overwritten.
-        heuristic: how its boxes are weighed.
-        rays: what the heuristic knows of the rays.
+        space: (16 * triangles,) float32 work space, overwritten by the collapse.
+        heuristic: the weight of its boxes.
+        rays: the heuristic's knowledge of the rays.
     """
 
     tree: BinaryTree
@@ -337,17 +337,17 @@ class BinaryBuild:
     rays: Any = field(default_factory=AllDirections)
 
     def arrays(self) -> list[wp.array]:
-        """The memory that is held until the collapse is done."""
+        """The arrays that are held until the collapse is done."""
         return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order, self.space]
 
 
 def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
-    """The kernels of a collapse, to be loaded ahead: one of each module."""
+    """The kernels of a collapse, one per module, for loading them ahead of the build."""
     return [make_solve(heuristic), make_pick_children(heuristic), scan_level]
 
 
 def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
-    """F of all inner nodes, to `binary.space`."""
+    """Writes F of all inner nodes to `binary.space`."""
     solve, device, tree, rays = make_solve(binary.heuristic), binary.space.device, binary.tree, binary.rays
     in_order = wp.empty(0, dtype=int, device=device)
     launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], device=device, chunk=1)
@@ -357,10 +357,10 @@ def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
 
 
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
-    """The wide tree.
+    """Collapses a binary tree to the wide tree.
 
     Raises:
-        ValueError: it would need more than MAX_BLOCKS blocks.
+        ValueError: the tree would have more than MAX_BLOCKS blocks.
     """
     tree, costs, rays = binary.tree, binary.space, binary.rays
     pick_children = make_pick_children(binary.heuristic)
@@ -381,9 +381,9 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
         launch(scan_level, 1, [first, nodes, wide, totals], device=device)
         launch(list_children, count, [first, width, wide], device=device, chunk=128)
         level_first.append(nodes)
-        nodes, blocks = totals.numpy().tolist()  # the one round trip of a level
+        nodes, blocks = totals.numpy().tolist()  # the only host round trip of a level
     if blocks > MAX_BLOCKS:
-        raise ValueError(f"the tree has {blocks} blocks of {width} triangles; there is room for {MAX_BLOCKS}")
+        raise ValueError(f"the tree needs {blocks} blocks of {width} triangles; the layout allows {MAX_BLOCKS}")
     bounds = wp.empty(nodes * 6 * width, dtype=float, device=device)
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)

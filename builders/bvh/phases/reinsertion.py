@@ -1,33 +1,31 @@
-"""Reinsertion: subtrees of a finished binary tree are taken out and put back where they cost least.
+"""Reinsertion (Bittner, Hapala and Havran 2013; Meister and Bittner 2018): moves subtrees to where they cost least.
 
-**Problem.** A build from the root down never sees what its first splits do to the nodes far below; once two neighbours are on
-different sides of a plane they stay apart.
+**Problem.** A top-down build cannot foresee the effect of its first splits on the nodes far below. Neighbours that a plane has
+separated stay apart.
 
-**Algorithm.** To take a node x out, its sibling takes the place of their parent; to put it back beside a node y, a new parent
-of both takes the place of y. By the surface area heuristic the sum of the areas of all inner nodes falls by
+**Algorithm.** To remove a node x, its sibling replaces their parent. To insert it beside a node y, a new parent of both
+replaces y. By the surface area heuristic the sum of the areas of all inner nodes then falls by
 
     gain = A(parent of x) + sum of A(a) - A(a without x)  -  sum of A(b with x) - A(b)  -  A(y with x)
 
-where a and b are the nodes above the old and the new place, below the first that is above both. A round (Meister and Bittner
-2018) is two steps:
+where a and b are the ancestors of the old and the new position, below the lowest common one. A round (Meister and Bittner 2018)
+has two steps:
 
-    search   every node looks for the place with the greatest gain: level by level upwards, at each down into the sibling's
-             subtree, but not where even a place that grows nothing but by A(x) would gain less than the best one so far
-    move     nodes move, those with the greatest gain first
+    search   every node looks for the position with the greatest gain: it walks up level by level, and at each level down into
+             the sibling's subtree, except where even a position whose only cost is A(x) would gain less than the best so far
+    move     nodes move in the order of decreasing gain
 
-**What we changed.** The paper lets moves that touch the same nodes lock each other out. Here nodes move one after the other,
-which takes a small part of the time of the search, and each works out its gain again in the tree as it is by then: what no
-longer gains stays where it is. So the sum falls with every move, the tree never becomes too deep, and it is the same for any
-number of threads. Leaves of the binary tree move as a whole, so they hold up to half a block of triangles here: with up to a
-whole block, next to nothing was gained. Finer leaves fill fewer blocks, which the heuristic does not see; so unless the tree of
-wide nodes becomes a good deal cheaper, the builder's tree is kept, with the leaves that it has without reinsertion.
+**What we changed.** In the paper, moves that touch the same nodes lock each other out. Here nodes move one after the other,
+which takes a small part of the time of the search. Each recomputes its gain in the current tree, and stays if there is no gain
+left. So the sum falls with every move, the tree never becomes too deep, and it is the same for any number of threads. Leaves of
+the binary tree move as a whole, so they hold at most half a block of triangles; with a whole block almost nothing is gained.
+Finer leaves fill fewer blocks, which the heuristic does not see. So the builder's tree, with its original leaves, is kept
+unless the tree of wide nodes becomes clearly cheaper (`WORTH`).
 
-**Complexity.** O(N) moves a round; a search meets the whole tree in the worst case and some dozen nodes as a rule.
+**Complexity.** O(N) moves per round. A search visits the whole tree in the worst case and usually a few dozen nodes.
 
-**Measured** (one thread of a Zen 5, 16 children a node, three rounds beside none). The atrium, where few large triangles lie
-across many small ones, costs 9 % less by the surface area heuristic; shadow rays take 0.88 of the time, near views 0.91, random
-and ambient rays 0.94. Scanned meshes have nothing to gain: the cost of bunny and dragon changes by less than 2 %, and rays took
-1.02 to 1.16 of the time with finer leaves. Whether moves are kept or not, the build takes three to four times as long.
+**Limits.** Scenes with few large triangles across many small ones gain; scanned meshes do not. The build takes several times as
+long whether or not moves are kept (notebooks/records/2026-11-21-bvh-builders.md).
 
 References:
     J. Bittner, M. Hapala, V. Havran: Fast insertion-based optimization of bounding volume hierarchies.
@@ -54,32 +52,33 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 STACK = MAX_WIDE_DEPTH + 2
 
 SEARCHES = 64
-"""Searches that are worth a launch."""
+"""Least number of searches in a launch."""
 
 WORTH = 0.95
-"""What a tree of finer leaves may cost at most, as a share of the cost of the tree without moves."""
+"""Relative cost up to which the tree with moves and finer leaves replaces the original: a margin for its emptier blocks
+(notebooks/records/2026-11-21-bvh-builders.md)."""
 
 
 @wp.struct
 class Links:
-    """What a tree that is changed needs beside its nodes."""
+    """Additional data of a tree whose nodes move."""
 
     parent: wp.array(dtype=int)
-    """(pairs,) the node whose children a pair is; -1 of pair 0, the root's."""
+    """(pairs,) the parent of a pair; -1 for pair 0, the root's."""
     height: wp.array(dtype=int)
     """(nodes,) inner nodes on the longest path down from a node, itself included."""
     stamp: wp.array(dtype=int)
-    """(nodes,) number of the last move for which a node was found to be above the one that moves."""
+    """(nodes,) number of the last move during which the node was an ancestor of the moving one."""
 
 
 @wp.struct
 class Places:
-    """What the searches of a round find."""
+    """Results of the searches of a round."""
 
     place: wp.array(dtype=int)
-    """(nodes,) the node beside which a node is best put."""
+    """(nodes,) the best sibling for each node."""
     gain: wp.array(dtype=float)
-    """(nodes,) what that gains; 0: nothing does."""
+    """(nodes,) its gain; 0 if no position gains."""
 
 
 @wp.func_native("""
@@ -102,13 +101,13 @@ def joined_area(a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: i
     for (int k = 0; k < 8; ++k) to[k] = p[k] < q[k] ? p[k] : q[k];
 """)
 def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: int, b: wp.array(dtype=float), j: int):
-    """Box o of `out` becomes the box around box i of `a` and box j of `b`."""
+    """Sets box o of `out` to the box around box i of `a` and box j of `b`."""
     ...
 
 
 @wp.kernel
 def find_places(first: int, tree: BinaryTree, links: Links, places: Places):
-    """Item: a node but the first, which is the root; the second is nobody's."""
+    """Item: a node other than the first, which is the root. The second node is unused."""
     node = first + wp.tid() + 2
     nodes = wp.zeros(shape=(STACK,), dtype=int)
     gains = wp.zeros(shape=(STACK,), dtype=float)
@@ -151,14 +150,14 @@ def find_places(first: int, tree: BinaryTree, links: Links, places: Places):
 
 @wp.func
 def gain_of_move(tree: BinaryTree, links: Links, move: int, node: int, place: int, left_over: wp.array(dtype=float)):
-    """What it gains to put a node beside another one; 0 if that cannot be. left_over: (8,) a box to work with."""
+    """Gain of moving a node beside another one; 0 if the move is impossible. left_over: (8,) scratch box."""
     at = int(node)
     while at >= 0:
         store_int(links.stamp, at, move)
         at = load_int(links.parent, at >> 1)
     if load_int(links.stamp, place) == move or place == (node ^ 1):
         return 0.0
-    # what grows on the way up from the new place
+    # ancestors of the new position, which grow
     gain = -joined_area(tree.box, place, tree.box, node)
     depth = int(0)
     at = load_int(links.parent, place >> 1)
@@ -174,7 +173,7 @@ def gain_of_move(tree: BinaryTree, links: Links, move: int, node: int, place: in
         at = load_int(links.parent, at >> 1)
     if depth + 1 + wp.max(load_int(links.height, node), load_int(links.height, place)) > MAX_WIDE_DEPTH:
         return 0.0
-    # what shrinks on the way up from the old one
+    # ancestors of the old position, which shrink
     at = load_int(links.parent, node >> 1)
     gain += half_area(tree.box, at)
     join_boxes(left_over, 0, tree.box, node ^ 1, tree.box, node ^ 1)
@@ -189,7 +188,7 @@ def gain_of_move(tree: BinaryTree, links: Links, move: int, node: int, place: in
 
 @wp.func
 def move_contents(tree: BinaryTree, links: Links, source: int, to: int):
-    """A node takes the place of another one; its own is free."""
+    """Moves a node into the slot of another one and frees its own."""
     pair = load_int(tree.pair, source)
     join_boxes(tree.box, to, tree.box, source, tree.box, source)
     tree.range[to] = tree.range[source]
@@ -201,7 +200,7 @@ def move_contents(tree: BinaryTree, links: Links, source: int, to: int):
 
 @wp.func
 def refit_upwards(tree: BinaryTree, links: Links, bottom: int):
-    """Boxes and heights of a node, which is no leaf, and of all above it; -1: of none."""
+    """Recomputes boxes and heights of an inner node and of all its ancestors; -1: of none."""
     at = int(bottom)
     while at >= 0:
         pair = load_int(tree.pair, at)
@@ -214,7 +213,7 @@ def refit_upwards(tree: BinaryTree, links: Links, bottom: int):
 def move_nodes(
     first: int, tree: BinaryTree, links: Links, places: Places, order: wp.array(dtype=int), moved: wp.array(dtype=int)
 ):
-    """One item. order: the nodes that gain by a move, in the order in which they try. moved: (1,) how many did."""
+    """One item. order: the nodes with a gain, in the order of their moves. moved: (1,) number of moves made."""
     left_over = wp.zeros(shape=(8,), dtype=float)
     for i in range(order.shape[0]):
         node = order[i]
@@ -233,9 +232,9 @@ def move_nodes(
 
 @wp.kernel
 def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pairs: wp.array(dtype=int)):
-    """One item. The same tree, depth first: pairs without gaps, parents before children, and triangles in the leaves' order.
+    """One item. Copies the tree depth first: pairs without gaps, parents before children, and triangles in the leaves' order.
 
-    pairs: (1,) one more than there are.
+    pairs: (1,) number of pairs plus one.
     """
     old = wp.zeros(shape=(STACK,), dtype=int)
     new = wp.zeros(shape=(STACK,), dtype=int)
@@ -276,7 +275,7 @@ def lay_out(first: int, tree: BinaryTree, result: BinaryTree, links: Links, pair
 
 @wp.kernel
 def join_leaves(first: int, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i), most: int):
-    """Item: a subtree. Its nodes of at most so many triangles become leaves."""
+    """Item: a subtree. Turns its nodes of at most `most` triangles into leaves."""
     pairs = subtrees[first + wp.tid()]
     for node in range(2 * pairs[0], 2 * pairs[1]):
         if tree.range[node][1] <= most:
@@ -288,9 +287,9 @@ class Reinsertion:
     """A tree whose nodes move.
 
     Attributes:
-        binary: the tree, in memory of its own.
-        links: what goes with it.
-        end: one more than the number of its pairs.
+        binary: the tree, a copy.
+        links: its additional data.
+        end: number of its pairs plus one.
     """
 
     binary: BinaryBuild
@@ -299,7 +298,7 @@ class Reinsertion:
 
     @classmethod
     def of(cls, binary: BinaryBuild, triangles: int) -> "Reinsertion":
-        """The same tree, depth first."""
+        """A copy of the tree in depth-first order."""
         device = binary.space.device
         links, tree, pairs = Links(), empty_tree(triangles, device), wp.empty(1, dtype=int, device=device)
         links.parent = wp.empty(triangles, dtype=int, device=device)
@@ -311,7 +310,7 @@ class Reinsertion:
         return cls(replace(binary, tree=tree, subtrees=subtrees, top=None), links, end)
 
     def search(self) -> Places:
-        """The best place of every node."""
+        """Finds the best position of every node."""
         device, places = self.binary.space.device, Places()
         places.place = wp.empty(2 * self.end, dtype=int, device=device)
         places.gain = wp.zeros(2 * self.end, dtype=float, device=device)
@@ -319,7 +318,7 @@ class Reinsertion:
         return places
 
     def move(self, places: Places) -> int:
-        """Moves nodes; how many."""
+        """Moves nodes; returns the number of moves."""
         device, gain = self.binary.space.device, places.gain.numpy()
         order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain)].astype(np.int32)
         moved = wp.zeros(1, dtype=int, device=device)
@@ -329,7 +328,7 @@ class Reinsertion:
         return int(moved.numpy()[0])
 
     def arrays(self, places: Places) -> list[wp.array]:
-        """The memory that is held during a round."""
+        """The arrays that are held during a round."""
         return [*self.binary.arrays(), self.links.parent, self.links.height, self.links.stamp, places.place, places.gain]
 
 
@@ -341,13 +340,13 @@ def wide_cost(binary: BinaryBuild, rules: BuildRules) -> float:
 
 
 def reinsert(binary: BinaryBuild, triangles: int, config: BvhConfig, stats: BuildStats) -> BinaryBuild:
-    """A cheaper tree, or if it is not worth it, the same with the leaves of a build without reinsertion.
+    """A cheaper tree or, if the gain is too small, the same tree with the leaves of a build without reinsertion.
 
     Args:
-        binary: of a builder whose heuristic is the surface area; to be overwritten.
+        binary: result of a builder with the surface area heuristic; overwritten.
         triangles: their number.
-        config: how it was built.
-        stats: where memory is noted.
+        config: configuration of the build.
+        stats: statistics in which memory is recorded.
     """
     work = Reinsertion.of(binary, triangles)
     if work.end == 1:

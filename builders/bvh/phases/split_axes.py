@@ -1,22 +1,22 @@
-"""Along which axis a node is split: longest side, splitting planes that face away from the rays, in turn, or all three.
+"""Choice of the axis along which a node is split: longest side, splitting planes facing away from the rays, by depth, or all.
 
-**Problem.** The planes of one axis cost a third of those of all. The longest side is the usual choice; where rays run along it,
-it is the worst: nearly every ray that meets one child meets the other. The splitting plane facing heuristic (Falcone 2024,
-chapter 4) prefers axes across the rays.
+**Problem.** Trying the planes of one axis costs a third of trying all. The longest side is the usual choice. It is the worst
+one if rays run along it, because nearly every ray that meets one child then meets the other. The splitting plane facing
+heuristic (Falcone 2024, chapter 4) prefers axes across the rays.
 
-**Algorithm.** Each way orders the axes and gives each a quality in [0, 1] (`axis_order`). They are tried in that order, until
-the children are excellent, or until an axis is of too little quality while the children are acceptable; if they are not, the
-longest side is tried as a last resort (Algorithm 5.1). Children are judged by the sum of their hit probabilities over the
-node's, 1 if no ray meets both and none misses both.
+**Algorithm.** Each heuristic orders the axes and gives each a quality in [0, 1] (`axis_order`). Axes are tried in that order.
+The search ends when the children are excellent, or when the next axis has too little quality and the children are acceptable.
+If they are not acceptable, the longest side is tried as a fallback (Algorithm 5.1). The measure of children is the sum of their
+hit probabilities over the node's: 1 if no ray meets both and none misses both.
 
 **What we changed.** The printed quality of an axis is the share of the rays' direction along it, which is low for good axes,
-while Algorithm 5.1 rejects low qualities: here quality is 1 less that share. The last resort is judged by the same cost as
-the other axes, not by surface area: prices of two kinds do not compare. If all that was tried has no plane with triangles on
-both sides, the remaining axes are tried too.
+although Algorithm 5.1 rejects low qualities. Here quality is 1 minus that share. The fallback is measured by the same cost as
+the other axes, not by surface area, because the two costs are not comparable. If no axis tried so far has a plane with
+triangles on both sides, the remaining axes are tried too.
 
 References:
-    L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,
+        Politecnico di Milano, 2024.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ WP_IN_TURN = wp.constant(IN_TURN)
 
 @wp.struct
 class AxisRules:
-    """`AxisChoice` as kernels see it."""
+    """`AxisChoice` for kernels."""
 
     order: int
     least_quality: float
@@ -44,16 +44,16 @@ class AxisRules:
 
 @dataclass(frozen=True)
 class AxisChoice:
-    """Which axes of a node are tried.
+    """The axes of a node that a build tries.
 
     Attributes:
-        order: "all" three; "longest", by length of the box; "facing", by how much the axis is across the rays; "in_turn", by
+        order: "all" three; "longest", by length of the box; "facing", by the angle between the axis and the rays; "in_turn", by
             depth.
-        least_quality: quality below which an axis is not tried, in [0, 1]. Quality is the side over the longest one, 1 less the
+        least_quality: quality in [0, 1] below which an axis is not tried. Quality is the side over the longest one, 1 minus the
             share of the rays' direction along the axis, or 1 for the axis whose turn it is and 0 for the others.
-        acceptable: what the children's hit probabilities may add up to, over the node's, so that no further axis is tried where
-            all of enough quality have been.
-        excellent: what they may add up to so that no further axis is tried in any case.
+        acceptable: sum of the children's hit probabilities, over the node's, up to which no further axis is tried once all axes
+            of sufficient quality have been.
+        excellent: sum up to which no further axis is tried at all.
 
     Raises:
         ValueError: an unknown order, or a value out of its range.
@@ -91,7 +91,7 @@ AXIS_CHOICES = {
     "facing": AxisChoice("facing"),
     "in_turn": AxisChoice("in_turn", least_quality=0.5),
 }
-"""Ways to choose axes by name, with the thresholds of the published experiments."""
+"""Heuristics by name, with the thresholds of the published experiments."""
 
 
 @wp.struct
@@ -100,12 +100,13 @@ class AxisOrder:
 
     axis: wp.vec3i
     quality: wp.vec3
-    """Of the axis in the same place."""
+    """Quality of the axis at the same position."""
 
 
 @wp.func
 def axis_order(rules: AxisRules, size: wp.vec3, along: wp.vec3, depth: int):
-    """Orders the axes of a node. size: sides of its box; along: how much rays run along each axis, adding up to at most 1."""
+    """Orders the axes of a node. size: sides of its box. along: share of the rays' direction along each axis, at most 1 in
+    total."""
     quality = wp.vec3(1.0, 1.0, 1.0)
     if rules.order == WP_LONGEST:
         quality = size / wp.max(size)
@@ -115,7 +116,7 @@ def axis_order(rules: AxisRules, size: wp.vec3, along: wp.vec3, depth: int):
         quality = wp.vec3()
         quality[depth % 3] = 1.0
     axis = wp.vec3i(0, 1, 2)
-    for i in range(2):  # sorts by quality; of equals, the smaller axis comes first
+    for i in range(2):  # sorts by quality; of equal axes, the smaller one comes first
         for j in range(2 - i):
             if quality[j + 1] > quality[j]:
                 worse = quality[j]
@@ -132,5 +133,5 @@ def axis_order(rules: AxisRules, size: wp.vec3, along: wp.vec3, depth: int):
 
 @wp.func
 def longest_axis(size: wp.vec3):
-    """The longest side; of equals, the smallest axis."""
+    """The longest side; of equal sides, the smallest axis."""
     return wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))

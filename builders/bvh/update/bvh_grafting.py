@@ -1,7 +1,8 @@
-"""Trees put together: subtrees of a wide BVH in place of old ones, and several trees below an upper one, or side by side.
+"""Combination of wide BVHs: replacing subtrees, placing several trees below an upper one, and joining trees side by side.
 
-Nodes are in breadth-first order (`wrt.kernels.layout.bvh_nodes`), level by level: the nodes of all trees go into one pool, the
-lanes that led to the old subtrees lead to the new ones, and what can be reached from the root is numbered again.
+Nodes are in breadth-first order (`wrt.kernels.layout.bvh_nodes`). The nodes of all trees are collected in one pool. Lanes that
+led to the old subtrees are redirected to the new ones. Then the nodes that can be reached from the root are renumbered level by
+level.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -34,15 +35,19 @@ def subtree_triangles(tree: Bvh, node: int) -> np.ndarray:
 
 
 def build_subtree(ids: np.ndarray, low: np.ndarray, high: np.ndarray, build: Build) -> Bvh:
-    """A tree of its own for the triangles `ids`; low, high: (T, 3) float32 boxes of all triangles."""
+    """A separate tree for the triangles `ids`. low, high: (T, 3) float32 boxes of all triangles."""
     return renamed(build(boxes_of(low[ids], high[ids])), ids)
 
 
 def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
-    """The tree with others in place of some of its nodes, or of some children of one, none of them the root or below another.
+    """Replaces parts of a tree by other trees. No part is the root or below another part.
+
+    Args:
+        tree: the tree.
+        subtrees: the replacement of each part; a part is a node or some children of one node.
 
     Returns:
-        The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
+        The new tree, and for each of its nodes the number of the old node that it is, -1 for a node of a replacement.
     """
     sizes, child, bounds, lists = pool([tree, *subtrees.values()])
     for part in subtrees:
@@ -56,10 +61,10 @@ def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
 
 
 def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
-    """Makes one lane, which leads to the first of some siblings, of those of all; unused lanes come last. Changes both arrays.
+    """Merges the lanes of some siblings into the lane of the first of them; unused lanes move to the end. Changes both arrays.
 
     Args:
-        child, bounds: (nodes, W) and (nodes, 6 W), as `pool` gives them.
+        child, bounds: (nodes, W) and (nodes, 6 W), as `pool` returns them.
         siblings: children of one node.
     """
     rows, lanes = np.nonzero(np.isin(child, siblings))
@@ -74,12 +79,12 @@ def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
 
 
 def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
-    """One tree of several: each stands in the place of a leaf of the upper one.
+    """Builds one tree from several: each replaces a leaf of an upper tree.
 
     Args:
-        top: over the boxes of the trees, one a leaf.
-        trees: in the order in which `top` numbers them.
-        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+        top: tree over the boxes of the trees, one per leaf.
+        trees: the trees, in the order in which `top` numbers them.
+        members: for each tree, the ids of its triangles 0, 1 and so on.
     """
     named = [renamed(tree, own) for tree, own in zip(trees, members, strict=True)]
     sizes, child, bounds, lists = pool([top, *named])
@@ -91,18 +96,18 @@ def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
 
 
 def renamed(tree: Bvh, ids: np.ndarray) -> Bvh:
-    """The same tree with ids[i] for its triangle i."""
+    """The same tree with triangle i renumbered to ids[i]."""
     lists = tree.primitive.numpy()
     numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
     return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
 
 
 def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bvh) -> tuple[Bvh, np.ndarray]:
-    """A tree of what can be reached in a pool from node 0, and for each of its nodes which one it was; arguments as of `pool`.
+    """The tree of the nodes of a pool that can be reached from node 0, and for each of its nodes its number in the pool.
 
     Args:
-        child, bounds, lists: as `pool` gives them.
-        like: a tree with the same root's box, width, device and times.
+        child, bounds, lists: as `pool` returns them.
+        like: a tree with the same root's box, width, device and statistics.
     """
     width, device = like.width, like.bounds.device
     order, level_first = breadth_first(child)
@@ -122,7 +127,7 @@ def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bv
 
 
 def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes of each tree; and of all: (nodes, W) child words that lead to the same in the pool, boxes, and leaf lists."""
+    """Number of nodes of each tree; then, for all trees, (nodes, W) child words with pool indices, boxes and leaf lists."""
     sizes, children, node_base, block_base = [tree.level_first[-1] for tree in trees], [], 0, 0
     for tree, size in zip(trees, sizes, strict=True):
         words = tree.child.numpy().reshape(-1, tree.width)[:size]
@@ -135,11 +140,11 @@ def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.nd
 
 
 def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray]:
-    """Trees side by side in the same arrays, and the root of each; the whole has no root, no box and no levels.
+    """Trees side by side in the same arrays, and the root of each. The result as a whole has no root, box or levels.
 
     Args:
-        trees: on one device.
-        members: of each tree, the ids of what it calls its triangle 0, 1 and so on.
+        trees: trees on one device.
+        members: for each tree, the ids of its triangles 0, 1 and so on.
     """
     sizes, child, bounds, lists = pool([renamed(tree, own) for tree, own in zip(trees, members, strict=True)])
     device, stats = trees[0].bounds.device, BuildStats()
@@ -149,7 +154,7 @@ def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.n
 
 
 def breadth_first(child: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
-    """The nodes that can be reached from node 0, level by level, and the first of each level; child: (nodes, W) words."""
+    """The nodes that can be reached from node 0, level by level, and the first of each level. child: (nodes, W) words."""
     levels, first = [np.zeros(1, dtype=np.int64)], [0, 1]
     while len(below := child[levels[-1]][child[levels[-1]] >= 0]):
         levels.append(below)

@@ -1,4 +1,4 @@
-"""A BVH whose triangles have moved: refitted, then measured, and built again in parts (`wrt.builders.rebuild_heuristic`)."""
+"""A BVH over moved triangles: refit, measure, and rebuild parts (`wrt.builders.rebuild_heuristic`)."""
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -18,13 +18,13 @@ from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
 
 
 class MovedBvh:
-    """The old nodes round moved triangles.
+    """The refitted nodes of a tree over moved triangles.
 
     Args:
-        old: the tree before.
-        vertices, faces: where the triangles are now, on the tree's device.
-        boxes: makes their boxes, on the CPU.
-        cost: by which the tree was built.
+        old: the tree before the motion.
+        vertices, faces: the moved triangles, on the tree's device.
+        boxes: returns their boxes, on the CPU.
+        cost: the cost model of the tree.
         build: boxes -> tree.
     """
 
@@ -42,7 +42,7 @@ class MovedBvh:
 
     @cached_property
     def costs(self) -> np.ndarray:
-        """(nodes,) what each subtree costs now."""
+        """(nodes,) current cost of each subtree."""
         return node_costs(self.tree, self._cost)
 
     @cached_property
@@ -53,7 +53,7 @@ class MovedBvh:
         return child, bounds
 
     def children(self, node: int) -> tuple[np.ndarray, np.ndarray]:
-        """The inner children of a node, and how likely a ray that meets it meets each."""
+        """The inner children of a node, and the probability that a ray that meets the node meets each."""
         child, bounds = self._lanes
         low, high = bounds[node].transpose(0, 2, 1)
         inner = child[node] >= 0
@@ -62,15 +62,15 @@ class MovedBvh:
         return child[node][inner], probability
 
     def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
-        """What to build again; arguments as of `worn_subtrees`."""
+        """The parts to rebuild; arguments as in `worn_subtrees`."""
         return worn_subtrees(self.costs, built, self.children, tolerance, together=self.together)
 
     def together(self, node: int, siblings: np.ndarray, built: np.ndarray) -> float:
-        """What some inner children would add to the cost of their node as one subtree; inf if there are no others.
+        """Estimated share of a node's cost that some inner children would have as one subtree; inf if there are no others.
 
-        The rays that meet the box round all of them take one more step. How their triangles will share that box is not known
-        yet. k boxes that fill another evenly have the cube root of k times its area between them: so many of the children does
-        a ray meet, at what one cost on average when it was built.
+        A ray that meets the box around all of them takes one more step. The distribution of their triangles in that box is not
+        known yet. k boxes that fill another box evenly have the cube root of k times its area in total, so the estimate assumes
+        that a ray meets that many of the children, each at their average cost when built.
         """
         child, bounds = self._lanes
         if len(siblings) == np.count_nonzero(child[node] != EMPTY_LANE):
@@ -85,11 +85,11 @@ class MovedBvh:
         return np.sort(np.concatenate([subtree_triangles(self.tree, node) for node in part]))
 
     def with_rebuilt(self, chosen: Sequence[Part], ids: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray] | None:
-        """The tree with some parts built again, and its nodes' old numbers; None if it became too deep.
+        """The tree with some parts rebuilt, and its nodes' old numbers; None if it would be too deep.
 
         Args:
-            chosen: none of them the root.
-            ids: the triangles of each.
+            chosen: parts other than the root.
+            ids: the triangles of each part.
         """
         boxes = self._boxes().boxes
         low, high = boxes.low.numpy().T, boxes.high.numpy().T

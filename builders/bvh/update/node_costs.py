@@ -1,7 +1,7 @@
-"""What a ray that meets a node of a wide BVH is expected to cost in all below it, by the surface area heuristic.
+"""Expected cost of a ray below each node of a wide BVH that it meets, by the surface area heuristic.
 
-The deepest level first, in parallel over the nodes of a level, as in `wrt.builders.bvh.update.refit`. The root's is the tree's
-cost (`wrt.builders.bvh.bvh_statistics`), to rounding.
+Costs are computed from the deepest level up, in parallel over the nodes of a level, as in `wrt.builders.bvh.update.refit`. The
+root's cost equals the tree's (`wrt.builders.bvh.bvh_statistics`), up to rounding.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ def sum_costs(
     child: wp.array(dtype=int),
     costs: wp.array(dtype=float),
 ):
-    """Item: a node of the level, whose inner children are done. Where the node has no area, every ray meets all children."""
+    """Item: a node of the level, after its inner children. A ray that meets a node without area meets all its children."""
     node = level_first + first + wp.tid()
     low = wp.vec3(INFINITY, INFINITY, INFINITY)
     high = -low

@@ -1,7 +1,7 @@
-"""Refit: the boxes of a tree whose vertices have moved, with the same nodes and leaves.
+"""Refit: recomputes the boxes of a tree whose vertices have moved; nodes and leaves stay.
 
-Every triangle is read once and every node written once, the deepest level first, in parallel over the nodes of a level. The
-tree stays correct for any motion; it gets slower the further triangles move apart that were close when it was built.
+Every triangle is read once and every node is written once, from the deepest level up, in parallel over the nodes of a level.
+The tree stays correct for any motion. Traversal slows down as triangles that were close when it was built move apart.
 
 References:
     I. Wald, S. Boulos, P. Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies.
@@ -33,7 +33,7 @@ def refit_nodes(
     primitive: wp.array(dtype=int),
     bounds: wp.array(dtype=float),
 ):
-    """Item: a node of the level, whose inner children are done."""
+    """Item: a node of the level, after its inner children. Writes its boxes."""
     node = level_first + first + wp.tid()
     for lane in range(width):
         word = child[node * width + lane]
@@ -54,14 +54,14 @@ def refit_nodes(
                     point = vertices[face[corner]]
                     low = least(low, point)
                     high = greatest(high, point)
-        # adding 0 turns -0 into +0, as where the boxes of triangles are made
+        # adding 0 turns -0 into +0, as in `compute_boxes`
         for axis in range(3):
             bounds[(node * 6 + axis) * width + lane] = low[axis] + 0.0
             bounds[(node * 6 + 3 + axis) * width + lane] = high[axis] + 0.0
 
 
 def refit(tree: Bvh, vertices: wp.array, faces: wp.array) -> Bvh:
-    """The same tree around moved vertices; shares all but the boxes with the old one, which stays as it is.
+    """The same tree around moved vertices. It shares all arrays except the boxes with the old tree, which stays valid.
 
     Args:
         tree: a tree over the triangles of `faces`.

@@ -1,25 +1,23 @@
 """Split clipping with sorted events, in O(N log N) ("perfect splits"; Wald and Havran 2006).
 
-**Problem.** A triangle that is clipped where a plane splits it gets other boxes, so other events: what is left of a sorted list
-no longer holds all events of a child. To sort every child's list anew would cost a factor of log N.
+**Problem.** A triangle that is clipped to the children gets new boxes, and so new events: the remainder of a sorted list no
+longer contains all events of a child. Sorting every child's list again would cost a factor of log N.
 
-**Algorithm.** Partition leaves the events of straddlers out of both children's lists, and puts the boxes that they describe
-together (axis by axis: no box of a reference is kept anywhere else). Each straddler is clipped to both cells (`clipping`); the
-events of what is left are sorted by themselves and merged into the child's lists, from the back, so that a list grows in place.
+**Algorithm.** Partition removes the events of straddlers from both children's lists, and assembles from them the boxes of the
+straddlers (axis by axis: no box of a reference is stored elsewhere). Each straddler is clipped to both cells (`clipping`). The
+events of the remaining parts are sorted separately and merged into the child's lists, from the back, so that a list grows in
+place.
 
-**Complexity.** A plane straddles some sqrt(N) of the N triangles of a surface: their sort is lost in the O(N) of the node.
-Where it straddles most of them (long triangles across each other), it is a sort a level, O(N log^2 N).
+**Data.** A clipped triangle has at most as many events on an axis as before. So the child that is compacted in place has room
+for them in its own list, and the appended child leaves as much room as the straddlers' events took.
 
-**Room.** A clipped triangle has at most as many events on an axis as it had before: the child that is compacted in place finds
-room for them in its own list, and the appended one leaves as much as straddlers gave up.
+**Complexity.** A plane straddles about sqrt(N) of the N triangles of a surface, so sorting them is negligible against the O(N)
+of the node. If it straddles most triangles (long ones that overlap), the build sorts at every level, O(N log^2 N).
 
-**What we changed.** Events of one kind at one position are in no order: neither planes nor sides depend on it.
+**What we changed.** Events of one kind at one position have no defined order, because neither planes nor sides depend on it.
 
-**Measured** (one core of a Zen 5; `sweep` with clipping against that without, random rays): a soup of long triangles, 4,000:
-0.77 of the cost, 0.76 (lockstep) and 0.83 (single) of the time of rays; with one triangle a block 0.3 of the cost, 0.53 and
-0.64 of the time; the build takes 3.7 times as long. Bunny: 0.96 of the cost, 0.95 and 0.97 of the time; one a block: 0.87, 0.9
-and 0.84. Atrium: 1.02 of cost and times; one a block: 0.9, 0.95 and 1.01. Builds take 1.5 to 2 times as long, from 17,000 to
-200,000 triangles.
+**Limits.** The build takes about twice as long, and the gain depends on the scene: large for long slanted triangles, small for
+scanned surfaces (notebooks/records/2026-11-21-split-clipping.md).
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
@@ -56,7 +54,7 @@ LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 """
 )
 def note_event(lists: EventLists, first: int, number: int, axis: int, event: wp.vec2i):
-    """Notes an event as a side of a straddler's box."""
+    """Stores an event as a side of a straddler's box."""
     ...
 
 
@@ -79,7 +77,7 @@ def note_event(lists: EventLists, first: int, number: int, axis: int, event: wp.
 """
 )
 def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: wp.vec3, high: wp.vec3) -> int:
-    """Writes what is left of the straddlers in a cell behind them; returns of how many there is anything.
+    """Writes the parts of the straddlers in a cell behind them; returns the number of nonempty parts.
 
     first: the task's first triangle."""
     ...
@@ -106,7 +104,7 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
 """
 )
 def list_fresh(lists: EventLists, first: int, straddlers: int, count: int, axis: int) -> int:
-    """Lists the events of what `clip_straddlers` left, along one axis, unsorted; returns their number."""
+    """Lists the events, along one axis and unsorted, of the parts that `clip_straddlers` wrote; returns their number."""
     ...
 
 
@@ -120,7 +118,7 @@ def comes_first(a: wp.vec2i, b: wp.vec2i):
 
 @wp.func
 def sort_fresh(lists: EventLists, begin: int, count: int):
-    """Sorts the new events by merging runs; as much room behind them is scratch. Returns where the sorted list begins."""
+    """Sorts the new events by merging runs; an equal amount of memory behind them is scratch. Returns the start of the list."""
     source = int(begin)
     target = int(begin + count)
     run = int(1)
@@ -146,7 +144,7 @@ def sort_fresh(lists: EventLists, begin: int, count: int):
 
 @wp.func
 def merge_fresh(lists: EventLists, fresh: int, count: int, begin: int, kept: int):
-    """Merges sorted new events into the list [begin, begin + kept), which has room for them behind, from the back."""
+    """Merges sorted new events from the back into the list [begin, begin + kept), which has room for them behind."""
     old = int(begin + kept)
     new = int(fresh + count)
     while new > fresh:
@@ -162,10 +160,10 @@ def merge_fresh(lists: EventLists, fresh: int, count: int, begin: int, kept: int
 
 @wp.func
 def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
-    """Splits one axis' events [begin, begin + count) between the children, but for those of straddlers, which are noted.
-    Returns the counts of both children, and on the first axis the number of straddlers.
+    """Splits one axis' events [begin, begin + count) between the children, except those of straddlers, which are stored.
+    Returns the counts of both children and, on the first axis, the number of straddlers.
 
-    The first axis numbers the straddlers: one begins, or lies in a plane, before anything else is seen of it."""
+    The first axis numbers the straddlers: a triangle's first event there is its start or its planar event."""
     left = int(to_left)
     right = int(to_right)
     straddlers = int(0)
@@ -179,7 +177,7 @@ def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count:
                 straddlers += 1
             note_event(lists, sides_first, load_int(lists.number, place), axis, event)
         else:
-            # written whether wanted or not, kept by moving the end: no branch to mispredict
+            # always written, kept by advancing the end: no branch to mispredict
             store_pair(lists.event, left, event)
             left += wp.where(side == LEFT, 1, 0)
             store_pair(lists.event, right, event)
@@ -189,11 +187,11 @@ def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count:
 
 @wp.func
 def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: wp.ref[Frame]):
-    """Clips the straddlers to a child's cell and merges what is left of them into its lists."""
+    """Clips the straddlers to a child's cell and merges the remaining parts into its lists."""
     kept = clip_straddlers(lists, sides_first, straddlers, lists.pad, child.low, child.high)
     child.triangles += kept
     axis = int(0)
-    while axis < 3:  # a loop that Warp does not unroll: it would only take longer to compile
+    while axis < 3:  # a loop that Warp does not unroll; unrolling only lengthens compilation
         count = list_fresh(lists, sides_first, straddlers, kept, axis)
         fresh = sort_fresh(lists, 4 * sides_first, count)
         merge_fresh(lists, fresh, count, child.first[axis], child.count[axis])
@@ -203,7 +201,7 @@ def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: 
 
 @wp.func
 def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classify, partition, clip and merge: gives the children their lists."""
+    """Classifies, partitions, clips and merges: gives the children their lists."""
     classify(lists, task.triangles_first, frame, split)
     append_left = split.left < split.right
     to = int(frame.top)
@@ -237,7 +235,7 @@ def events_method(config: KdTreeConfig) -> Method:
 
 
 def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:
-    """The lists of all tasks, as yet empty, and what clipping needs, if it is asked for: the mesh, and room."""
+    """The lists of all tasks, still empty and, if clipping is requested, the mesh and scratch memory."""
     device, count = triangles.boxes.low.device, room.triangles
     lists = EventLists()
     lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=device)
@@ -253,6 +251,6 @@ def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig)
 
 
 def arrays_of(lists: EventLists) -> list[wp.array]:
-    """What is reserved for the lists and the work on them."""
+    """The arrays of the lists and their scratch memory."""
     reserved = (lists.event, lists.triangle, lists.side, lists.number, lists.straddler, lists.fresh)
     return [array for array in reserved if array is not None]

@@ -1,13 +1,13 @@
-"""Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006, O(N log N); survey, Algorithms
-4.1.4 and 4.1.5).
+"""Sorted events as a node's lists: exact planes, divided without sorting (Wald and Havran 2006).
 
-A node has a list an axis. Search sweeps the three of them, 16 events at a time where it can (`least_plane`); classify marks
-every triangle from the list of the split axis; partition splits each list between the children in one pass. A part of a sorted
-list is sorted, so nothing has to be merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
+A node has one list per axis. Search sweeps the three lists, 16 events at a time where possible (`least_plane`). Classify marks
+every triangle from the list of the split axis. Partition splits each list between the children in one pass. A part of a sorted
+list is sorted, so nothing is merged or sorted again, unless triangles are clipped to nodes (`clipped_events`).
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
 import warp as wp
@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class EventLists:
-    """Lists of all tasks, each in its own share."""
+    """Lists of all tasks. Each task has its own range."""
 
     event: wp.array(dtype=wp.vec2i)
     """Events: bits of the position, and index of the triangle within the task << 2 | type."""
@@ -34,22 +34,22 @@ class EventLists:
     side: wp.array(dtype=wp.uint8)
     """Scratch of the classify phase, one per triangle of a task: 1 left, 2 right, 3 both."""
     vertices: wp.array(dtype=wp.vec3)
-    """The mesh, for builds that clip (`clipped_events`), as is what follows."""
+    """The mesh, for builds that clip (`clipped_events`). The members below are for clipping too."""
     faces: wp.array(dtype=wp.vec3i)
     pad: float
-    """By how much cells and boxes are enlarged when they are clipped."""
+    """Enlargement of cells and boxes for clipping, in scene units."""
     number: wp.array(dtype=int)
-    """Scratch, one per triangle of a task: which of the node's straddlers it is."""
+    """Scratch, one per triangle of a task: its number among the node's straddlers."""
     straddler: wp.array(dtype=float)
-    """Scratch, 16 per triangle: a node's straddlers as references (8 each), and behind them what is left of them in a child.
-    Their id is the index of the triangle within the task."""
+    """Scratch, 16 per triangle: a node's straddlers as references (8 floats each), followed by their remaining parts in a
+    child. The id of a reference is the index of the triangle within the task."""
     fresh: wp.array(dtype=wp.vec2i)
     """Scratch, 4 per triangle: new events along one axis, and room to sort them."""
 
 
 @wp.func
 def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int, end: int, least: float, sweep: wp.ref[Sweep]):
-    """Passes the events begin .. end - 1, or fewer: it ends where a plane of the least cost is behind it."""
+    """Passes the events begin .. end - 1, or fewer: it stops when it has passed a plane of the least cost."""
     i = int(begin)
     while i < end:
         event = load_pair(lists.event, i)
@@ -63,7 +63,7 @@ def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int
 
 @wp.func
 def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
-    """The best plane of a node: one sweep per axis, from where the least cost is if that is known."""
+    """The best plane of a node: one sweep per axis, starting at the block of least cost if that is known."""
     best = no_split()
     for axis in range(3):
         along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
@@ -72,7 +72,7 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
         sweep = start_sweep(0, frame.triangles)
         least = LeastPlane()
         least.cost = -INFINITY
-        if end - begin == 2 * frame.triangles:  # none is planar
+        if end - begin == 2 * frame.triangles:  # no triangle is planar
             find_least_plane(cost, along, lists.event, begin, end - begin, frame.triangles, least)
             begin = least.event
             sweep.left = least.left
@@ -86,8 +86,8 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
 
 @wp.func
 def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
-    """Marks the children of every triangle of the node, from its events along the split axis: both where it starts on the left,
-    but the left one only where it ends there."""
+    """Marks the children of every triangle of the node, from its events along the split axis. A triangle that starts on the
+    left is marked for both, until its end turns out to be on the left too."""
     position = split.position
     begin = frame.first[split.axis]
     for i in range(begin, begin + frame.count[split.axis]):
@@ -96,7 +96,7 @@ def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
         kind = event[1] & 3
         place = sides_first + (event[1] >> 2)
         before = at < position or (at == position and (kind == END or (kind == PLANAR and split.planar_left)))
-        # what is known already is written again: no branch on the kind to mispredict
+        # known values are written again: no branch on the kind to mispredict
         known = load_byte(lists.side, place)
         on_left = wp.where(kind == START, wp.uint8(3), wp.uint8(1))
         on_right = wp.where(kind == END, known, wp.uint8(2))
@@ -107,13 +107,13 @@ def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
 def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
     """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
 
-    One of `to_left` and `to_right` is `begin`: that child's events are compacted in place."""
+    One of `to_left` and `to_right` equals `begin`: that child's events are compacted in place."""
     left = int(to_left)
     right = int(to_right)
     for i in range(begin, begin + count):
         event = load_pair(lists.event, i)
         side = int(load_byte(lists.side, sides_first + (event[1] >> 2))) & 3
-        # written whether wanted or not, kept by moving the end: no branch to mispredict
+        # always written, kept by advancing the end: no branch to mispredict
         store_pair(lists.event, left, event)
         left += side & 1
         store_pair(lists.event, right, event)
@@ -123,7 +123,7 @@ def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_le
 
 @wp.func
 def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classify and partition: gives the children their lists."""
+    """Classifies and partitions: gives the children their lists."""
     classify(lists, task.triangles_first, frame, split)
     append_left = split.left < split.right
     to = int(frame.top)
@@ -138,7 +138,7 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
         left.count[axis] = count[0]
         right.count[axis] = count[1]
         to += wp.where(append_left, count[0], count[1])
-    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
     left.top = to
     right.top = wp.where(append_left, frame.top, to)
     left.triangles = split.left
@@ -147,9 +147,9 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
 
 @wp.func
 def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
-    """Lists the node's triangles, by the position at which they begin in x."""
+    """Lists the node's triangles by their start in x."""
     to = int(begin)
-    end = begin + frame.triangles  # as the search counted them: of NaN it may have another opinion than the lists
+    end = begin + frame.triangles  # the count of the search, which may differ from the lists if there is NaN
     for i in range(frame.first[0], frame.first[0] + frame.count[0]):
         value = load_pair(lists.event, i)[1]
         if (value & 3) != END and to < end:

@@ -1,9 +1,9 @@
-"""Events of a sweep: where each triangle's box starts and ends along each axis, sorted once for the whole build.
+"""Events of a sweep: the starts and ends of the triangles' boxes along each axis, sorted once for the whole build.
 
-A box that is flat along an axis gives one planar event there, any other a start and an end: a start is always before its end,
-because what is not longer than 0, NaN too, counts as flat, wherever events are made. Events are sorted by
-position; at equal positions ends come first, then planar ones, then starts, and among these the smaller triangle id
-(Wald and Havran 2006). A part of a sorted list is a sorted list: nodes need no sort, but where they clip (`clipped_events`).
+A box that is flat along an axis has one planar event there, any other box a start and an end. A start always precedes its end,
+because extents that are not greater than 0, including NaN, count as flat wherever events are made. Events are sorted by
+position. At equal positions ends come first, then planar events, then starts, and among these the smaller triangle id (Wald and
+Havran 2006). A part of a sorted list is sorted: nodes need no sort, unless they clip (`clipped_events`).
 """
 
 import numpy as np
@@ -20,10 +20,10 @@ PLANAR = wp.constant(1)
 START = wp.constant(2)
 
 CHUNK = 4096
-"""Triangles that are counted together before a scan."""
+"""Triangles per chunk of the count before a scan."""
 
 EVENT_CHUNK = 2048
-"""Events that an item of a kernel takes together at least."""
+"""Least number of events per item of a kernel."""
 
 
 @wp.struct
@@ -36,7 +36,7 @@ class Events:
     """(3, capacity): triangle << 2 | type."""
     count: wp.vec3i
     chunk: int
-    """Events that an item of a kernel takes together; no result depends on it."""
+    """Events per item of a kernel; no result depends on it."""
 
 
 @wp.func_native("return events.position.data[(size_t)axis * events.position.shape[1] + i];")
@@ -53,7 +53,7 @@ def event_value(events: Events, axis: int, i: int) -> int:
 
 @wp.kernel
 def count_planar(first: int, boxes: Boxes, triangles: int, counts: wp.array2d(dtype=int)):
-    """Item: a chunk of triangles. counts: (3, chunks)."""
+    """Item: a chunk of triangles. Counts its planar events. counts: (3, chunks)."""
     chunk = first + wp.tid()
     for axis in range(3):
         planar = int(0)
@@ -89,7 +89,7 @@ def emit_events(
 
 
 def sorted_events(triangles: TriangleBoxes) -> Events:
-    """All events, sorted."""
+    """All events of the mesh, sorted."""
     boxes, count = triangles.boxes, triangles.count
     device = boxes.low.device
     chunks = -(-count // CHUNK)

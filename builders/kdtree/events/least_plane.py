@@ -1,14 +1,14 @@
-"""The least cost of all planes of a sweep, 16 events at a time, and where it is: most events need not be looked at one by one.
+"""The least cost of all planes of a sweep, 16 events at a time, and the block of events in which it occurs.
 
-**Problem.** An exact sweep evaluates the cost at every event, with counts that each event changes; one after the other, that is
-half the time of an exact build.
+**Problem.** An exact sweep evaluates the cost at every event, with counts that each event changes. Done one after the other,
+this is half the time of an exact build.
 
-**Algorithm.** The counts at 16 events are running sums of their types; the 16 costs are then lanes of one vector. What is kept,
-lane by lane, is the least cost so far and the block of 16 in which it was. The plane itself is found by sweeping from the first
-such block on (`planes`), so that ties, and what belongs to the plane, are decided in one place: the costs are the same bits,
+**Algorithm.** The counts at 16 events are prefix sums over their types; the 16 costs are then lanes of one vector. Each lane
+keeps the least cost so far and the block of 16 in which it occurred. The plane itself is found by a sweep that starts at the
+first such block (`planes`), so that ties, and the counts of the plane, are decided in one place. Both costs have the same bits,
 because both come from `PLANE_COST`.
 
-**Limits.** Only for an axis without planar triangles, which are tried on both sides.
+**Limits.** The axis must have no planar triangles, which are tried on both sides.
 """
 
 import warp as wp
@@ -22,16 +22,16 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class LeastPlane:
-    """Where a sweep along one axis finds the least cost."""
+    """The least cost of a sweep along one axis and its position."""
 
     cost: float
-    """inf: nowhere."""
+    """inf if there is no plane."""
     event: int
-    """First event of the block in which it is first found."""
+    """First event of the first block that contains it."""
     left: int
     """Triangles that have begun before that event."""
     right: int
-    """Triangles that have not ended before it."""
+    """Triangles that have not ended before that event."""
 
 
 @wp.func_native(
@@ -86,5 +86,5 @@ def find_least_plane(
     triangles: int,
     found: wp.ref[LeastPlane],
 ):
-    """Looks at the events begin .. begin + count - 1, of so many triangles none of which is planar."""
+    """Searches the events begin .. begin + count - 1 of `triangles` triangles, none of which is planar."""
     ...

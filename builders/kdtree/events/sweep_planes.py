@@ -1,13 +1,13 @@
-"""The planes of a sweep, one event at a time: what the judge (`sorting_sweep`) does in groups, without looking ahead.
+"""The planes of a sweep, one event at a time: equivalent to the groups of events in `sorting_sweep`, without look-ahead.
 
-At a position with e ends, p planar triangles and s starts, the counts that matter are those after all ends and before all
-starts. Events come in the order end, planar, start. A plane evaluated after only some of the ends has more triangles on
-its right than the true one, so it cannot be cheaper, and of equally cheap ones at one position the last end counts; one
-evaluated before a later start has more on its left, and of these the first counts. So every event may evaluate the plane
-at its position with the counts as they stand, without a branch on what follows, and the minimum is that of the groups.
+At a position with e ends, p planar triangles and s starts, the relevant counts are those after all ends and before all starts.
+Events come in the order end, planar, start. A plane evaluated after only some of the ends has more triangles on its right than
+the true one, so it cannot be cheaper; among equal costs at one position the last end counts. A plane evaluated after some of
+the starts has more triangles on its left; among equal costs the first start counts. So every event may evaluate the plane at
+its position with the current counts, without a branch on what follows, and the minimum is that of the groups.
 
-Planar triangles are the exception: a part of them on each side is no split. They are tried all on the right when the
-first of them comes, and all on the left when the last has been seen.
+Planar triangles are the exception, because putting some of them on each side is not a split. They are all tried on the right
+when the first of them comes, and all on the left when the last has been passed.
 """
 
 import warp as wp
@@ -20,21 +20,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Sweep:
-    """Where a sweep stands in one node, along one axis."""
+    """State of a sweep in one node along one axis."""
 
     left: int
     """Triangles that have begun."""
     right: int
     """Triangles that have not ended."""
     planar: int
-    """Triangles in the plane at `position` that have been seen; they still count as to the right of it."""
+    """Planar triangles at `position` that have been passed; they still count as on the right."""
     position: float
     best: Split
 
 
 @wp.func
 def start_sweep(left: int, right: int):
-    """A sweep with so many triangles to the left and to the right, and no plane yet."""
+    """A sweep that starts with these counts, and no plane yet."""
     sweep = Sweep()
     sweep.left = left
     sweep.right = right
@@ -44,8 +44,8 @@ def start_sweep(left: int, right: int):
 
 @wp.func
 def try_plane(cost: SplitCost, along: AxisFrame, kind: int, position: float, sweep: wp.ref[Sweep]):
-    """Keeps the plane, with the counts as they stand, if it is cheaper than the best; after another end at the same
-    position, also if it is as cheap."""
+    """Keeps the plane with the current counts if it costs less than the best; after another end at the same position, also if
+    it costs the same."""
     price = plane_cost(cost, along, position, sweep.left, sweep.right)
     same_plane = sweep.best.axis == along.axis and sweep.best.position == position
     better = price < sweep.best.cost or (kind == END and price == sweep.best.cost and same_plane)
@@ -60,7 +60,7 @@ def try_plane(cost: SplitCost, along: AxisFrame, kind: int, position: float, swe
 
 @wp.func
 def close_planar(cost: SplitCost, along: AxisFrame, sweep: wp.ref[Sweep]):
-    """Passes the planar triangles seen last, if there are any, and tries them on the left."""
+    """Passes the pending planar triangles, if there are any, and tries them on the left."""
     if sweep.planar > 0:
         sweep.left += sweep.planar
         sweep.right -= sweep.planar

@@ -1,7 +1,7 @@
-"""Events of a task, made from its references and sorted where the task will use them (`event_lists`).
+"""Events of a task, generated from its references and sorted in the memory in which the task uses them (`event_lists`).
 
-Ends are written first, then planar events, then starts, each by triangle; a radix sort by position, which is stable, leaves
-that order among equal positions. So the lists are what a part of the events of the whole mesh would be.
+Ends are written first, then planar events, then starts, each by triangle. A stable radix sort by position keeps that order
+among equal positions. So the lists equal the corresponding part of the events of the whole mesh.
 """
 
 import warp as wp
@@ -63,7 +63,7 @@ def write_events(references: wp.array(dtype=float), first: int, count: int, axis
 """
 )
 def sort_events(lists: EventLists, begin: int, count: int):
-    """Sorts a range of events by position, stably; as much room behind it is scratch."""
+    """Sorts a range of events by position, stably. An equal amount of memory behind it is scratch."""
     ...
 
 
@@ -76,7 +76,7 @@ def list_task_events(
     frames: wp.array(dtype=Frame),
     lists: EventLists,
 ):
-    """Item: a task. Lists its triangles and their events; its share must have room for a third more than these."""
+    """Item: a task. Lists its triangles and their events. Its range must have room for a third more than these."""
     number = first + wp.tid()
     task = tasks[number]
     frame = frames[number]

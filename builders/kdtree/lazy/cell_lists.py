@@ -1,10 +1,10 @@
-"""The triangles of the cells that are opened (`lazy`): found among those of the clusters that may meet a cell.
+"""Finds the triangles of cells that are to be built (`lazy`) among those of the clusters that may meet a cell.
 
-Where every cell's list of clusters is right, so is its list of triangles: a triangle whose box meets the inside of a cell lies
-in a cluster whose box does. One that lies in the plane between two cells belongs to the upper one; clusters reach a little
-beyond their triangles (`clusters`), so that both cells have its cluster.
+A cell's list of triangles is complete if its list of clusters is: a triangle whose box meets the interior of a cell belongs to
+a cluster whose box does. A triangle in the plane between two cells belongs to the upper one. Clusters extend slightly beyond
+their triangles (`clusters`), so that both cells list its cluster.
 
-Count, scan, fill: an item is a pair of a cell and a cluster.
+The phases are count, scan and fill. One item is a pair of a cell and a cluster.
 """
 
 import numpy as np
@@ -27,12 +27,12 @@ class Pair:
     """The cell."""
     high: wp.vec3
     planar_end: wp.vec3
-    """Planar triangles lie below it: its upper corner, or more where the cell ends with the scene."""
+    """Upper bound of the planar triangles of the cell: its upper corner, or more if the cell ends with the scene."""
     begin: int
-    """The cluster's triangles."""
+    """First of the cluster's triangles; `end` is one past the last."""
     end: int
     to: int
-    """Where the ids of those in the cell are written."""
+    """Position to which the ids of the triangles in the cell are written."""
 
 
 @wp.func_native(
@@ -54,20 +54,20 @@ class Pair:
 """
 )
 def choose_triangles(boxes: Boxes, order: wp.array(dtype=int), pair: Pair, writing: bool, ids: wp.array(dtype=int)) -> int:
-    """Counts the triangles of a cluster that are in a cell, and writes their ids if asked to."""
+    """Counts the triangles of a cluster that are in a cell, and writes their ids if `writing`."""
     ...
 
 
 @wp.kernel
 def count_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), counts: wp.array(dtype=int)):
-    """Item: a pair."""
+    """Item: a pair. Writes its number of triangles."""
     i = first + wp.tid()
     counts[i] = choose_triangles(boxes, order, pairs[i], False, counts)
 
 
 @wp.kernel
 def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.array(dtype=Pair), ids: wp.array(dtype=int)):
-    """Item: a pair."""
+    """Item: a pair. Writes the ids of its triangles."""
     choose_triangles(boxes, order, pairs[first + wp.tid()], True, ids)
 
 
@@ -97,7 +97,7 @@ def fill_pairs(first: int, boxes: Boxes, order: wp.array(dtype=int), pairs: wp.a
 """
 )
 def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frame: wp.ref[Frame]):
-    """Writes the references of a node's ids, and finds their box."""
+    """Writes the references of a node's ids, and computes their box."""
     ...
 
 
@@ -105,7 +105,7 @@ def gather_references(boxes: Boxes, ids: wp.array(dtype=int), references: wp.arr
 def list_references(
     first: int, boxes: Boxes, ids: wp.array(dtype=int), references: wp.array(dtype=float), frames: wp.array(dtype=Frame)
 ):
-    """Item: a node that is to be built; its list begins at frame.first[0], in ids as in references."""
+    """Item: a node to build. Its list begins at frame.first[0], in ids and in references."""
     number = first + wp.tid()
     frame = frames[number]
     gather_references(boxes, ids, references, frame)
@@ -113,7 +113,7 @@ def list_references(
 
 
 def list_triangles(boxes: Boxes, order: wp.array, pairs: np.ndarray) -> tuple[wp.array, np.ndarray]:
-    """The triangles of every pair: (ids, pair after pair; (pairs,) their numbers). `pairs` are `Pair`, their `to` is set."""
+    """The triangles of every pair: (ids in the order of the pairs, (pairs,) their numbers). Sets `to` of the `Pair` records."""
     device, count = order.device, len(pairs)
     counts = wp.empty(count, dtype=int, device=device)
     launch(count_pairs, count, [boxes, order, wp.array(pairs, dtype=Pair, device=device), counts], device=device, chunk=16)

@@ -1,4 +1,4 @@
-"""A finished tree grows: leaves are replaced by subtrees, and the whole stays in depth-first order
+"""Replacement of leaves of a finished tree by subtrees. The tree stays in depth-first order
 (`wrt.kernels.layout.kdtree_nodes`)."""
 
 import numpy as np
@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.kernel
 def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), grown: wp.array(dtype=wp.vec2i)):
-    """Item: a node. shift: by how much each node's index grows."""
+    """Item: a node. Copies it to its new index. shift: (nodes,) increase of each node's index."""
     i = first + wp.tid()
     node = nodes[i]
     axis = kdtree.split_axis(node)
@@ -23,16 +23,16 @@ def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtyp
 
 
 def make_room(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
-    """Makes room for subtrees in the place of leaves.
+    """Makes room for subtrees that replace leaves.
 
     Args:
-        nodes: (nodes,) vec2i, which stay as they are.
-        leaves: indices of the leaves that are replaced.
+        nodes: (nodes,) vec2i; not modified.
+        leaves: indices of the leaves to replace.
         sizes: nodes of each subtree, at least 1.
 
     Returns:
-        The grown array, in which the subtree of leaf i is still to be written from leaves[i] + shift[leaves[i]] on; and shift:
-        (nodes,) by how much the index of each node has grown.
+        The enlarged array and shift. The subtree of leaf i must then be written from leaves[i] + shift[leaves[i]] on. shift:
+        (nodes,) increase of each node's index.
     """
     device, count = nodes.device, len(nodes)
     growth = np.zeros(count, dtype=np.int32)

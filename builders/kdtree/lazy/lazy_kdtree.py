@@ -1,41 +1,36 @@
-"""Lazy build of an SAH kd-tree: only what rays reach is built (Hunt, Mark, Fussell 2007; survey, section 4.2).
+"""Lazy build of an SAH kd-tree: only the parts that rays reach are built (Hunt, Mark and Fussell 2007).
 
-**Problem.** A frame sees a small part of a large scene, and a build that sorts or even scans everything at every level takes
-longer than the rays.
+**Problem.** A frame sees a small part of a large scene. A build that sorts or even scans everything at every level takes longer
+than tracing the rays.
 
-**Algorithm.** A scan builds a part of a tree without looking at the rest, and it need not begin with triangles: where they are
-sorted by a hierarchy already, its nodes stand for them. The presort here is a grid (`clusters`), two passes over the
-triangles. The top of the tree is built of the clusters' boxes by the binned builder (`binned`), and ends in *cells*: leaves
-that know their clusters and wait. When rays ask for cells, their triangles are found among those of their clusters
-(`cell_lists`), their subtrees are built, all cells that are wanted in one batch on all threads (`subtrees`), and put into the
-tree (`grafting`). A cell of many triangles is sorted and divided into cells in its turn, as the root is: so the teapot in the
-stadium is a cell until somebody looks at it.
+**Algorithm.** A scanning build can build a part of a tree without reading the rest. It need not start from triangles: the nodes
+of an existing hierarchy can represent them. The presort here is a grid (`clusters`), two passes over the triangles. The binned
+builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of clusters,
+which are not built yet. When rays request cells, their triangles are found among those of their clusters (`cell_lists`). The
+subtrees of all requested cells are built in one batch on all threads (`subtrees`), and inserted into the tree (`grafting`). A
+cell of many triangles is itself sorted into clusters and divided into cells, like the root. So a small detailed object in a
+large scene is one cell until a ray reaches it.
 
-The skeleton tells what waits (`wrt.kernels.traversal.single.lazy_requests`): it holds the planes above the cells, and a leaf
-for each. The tree that is traced has the same planes and the subtrees built so far; cells that wait are empty leaves, so that
-every traversal walks it as it is.
+**Data.** The skeleton holds the planes above the cells, and a leaf for each cell; it tells which cells are not built
+(`wrt.kernels.traversal.single.lazy_requests`). The tree that is traced has the same planes and the subtrees built so far. Cells
+that are not built are empty leaves, so that every traversal works unchanged.
 
-**Complexity.** O(N) for the presort, once, at some 15 nanoseconds a triangle; then O(v log v) for v triangles in cells that are
-reached. With the tree of the previous frame in the grid's place the first term would go: any hierarchy can be turned into
-`Clusters`.
+**Complexity.** O(N) for the presort, once; then O(v log v) for v triangles in cells that are reached. The tree of the previous
+frame could replace the grid and remove the first term: any hierarchy can be converted to `Clusters`.
 
-**What we changed.** The paper's tracer stops at a node that is not built, builds it and resumes. Warp's kernels run through:
-here rays are traced through what is built, name the cells that they reach before their hit, and those that named any are traced
-again when these are built, until there are none (`wrt.execution.lazy_tracing`). A snapshot is never changed, only replaced, so
-that several threads may trace while one of them builds.
+**What we changed.** The paper's tracer stops at a node that is not built, builds it and resumes. Warp kernels cannot stop. Here
+rays are traced through the parts that are built, and record the cells that they reach before their hit. When these cells have
+been built, the rays that recorded any are traced again, until there are none (`wrt.execution.lazy_tracing`). A snapshot is
+replaced, never modified, so several threads may trace while one of them builds.
 
-**Measured** (one core of a Zen 5; the dragon with every triangle divided into four, 810,080; a view of 512 x 512 rays that sees
-3 % of them): the scene and its first frame took 137 ms, with the binned builder 350 ms, with the in-place one 1.2 s. Of the
-137, 26 are the grid and the top, 48 the cells, with an eighth of the triangles, 20 the tracing, and 20 the asking. Built to the
-end, the tree's cost is within 4 % of the binned one's.
-
-**Limits.** A waiting cell is built as a whole. As long as any cell waits, rays pay for asking: 60 nanoseconds each. Planes
-above the cells are chosen without a count of triangles, so that `leaf_triangles` holds below them only.
+**Limits.** A cell is built as a whole. As long as any cell is not built, rays pay for recording cells
+(notebooks/records/2026-11-21-kdtree-builders.md). Planes above the cells are chosen without a count of triangles, so
+`leaf_triangles` holds only below them.
 
 References:
     W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
         IEEE Symposium on Interactive Ray Tracing 2007.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
 import threading
@@ -65,20 +60,20 @@ from wrt.kernels.runtime.launch import launch, load
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LARGE = 1 << 13
-"""Triangles of a cell above which it is divided into cells; below, its subtree is built at once."""
+"""Triangles of a cell above which it is divided into cells. The subtree of a smaller one is built at once."""
 
 MOST_MULTIPLIED = 16.0
-"""Where cells would have so many times the triangles together that their parent has, it is not divided."""
+"""A cell is not divided if its cells would have more than this many times its triangles in total."""
 
 CELL_ROOM = 3.0
-"""Room that a cell has for its work, as a multiple of its own lists; doubled whenever that was too little."""
+"""Working memory of a cell relative to its own lists; doubled whenever it is too small."""
 
 CLUSTERS = 8
-"""Clusters that a cell may have for the price of one: fewer triangles a cell build less that no ray reaches, more of them leave
-more planes to a search that sees triangles."""
+"""Clusters of a cell that cost CLUSTER_COST together, like a block of triangles. Fewer clusters per cell build fewer triangles
+that no ray reaches; more of them leave more planes to a search that sees triangles."""
 
 CLUSTER_COST = 1.0
-"""Price of so many clusters, in that of a step through an inner node."""
+"""Cost of CLUSTERS clusters, relative to the cost of visiting an inner node."""
 
 CELL = np.dtype(
     [
@@ -93,8 +88,8 @@ CELL = np.dtype(
         ("waiting", np.bool_),
     ]
 )
-"""A cell: its box, its depth, by how much references have multiplied on the way to it (`Descent.growth`), the number of its
-clusters and where they begin in the list of all cells' clusters, its index in the tree and in the skeleton."""
+"""A cell: its box; its depth; the growth of references on its path (`Descent.growth`); the number of its clusters and their
+start in the list of all cells' clusters; its indices in the tree and in the skeleton."""
 
 EMPTY = (0, 3)
 """An empty leaf."""
@@ -104,13 +99,14 @@ EMPTY_LEAF = wp.constant(wp.vec2i(*EMPTY))
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The tree as it stands, and what of it waits.
+    """The current tree and the cells that are not built.
 
     Attributes:
-        tree: what is built; cells that wait are empty leaves of it.
-        skeleton: (nodes,) vec2i, the planes above the cells; a leaf with triangles waits, its first block is the cell's number.
+        tree: the parts that are built; cells that are not built are empty leaves.
+        skeleton: (nodes,) vec2i, the planes above the cells. A leaf with triangles is not built; its first block is the cell's
+            number.
         cells: number of cells so far.
-        waiting: number of those that wait.
+        waiting: number of cells that are not built.
     """
 
     tree: KdTree
@@ -126,12 +122,12 @@ class Snapshot:
 
 
 class LazyKdTree:
-    """A tree that grows. It may be used from several threads; one at a time builds.
+    """A tree that is built on demand. Several threads may use it; one at a time builds.
 
     Args:
         triangles: boxes of the triangles, on the CPU.
         config: cost model and stop rules.
-        device: where the tree is traced.
+        device: device on which the tree is traced.
     """
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> None:
@@ -143,7 +139,7 @@ class LazyKdTree:
         self.order = wp.array(np.arange(triangles.count, dtype=np.int32), dtype=int, device=self.host)
         """Triangle ids, cluster after cluster."""
         self.clusters = np.zeros((0, 2), dtype=np.int64)
-        """Where each cluster begins and ends in `order`."""
+        """Start and end of each cluster in `order`."""
         self.listed = np.zeros(0, dtype=np.int64)
         """Clusters of the cells, cell after cell."""
         self.cells = np.zeros(1, dtype=CELL)
@@ -152,12 +148,12 @@ class LazyKdTree:
         self.skeleton = wp.array(waiting_leaves(np.zeros(1, dtype=int)), dtype=wp.vec2i, device=self.host)
         self.primitive = wp.empty(0, dtype=int, device=self.host)
         self.current = self._snapshot()
-        """What is there now: replaced, never changed."""
+        """The current snapshot: replaced, never modified."""
         if triangles.count > LARGE:
             self.open(np.zeros(1, dtype=int))
 
     def open(self, numbers: np.ndarray) -> None:
-        """Builds cells, or divides them into cells if they are large; what is built already stays as it is."""
+        """Builds cells, or divides large ones into cells. Cells that are already built are not changed."""
         with self.lock:
             numbers = numbers[self.cells["waiting"][numbers]]
             if len(numbers) == 0:
@@ -175,7 +171,7 @@ class LazyKdTree:
             self.current = self._snapshot()
 
     def finish(self) -> KdTree:
-        """Builds all that waits, and returns the whole tree."""
+        """Builds all remaining cells, and returns the whole tree."""
         while self.current.waiting:
             self.open(np.flatnonzero(self.cells["waiting"]))
         return self.current.tree
@@ -189,8 +185,8 @@ class LazyKdTree:
         return Snapshot(tree.to(self.device), self.skeleton.to(self.device), len(self.cells), waiting)
 
     def _list_triangles(self, numbers: np.ndarray) -> tuple[wp.array, np.ndarray, np.ndarray]:
-        """The triangles of cells: (ids, where each cell's begin, how many they are)."""
-        if numbers[0] == 0:  # the root, which nothing else waits beside
+        """The triangles of cells: (ids, start of each cell's ids, number of each cell's ids)."""
+        if numbers[0] == 0:  # the root, which is then the only cell
             return self.order, np.zeros(1, dtype=int), np.array([self.triangles.count])
         cells = self.cells[numbers]
         owner = np.repeat(np.arange(len(cells)), cells["clusters"])
@@ -206,10 +202,10 @@ class LazyKdTree:
         return ids, np.cumsum(sizes) - sizes, sizes
 
     def _divide(self, number: int, ids: wp.array) -> bool:
-        """Divides a cell into cells; False if no plane does, or if too many lie across the planes."""
+        """Divides a cell into cells; False if no plane does, or if too many triangles straddle the planes."""
         parent = self.cells[number]
         least, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
-        if not size > least or not least / size < 1.0:  # NaN, too, is not divided
+        if not size > least or not least / size < 1.0:  # NaN is not divided either
             return False
         clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
         top = self._build_top(parent, clusters, least / size)
@@ -240,7 +236,7 @@ class LazyKdTree:
         return True
 
     def _build_top(self, parent: np.void, clusters: Clusters, least_size: float) -> KdTree:
-        """The tree of a cell's clusters; least_size: `StopRules.least_size`, as a share of the cell."""
+        """The tree of a cell's clusters. least_size: `StopRules.least_size`, relative to the cell."""
         boxes, corners = Boxes(), (clusters.core_low.T, clusters.core_high.T)
         boxes.low, boxes.high = (wp.array(np.ascontiguousarray(c), dtype=float, device=self.host) for c in corners)
         cost = self.config.cost
@@ -252,14 +248,14 @@ class LazyKdTree:
         return binned.build(TriangleBoxes(boxes, len(clusters.low), parent["low"], parent["high"]), config)
 
     def _graft(self, name: str, number: int, part: np.ndarray) -> int:
-        """Puts a part in the place of a cell, in the tree ("node") or in the skeleton ("leaf"); returns where it begins."""
+        """Replaces a cell by a part, in the tree ("node") or in the skeleton ("leaf"); returns the part's first index."""
         grown, (base,) = self._make_room(name, np.array([number]), np.array([len(part)]))
         right = np.where(part[:, 1] & 3 == kdtree.LEAF, 0, base << 2)
         grown.numpy()[base : base + len(part)] = part + np.stack([np.zeros_like(right), right], axis=1)
         return base
 
     def _make_room(self, name: str, numbers: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
-        """Makes room for parts in the place of cells; returns the grown array and where each part begins."""
+        """Makes room for parts that replace cells; returns the enlarged array and the first index of each part."""
         field = {"node": "nodes", "leaf": "skeleton"}[name]
         grown, shift = make_room(getattr(self, field), self.cells[name][numbers], sizes)
         self.cells[name] += shift[self.cells[name]]
@@ -267,7 +263,7 @@ class LazyKdTree:
         return grown, self.cells[name][numbers]
 
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
-        """Builds the subtrees of cells and puts them into the tree."""
+        """Builds the subtrees of cells and inserts them into the tree."""
         device, width = self.host, self.config.cost.width
         top = self._list_references(self.cells[numbers], ids, first, sizes)
         scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
@@ -285,12 +281,12 @@ class LazyKdTree:
         inputs = [room.parts, room.tasks, results, *bases, width, nodes, primitive]
         launch(copy_subtrees, len(numbers), inputs, device=device, chunk=1)
         self.primitive = primitive
-        self.skeleton = wp.clone(self.skeleton)  # the one that is there may be in use
+        self.skeleton = wp.clone(self.skeleton)  # the old one may be in use
         self.skeleton.numpy()[self.cells["leaf"][numbers]] = EMPTY
         self.cells["waiting"][numbers] = False
 
     def _list_references(self, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
-        """The cells as roots of subtrees, and their references."""
+        """The cells as roots of subtrees, with their references."""
         roots = np.zeros(len(cells), dtype=LiveRange.numpy_dtype())
         frame = roots["frame"]
         for name in ("low", "high", "depth"):
@@ -309,7 +305,7 @@ class LazyKdTree:
 
 @wp.kernel
 def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
-    """One item. Parts of the skeleton in which nothing waits become empty leaves; their nodes stay behind, unreachable."""
+    """One item. Turns parts of the skeleton that are completely built into empty leaves. Their nodes remain, unreachable."""
     for i in range(skeleton.shape[0]):
         index = skeleton.shape[0] - 1 - i  # children before their parents
         node = skeleton[index]
@@ -320,12 +316,12 @@ def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
 
 
 def waiting_leaves(numbers: np.ndarray) -> np.ndarray:
-    """Leaves of the skeleton for cells that wait."""
+    """Leaves of the skeleton for cells that are not built."""
     return np.stack([numbers, np.full_like(numbers, 1 << 2 | kdtree.LEAF)], axis=1).astype(np.int32)
 
 
 def joined(a: wp.array, b: wp.array) -> wp.array:
-    """Both arrays, one behind the other."""
+    """The concatenation of two arrays."""
     result = wp.empty(len(a) + len(b), dtype=a.dtype, device=a.device)
     for part, to in ((a, 0), (b, len(a))):
         if len(part):
@@ -334,12 +330,12 @@ def joined(a: wp.array, b: wp.array) -> wp.array:
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the whole tree, as if rays had asked for all of it."""
+    """Builds the whole tree, as if rays had requested all cells."""
     return start(triangles, config, triangles.boxes.low.device).finish()
 
 
 def start(triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> LazyKdTree:
-    """Begins a tree that rays will complete."""
+    """Starts a tree that is built on demand."""
     load(
         (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.method(config))),
         triangles.boxes.low.device,

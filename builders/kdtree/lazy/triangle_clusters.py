@@ -1,8 +1,8 @@
-"""A coarse presort: triangles fall into the cells of a grid by the middles of their boxes (count, scan, fill).
+"""A coarse presort: triangles are sorted into the cells of a grid by the centres of their boxes (count, scan, fill).
 
-What is sorted once here is never touched again unless a ray comes near it. A cluster is what fell into one cell of the grid: a
-range of triangle ids and the box of their boxes; clusters have no triangle in common. One pass over the triangles finds cells,
-counts and boxes, each chunk for itself, a second one writes the ids.
+A cluster contains the triangles of one grid cell: a range of triangle ids and the box of their boxes. No triangle is in two
+clusters, and no triangle is read again until a ray comes near its cluster. A first pass over the triangles computes cells,
+counts and boxes, separately for each chunk; a second pass writes the ids.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
@@ -23,13 +23,13 @@ from wrt.kernels.runtime.launch import get_num_threads, launch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 MOST_CELLS = 1 << 15
-"""Cells of the grid at most: their boxes stay in a core's second cache."""
+"""Most cells of the grid, so that their boxes fit the second-level cache of a core."""
 
 TRIANGLES_PER_CELL = 16
-"""Triangles for each cell of the grid, empty ones included; a surface leaves most of them empty."""
+"""Triangles per cell of the grid, counting empty cells; a surface leaves most cells empty."""
 
 LEAST_CHUNK = 1 << 15
-"""Triangles that are worth a table of boxes."""
+"""Least number of triangles in a chunk, because each chunk has its own table of boxes."""
 
 
 @wp.struct
@@ -38,7 +38,7 @@ class Grid:
 
     low: wp.vec3
     scale: wp.vec3
-    """Cells for a unit of length."""
+    """Cells per unit of length."""
     cells: wp.vec3i
     """Cells along each axis."""
 
@@ -49,10 +49,10 @@ class Clusters:
 
     Attributes:
         order: (triangles,) ids.
-        first: (clusters + 1,) where each begins in `order`, and where the last ends.
+        first: (clusters + 1,) start of each cluster in `order`, followed by the end of the last.
         low, high: (clusters, 3) float32, a box that strictly contains its triangles' boxes.
-        core_low, core_high: (clusters, 3) float32, what of it lies in the cell of the grid. Cores do not overlap, and where to
-            divide them is decided better by them; what lies where is decided by the whole boxes.
+        core_low, core_high: (clusters, 3) float32, the part of that box in the cell of the grid. Cores do not overlap, so they
+            give better candidate planes; the whole boxes decide which cells a cluster meets.
     """
 
     order: wp.array
@@ -64,7 +64,7 @@ class Clusters:
 
     @property
     def sizes(self) -> np.ndarray:
-        """(clusters,) triangles of each."""
+        """(clusters,) number of triangles of each."""
         return np.diff(self.first)
 
 
@@ -107,7 +107,7 @@ def count_range(
     counts: wp.array2d(dtype=int),
     corners: wp.array2d(dtype=float),
 ):
-    """Finds the cells of the triangles ids[begin .. end - 1], their number in each cell, and their box there, (low, -high)."""
+    """Computes the cells of the triangles ids[begin .. end - 1] and, per cell, their number and their box, (low, -high)."""
     ...
 
 
@@ -126,7 +126,7 @@ def fill_range(
     places: wp.array2d(dtype=int),
     order: wp.array(dtype=int),
 ):
-    """Writes ids to the next places of their cells."""
+    """Writes ids to the next positions of their cells."""
     ...
 
 
@@ -141,7 +141,7 @@ def count_cells(
     counts: wp.array2d(dtype=int),
     corners: wp.array2d(dtype=float),
 ):
-    """Item: a chunk of `size` triangles."""
+    """Item: a chunk of `size` triangles. Computes their cells, and counts and boxes per cell."""
     chunk = first + wp.tid()
     end = wp.min(ids.shape[0], (chunk + 1) * size)
     count_range(boxes, ids, chunk * size, end, grid, chunk, cell_of, counts, corners)
@@ -156,13 +156,13 @@ def fill_cells(
     places: wp.array2d(dtype=int),
     order: wp.array(dtype=int),
 ):
-    """Item: a chunk of `size` triangles."""
+    """Item: a chunk of `size` triangles. Writes their ids, sorted by cell."""
     chunk = first + wp.tid()
     fill_range(ids, chunk * size, wp.min(ids.shape[0], (chunk + 1) * size), cell_of, chunk, places, order)
 
 
 def make_grid(low: np.ndarray, high: np.ndarray, triangles: int) -> Grid:
-    """A grid of nearly cubic cells over a box; along an axis shorter than a cell there is one."""
+    """A grid of nearly cubic cells over a box. Along an axis shorter than a cell there is one cell."""
     size = high.astype(np.float64) - low
     size = np.where(np.isfinite(size), size, 0.0)
     wanted = min(MOST_CELLS, max(1, triangles // TRIANGLES_PER_CELL))
@@ -181,8 +181,8 @@ def sort_into_clusters(boxes: Boxes, ids: wp.array, low: np.ndarray, high: np.nd
 
     Args:
         boxes: of all triangles of the mesh.
-        ids: (triangles,) int32, those that are sorted.
-        low, high: (3,) the box that the grid divides; triangles may stick out of it.
+        ids: (triangles,) int32, the triangles to sort.
+        low, high: (3,) the box that the grid divides; triangles may extend beyond it.
     """
     device, count = ids.device, len(ids)
     grid = make_grid(low, high, count)
@@ -205,7 +205,7 @@ def sort_into_clusters(boxes: Boxes, ids: wp.array, low: np.ndarray, high: np.nd
 
 
 def cores(grid: Grid, used: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What of the boxes of cells lies in the cells themselves; used: their numbers. Outer cells have no outer end."""
+    """The parts of the clusters' boxes in their cells; used: numbers of the cells. Outer cells extend to infinity."""
     scale, cells = np.array(grid.scale, dtype=np.float32), np.array(grid.cells)
     place = np.stack(np.unravel_index(used, cells[::-1])[::-1], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -224,8 +224,8 @@ def list_leaves(
     counts: wp.array(dtype=int),
     leaves: wp.array(dtype=int),
 ):
-    """Item: a cluster. Counts the leaves of a tree that its box, (clusters, 3), meets; where there is room, lists them from
-    its place on."""
+    """Item: a cluster. Counts the leaves of a tree that its box, (clusters, 3), meets. If there is room, lists them from its
+    position on."""
     cluster = first + wp.tid()
     stack = wp.zeros(shape=(kdtree.MAX_TREE_DEPTH,), dtype=int)
     size = int(1)
@@ -250,7 +250,7 @@ def list_leaves(
 
 
 def leaves_of(clusters: Clusters, nodes: wp.array) -> tuple[np.ndarray, np.ndarray]:
-    """Which leaves of a tree the clusters meet: (leaf, cluster) of every pair, leaf after leaf."""
+    """The leaves of a tree that the clusters meet: (leaf, cluster) of every pair, in the order of the leaves."""
     device, count = nodes.device, len(clusters.low)
     low, high = (wp.array(corner, dtype=float, device=device) for corner in (clusters.low, clusters.high))
     places, counts, leaves = (wp.empty(n, dtype=int, device=device) for n in (count, count, 0))

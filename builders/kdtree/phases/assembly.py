@@ -1,4 +1,5 @@
-"""From the top levels and the finished subtrees to one tree in depth-first order (`wrt.kernels.layout.kdtree_nodes`)."""
+"""Assembly of the top levels and the finished subtrees into one tree in depth-first order
+(`wrt.kernels.layout.kdtree_nodes`)."""
 
 from dataclasses import dataclass
 
@@ -24,7 +25,7 @@ def copy_subtrees(
     nodes: wp.array(dtype=wp.vec2i),
     primitive: wp.array(dtype=int),
 ):
-    """Item: a task. Moves its nodes and leaf lists to their final place and makes its indices global."""
+    """Item: a task. Copies its nodes and leaf lists to their final position and makes its indices global."""
     number = first + wp.tid()
     task = tasks[number]
     for i in range(results[number].nodes):
@@ -48,7 +49,7 @@ def write_top(
     right: wp.array(dtype=int),
     nodes: wp.array(dtype=wp.vec2i),
 ):
-    """Item: an inner node of the top levels."""
+    """Item: an inner node of the top levels. Writes it to the tree."""
     i = first + wp.tid()
     nodes[index[i]] = kdtree.inner_node(axis[i], position[i], right[i])
 
@@ -71,11 +72,11 @@ def number_top(levels: list[np.ndarray], node_counts: np.ndarray, block_counts: 
     """Numbers the nodes depth first.
 
     Args:
-        levels: live nodes of each level but the last, as structured arrays; the last level's are the subtrees' roots.
+        levels: live nodes of each level except the last, as structured arrays; those of the last level are the subtrees' roots.
         node_counts, block_counts: (tasks,) size of each subtree.
     """
     top = TopNumbering([], [], [], [], np.zeros(len(node_counts), np.int32), np.zeros(len(node_counts), np.int32), 0, 0)
-    stack = [(0, 0, -1)]  # level, live index, which entry of the top's lists it is the right child of
+    stack = [(0, 0, -1)]  # level, live index, index in the lists of the top of the node whose right child it is
     while stack:
         level, live, parent = stack.pop()
         while level < len(levels) and levels[level][live]["finished"]:

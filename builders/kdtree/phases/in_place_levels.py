@@ -1,25 +1,27 @@
-"""The top of the in-place build: all live nodes of a level at once (Choi et al. 2010; survey, Algorithm 4.2.2).
+"""The top levels of the in-place build: all live nodes of a level at once (Choi et al. 2010).
 
-Data does not move: events stay in the order in which they were sorted once, and triangles know the nodes they lie in
-(`Membership`). A level takes four phases, each parallel over chunks of events or triangles from the root on:
+**Data.** Data does not move: events stay in their sorted order, and each triangle has a list of its nodes (`Membership`).
+
+**Phases.** A level takes four phases. Each is parallel over chunks of events or triangles, from the root on:
 
     search      FindBestPlane: every chunk counts, per live node, the triangles that begin and end in it; a scan over the
-                chunks gives each chunk the counts to its left; every chunk then evaluates its planes; the best of all
-                chunks is the node's split
+                chunks gives each chunk the counts before it; every chunk then evaluates its planes; the best of all chunks
+                is the node's split
     stop, emit  NewGen: a node with a split gets two children, the others are finished
-    classify    ClassifyTriangles: every triangle exchanges its nodes for their children (count, scan, fill)
+    classify    ClassifyTriangles: every triangle replaces its nodes by their children (count, scan, fill)
 
-Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
-of the axes and positions. So neither threads nor chunks show in the result.
+Chunks begin where the position changes, so no plane is shared between chunks. The best plane among chunks is selected in the
+order of the axes and positions. So the result does not depend on threads or chunks.
 
-**What we changed.** Most chunks are not searched, and in the others only for nodes that may have their best plane there. The
-counts before and behind a chunk bound the cost of all its planes from below; planes at which chunks begin have their true cost
-already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_win`). On the bunny's first three
-levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+**What we changed.** Most chunks are not searched, and the others only for nodes that may have their best plane there. The
+counts before and behind a chunk bound the cost of all its planes from below. The exact cost is known for planes at which chunks
+begin. A chunk whose bound exceeds the least of these costs cannot contain a node's best plane (`may_win`). A few percent of the
+chunks remain (notebooks/records/2026-11-21-kdtree-builders.md).
 
 References:
-    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
+        High Performance Graphics 2010.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.2).
 """
 
 import warp as wp
@@ -36,7 +38,7 @@ from wrt.kernels.simd.boxes import INFINITY
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SLACK = 1.0 + 1e-5
-"""By how much the least cost that a chunk can have must exceed a cost that another has: far more than rounding."""
+"""Factor by which the bound of a chunk must exceed a known cost before the chunk is skipped: far more than rounding."""
 
 
 @with_known_layout
@@ -50,7 +52,7 @@ class LiveNode:
     path: Descent
     depth: int
     finished: bool
-    """True once the node is known to be a leaf; it then waits for the end of the levels, and for its task to find the same."""
+    """True for a leaf. It then waits for the end of the levels, and its task makes the same decision."""
     left: int
     """Live index of its left child on the next level (the right one follows); of itself if it is finished."""
     split: Split
@@ -58,17 +60,17 @@ class LiveNode:
 
 @wp.struct
 class Membership:
-    """Which live nodes each triangle lies in."""
+    """The live nodes that contain each triangle."""
 
     first: wp.array(dtype=int)
-    """(triangles + 1,) where a triangle's nodes begin in `node`."""
+    """(triangles + 1,) start of each triangle's nodes in `node`."""
     node: wp.array(dtype=int)
     """Live node indices, ascending within a triangle."""
 
 
 @wp.func
 def chunk_begin(events: Events, axis: int, chunk: int):
-    """First event of a chunk: its nominal one, or the next at which the position changes."""
+    """First event of a chunk: the nominal one, or the next one at which the position changes."""
     begin = wp.min(chunk * events.chunk, events.count[axis])
     while (
         begin > 0
@@ -129,7 +131,7 @@ def scan_chunks(
 ):
     """Item: axis * nodes + node. Turns the counts of chunks into the counts before them.
 
-    reached: (3, nodes), left with the least cost of the planes at which chunks begin."""
+    reached: (3, nodes) output, least cost of the planes at which chunks begin."""
     item = first + wp.tid()
     axis = item / counts.shape[2]
     index = item % counts.shape[2]
@@ -144,7 +146,7 @@ def scan_chunks(
         if begin < events.count[axis]:
             position = event_position(events, axis, begin)
             if position > along.low and position < along.high:
-                # what ends there still counts as on the right: the plane is no dearer than this
+                # triangles that end here still count as on the right, so the true cost of the plane is at most this
                 least = wp.min(least, plane_cost(cost, along, position, total[0], node.triangles - total[1]))
         total += here
     reached[axis, index] = least
@@ -161,8 +163,8 @@ def may_win(
     index: int,
     reached: wp.array2d(dtype=float),
 ):
-    """Whether a plane of a chunk may be a node's best: so many triangles begin before the chunk and end behind it, and its
-    positions are begin .. end. If the node had not the slab between them, its cheapest plane would cost no more than any."""
+    """Whether a plane of a chunk may be a node's best. left triangles begin before the chunk, right ones end behind it, and its
+    positions are begin .. end. The bound is the least cost of a split of the node without the slab between these positions."""
     low = wp.max(begin, along.low)
     high = wp.min(end, along.high)
     known = wp.min(reached[0, index], wp.min(reached[1, index], reached[2, index]))
@@ -182,8 +184,8 @@ def sweep_chunk(
     along: wp.array(dtype=AxisFrame),
     sweeps: wp.array(dtype=Sweep),
 ):
-    """Evaluates the planes of the events begin .. end - 1 for each node that their triangles lie in, but for those nodes whose
-    frame is empty."""
+    """Evaluates the planes of the events begin .. end - 1 for each node that contains their triangles, except nodes whose frame
+    is empty."""
     for i in range(begin, end):
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)
@@ -211,7 +213,7 @@ def search_planes(
 ):
     """Item: axis * chunks + chunk.
 
-    sweeps: (3, chunks, nodes), left with each node's best plane in the chunk, or with none where none can be its best at all;
+    sweeps: (3, chunks, nodes) output, each node's best plane in the chunk, or none if the chunk cannot contain its best.
     frames: scratch of the same shape."""
     item = first + wp.tid()
     axis = item / before.shape[1]
@@ -251,7 +253,7 @@ def decide(
     sweeps: wp.array3d(dtype=Sweep),
     nodes: wp.array(dtype=LiveNode),
 ):
-    """Item: a live node. Takes the best plane of all axes and chunks, in this order, and stops or splits."""
+    """Item: a live node. Selects the best plane of all axes and chunks, in this order, and stops or splits."""
     index = first + wp.tid()
     node = nodes[index]
     if not node.finished:
@@ -271,7 +273,7 @@ def decide(
 
 @wp.kernel
 def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
-    """One item. Lists the next level's nodes in order; count: (2,), its nodes and those of them that are not finished."""
+    """One item. Lists the next level's nodes in order. count: (2,) number of its nodes and of those that are not finished."""
     total = int(0)
     open_nodes = int(0)
     for index in range(nodes.shape[0]):
@@ -300,7 +302,7 @@ def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.arr
 
 @wp.func
 def sides(node: LiveNode, low: float, high: float):
-    """Children that a box belongs to, by its interval on the split axis: 1 left, 2 right, 3 both."""
+    """Children to which a box belongs, by its interval on the split axis: 1 left, 2 right, 3 both."""
     if not (low < high) and low == node.split.position:
         return wp.where(node.split.planar_left, 1, 2)
     if high <= node.split.position:
@@ -314,7 +316,7 @@ def sides(node: LiveNode, low: float, high: float):
 def count_members(
     first: int, boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, counts: wp.array(dtype=int)
 ):
-    """Item: a triangle. Number of nodes that it lies in on the next level."""
+    """Item: a triangle. Counts its nodes on the next level."""
     triangle = first + wp.tid()
     count = int(0)
     for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):

@@ -1,15 +1,16 @@
-"""The lower part of a build: one task builds one subtree, depth first, on its own copy of the lists. Written once for all.
+"""The lower part of a build: one task builds one subtree, depth first, on its own copy of the lists. Shared by all builders.
 
-A node's triangles are kept in lists in the task's share of a memory: sorted events, or references that are scanned. What
-differs between builders is a `Method`: how the best plane is found, how lists are divided, how a leaf is listed. The larger
-child's lists are compacted in place, the smaller one's are appended, so a task needs little more than twice the room of its
-own lists. The right child waits on a stack: nodes come out in depth-first order.
+A node's triangles are kept in lists in the task's range of a memory: sorted events, or references that are scanned. The
+builder-specific parts are a `Method`: search for the best plane, division of the lists, output of a leaf. The larger child's
+lists are compacted in place, the smaller one's are appended, so a task needs little more than twice the memory of its own
+lists. The right child is pushed on a stack, so nodes are written in depth-first order.
 
-Phases of a node: search, stop, classify, partition, emit. A task that runs out of its share says so and stops; the build is
-then repeated with larger shares (`Reservation`).
+Phases of a node: search, stop, classify, partition, emit. A task that runs out of memory reports it and stops. The build is
+then repeated with more memory (`Reservation`).
 
 References:
-    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
+    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
+        High Performance Graphics 2010.
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
 """
@@ -37,7 +38,7 @@ STACK = kdtree.MAX_TREE_DEPTH + 1
 @with_known_layout
 @wp.struct
 class Task:
-    """A subtree to build and its share of the memories."""
+    """A subtree to build and its ranges of the memories."""
 
     lists_first: int
     lists_capacity: int
@@ -51,7 +52,7 @@ class Task:
 @with_known_layout
 @wp.struct
 class Result:
-    """What a task made."""
+    """Sizes of a finished subtree."""
 
     nodes: int
     blocks: int
@@ -60,10 +61,10 @@ class Result:
 
 @wp.struct
 class Parts:
-    """The subtrees of all tasks, each in its own share."""
+    """The subtrees of all tasks, each in its own range."""
 
     nodes: wp.array(dtype=wp.vec2i)
-    """Nodes; child and block indices count from the task's first."""
+    """Nodes; child and block indices are relative to the task's first."""
     primitive: wp.array(dtype=int)
     """Leaf lists, padded to whole blocks with -1."""
 
@@ -76,14 +77,14 @@ class Frame:
     low: wp.vec3
     high: wp.vec3
     inner_low: wp.vec3
-    """The box of its triangles, cut off at its own; kept by methods that scan references."""
+    """The box of its triangles, clamped to its own; kept by methods that scan references."""
     inner_high: wp.vec3
     first: wp.vec3i
-    """Where its lists begin: one an axis, or only the first in use."""
+    """Starts of its lists, one per axis; methods with one list use the first."""
     count: wp.vec3i
-    """Length of its lists."""
+    """Lengths of its lists."""
     top: int
-    """Where the task's share is free while the node is built."""
+    """Start of the free part of the task's range while the node is built."""
     triangles: int
     path: Descent
     depth: int
@@ -93,10 +94,10 @@ class Frame:
 
 @dataclass(frozen=True)
 class Method:
-    """What a builder supplies.
+    """The builder-specific part of a task.
 
     Attributes:
-        memory: a Warp struct: the lists of all tasks, and room to work in.
+        memory: a Warp struct with the lists of all tasks and scratch memory.
         search: (cost, memory, task number, frame) -> Split, the node's best plane, or `no_split()`.
         divide: (memory, task, frame, split, left, right): turns two copies of the frame into its children.
         emit_leaf: (memory, task, frame, parts, first lane): lists the node's triangles.
@@ -110,7 +111,7 @@ class Method:
 
 @cache
 def make_build_subtrees(method: Method) -> wp.Kernel:
-    """The kernel whose item is a task; frames: (tasks,) the roots, stack: (tasks, STACK)."""
+    """The kernel that builds the tasks' subtrees; one item is a task. frames: (tasks,) roots. stack: (tasks, STACK)."""
     memory_type, search, divide, emit_leaf = method.memory, method.search, method.divide, method.emit_leaf
 
     def build_subtrees(
@@ -183,26 +184,26 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
 
 @wp.func
 def link_right(parts: Parts, parent: int, child: int):
-    """Tells an inner node its right child."""
+    """Stores the right child of an inner node."""
     node = parts.nodes[parent]
     parts.nodes[parent] = kdtree.inner_node(kdtree.split_axis(node), kdtree.split_position(node), child)
 
 
 class Reservation:
-    """Shares of memory for tasks of given sizes.
+    """Memory ranges for tasks of given sizes.
 
     Args:
         sizes: (tasks,) triangles of each task.
-        entries: list entries a triangle.
-        spare: room for the work, as a multiple of a task's own lists.
-        width: triangles a block.
-        device: where the tasks are built.
+        entries: list entries per triangle.
+        spare: working memory relative to a task's own lists.
+        width: triangles per block.
+        device: device on which the tasks are built.
     """
 
     def __init__(self, sizes: np.ndarray, entries: int, spare: float, width: int, device: wp.Device) -> None:
         sizes = sizes.astype(np.int64)
         self.rooms = np.zeros(len(sizes), dtype=Task.numpy_dtype())
-        """The tasks as the host sees them."""
+        """The tasks, on the host."""
         self.entries = self._share("lists", ((1 + spare) * entries * sizes).astype(np.int64) + 64)
         """List entries of all tasks together."""
         self.triangles = self._share("triangles", sizes)
@@ -223,15 +224,15 @@ class Reservation:
 def build_subtrees(
     method: Method, triangles: TriangleBoxes, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
 ) -> wp.array:
-    """Builds all subtrees, the threads taking them from one pool; returns what each task made.
+    """Builds all subtrees; the threads take them from one pool. Returns the result of each task.
 
     Args:
-        method: how they are built.
-        triangles: of the mesh.
+        method: how subtrees are built.
+        triangles: boxes of the mesh's triangles.
         config: cost model and stop rules.
-        room: the tasks and their shares.
+        room: the tasks and their memory ranges.
         frames: (tasks,) their roots.
-        memory: the lists, as the method has them.
+        memory: the lists, as the method defines them.
     """
     device, count = frames.device, len(frames)
     stack = wp.empty((count, STACK), dtype=Frame, device=device)

@@ -1,30 +1,26 @@
-"""Split clipping: a triangle that straddles a plane leaves each side with the box of its part there ("perfect splits").
+"""Split clipping: a triangle that straddles a plane enters each side with the box of its part there ("perfect splits").
 
-**Problem.** The box of a slanted triangle reaches far beyond it. Split again and again by their boxes, triangles end in cells
-that they do not meet, and the planes tried are those of boxes, not of what is left of the triangles.
+**Problem.** The box of a slanted triangle extends far beyond it. Split repeatedly by their boxes, triangles end up in cells
+that they do not meet, and the candidate planes are those of boxes, not of the remaining parts of the triangles.
 
-**Algorithm.** Where partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and
-Hodgman 1974), in float64. On each side the reference gets the box of the polygon that is left, or goes if none is (Soupikov
-et al. 2008; survey, sections 4.1 and 4.2). The search needs nothing new: it sees smaller boxes. Here lists are scanned;
-sorted events are divided in `clipped_events`, by the same clip, into the same tree.
+**Algorithm.** When partition finds a straddler, the triangle is clipped to both cells, plane after plane (Sutherland and
+Hodgman 1974), in float64. On each side the reference gets the box of the remaining polygon, or is dropped if there is none
+(Soupikov et al. 2008; Rahikainen 2013, sections 4.1 and 4.2). The search does not change: it sees smaller boxes. This file is
+for lists that are scanned. `clipped_events` divides sorted events with the same clip, into the same tree.
 
-**No hit is lost.** Cells, and the boxes that come out, are larger by `PAD` of the scene: a triangle is in every leaf that it
-comes so near. A hit lies off its triangle by 16 u R + 14 u D at most (`wrt.kernels.triangle.watertight.woop_areas`; u = 2^-24,
-R the ray's reach, D twice the triangle's extent). Traversals widen cells by 16 u R (`wrt.kernels.simd.boxes`), of which the
-arithmetic of a plane takes 4. So there is a leaf that comes within 12 u R of the hit and within the pad, 1024 u of the scene's
-size, of the triangle, as long as both together cover the distance: for rays that start up to 200 times the scene's size away.
-Beyond that, the roundings of 4 u R more would all have to be the worst, and go one way. The interval of that leaf holds the
-hit's t: the leaf is visited before a later hit ends the search, and counts find an owner of the crossing
-(`wrt.kernels.traversal.crossings`), which asks nothing of the pad. Triangle tests that are not `accurate` may lose hits
+**No hit is lost.** Cells, and the resulting boxes, are enlarged by `PAD` of the scene: a triangle is in every leaf that comes
+as close to it. A hit is at most 16 u R + 14 u D away from its triangle (`wrt.kernels.triangle.watertight.woop_areas`; u =
+2^-24, R the ray's reach, D twice the triangle's extent). Traversals widen cells by 16 u R (`wrt.kernels.simd.boxes`), of which
+the arithmetic of a plane uses 4. So some leaf comes within 12 u R of the hit and within the pad, 1024 u of the scene's size, of
+the triangle, as long as both together cover the distance: for rays that start up to 200 times the scene's size away. Beyond
+that, a hit is lost only if the roundings of another 4 u R all reach their worst case in the same direction. The interval of
+that leaf contains the hit's t: the leaf is visited before a later hit ends the search, and counts find an owner of the crossing
+(`wrt.kernels.traversal.crossings`), which does not depend on the pad. Triangle tests that are not `accurate` may lose hits
 beside needles.
 
-**Measured** (one core of a Zen 5; the binned builder with clipping against that without): a soup of long triangles, 4,000:
-0.77 of the cost, 0.77 of the references, random rays take 0.5 (lockstep) and 0.65 (single) of the time; bunny, dragon,
-atrium, stadium, wood: 0.98 to 0.99 of the cost, 0.93 to 0.98 of the references, 0.89 to 0.98 of the time of single rays. The
-build takes 2 to 3 times as long.
-
-**Limits.** Levels that are split by several threads together do not clip; their straddlers are clipped by the tasks below.
-The choice of planes is greedy: smaller boxes make single splits cheaper, and nearly always, not always, the tree.
+**Limits.** Levels that several threads split together do not clip; the tasks below clip their straddlers. The build takes 2 to
+3 times as long (notebooks/records/2026-11-21-split-clipping.md). The choice of planes is greedy: smaller boxes make single
+splits cheaper, and usually, but not always, the tree.
 
 References:
     I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.
@@ -32,6 +28,7 @@ References:
         IEEE Symposium on Interactive Ray Tracing 2006.
     A. Soupikov, M. Shevtsov, A. Kapustin: Improving kd-tree quality at a reasonable construction cost.
         IEEE Symposium on Interactive Ray Tracing 2008.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 import warp as wp
@@ -44,7 +41,7 @@ from wrt.builders.triangle_references import ID_OFFSET
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 PAD = 2.0**-14
-"""By how much cells and boxes are enlarged, as a share of the scene's largest extent."""
+"""Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""
 
 
 CLIP = """
@@ -89,8 +86,8 @@ CLIP = """
         return corners > 0;
     };
 """
-"""Head of a native function of lists (of which it needs `vertices` and `faces`), low, high and pad: clip shrinks the box of a
-reference to the part of its triangle in the cell (low, high); false if there is none."""
+"""Head of a native function of lists (with `vertices` and `faces`), low, high and pad. clip shrinks the box of a reference to
+the part of its triangle in the cell (low, high), and returns false if there is none."""
 
 
 @wp.func_native(
@@ -130,15 +127,16 @@ def clip_range(
     inner_low: wp.ref[wp.vec3],
     inner_high: wp.ref[wp.vec3],
 ) -> int:
-    """Clips the references of a range that stick out of a cell at one end of an axis, and drops those of which nothing is left.
+    """Clips the references of a range that extend beyond one end of a cell along an axis, and drops those without a remaining
+    part.
 
-    Returns how many stay; inner_low, inner_high: their box."""
+    Returns the number of remaining references. inner_low, inner_high: their box."""
     ...
 
 
 @wp.func
 def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], begin: int, count: int, axis: int, beyond_high: bool):
-    """Gives a child what is left of its list when straddlers are clipped to its cell."""
+    """Clips the straddlers in a child's list to its cell."""
     low = wp.vec3()
     high = wp.vec3()
     kept = clip_range(lists, begin, count, axis, beyond_high, lists.pad, frame.low, frame.high, low, high)
@@ -147,7 +145,7 @@ def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], begin: int, count: in
 
 @wp.func
 def divide_clipping(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """`divide`, and clip what straddles the plane."""
+    """`divide` with clipping of the straddlers."""
     append_left = split.left < split.right
     begin = frame.first[0]
     to_left = wp.where(append_left, frame.top, begin)

@@ -1,8 +1,9 @@
-"""From the in-place levels to tasks: each live node's triangles and events are copied to its task (count, scan, fill), so that
-they stay in sorted order (the fill phase of Choi et al. 2010).
+"""The fill phase (Choi et al. 2010): copies each live node's triangles and events to its task (count, scan, fill), in sorted
+order.
 
 References:
-    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
+    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
+        High Performance Graphics 2010.
 """
 
 import warp as wp
@@ -18,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.kernel
 def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
-    """Item: a chunk of triangles. counts: (chunks, tasks)."""
+    """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, tasks)."""
     chunk = first + wp.tid()
     row = counts[chunk]
     for task in range(counts.shape[1]):
@@ -31,7 +32,7 @@ def count_task_triangles(first: int, triangles: int, membership: Membership, cou
 
 @wp.kernel
 def scan_task_triangles(first: int, tasks: wp.array(dtype=Task), counts: wp.array2d(dtype=int)):
-    """Item: a task. Turns counts of chunks into places in `EventLists.triangle`."""
+    """Item: a task. Turns counts of chunks into positions in `EventLists.triangle`."""
     task = first + wp.tid()
     place = tasks[task].triangles_first
     for chunk in range(counts.shape[0]):
@@ -50,7 +51,7 @@ def fill_task_triangles(
     local: wp.array(dtype=int),
     lists: EventLists,
 ):
-    """Item: a chunk of triangles. local: per membership, the triangle's index within the task."""
+    """Item: a chunk of triangles. Copies their ids. local: the triangle's index within the task, for each membership."""
     chunk = first + wp.tid()
     row = places[chunk]
     for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
@@ -64,7 +65,7 @@ def fill_task_triangles(
 
 @wp.kernel
 def count_task_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=int)):
-    """Item: axis * chunks + chunk. counts: (3, chunks, tasks)."""
+    """Item: axis * chunks + chunk. Counts its events per task. counts: (3, chunks, tasks)."""
     item = first + wp.tid()
     axis = item / counts.shape[1]
     chunk = item % counts.shape[1]
@@ -79,7 +80,8 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
 
 @wp.kernel
 def scan_task_events(first: int, tasks: wp.array(dtype=Task), counts: wp.array3d(dtype=int), frames: wp.array(dtype=Frame)):
-    """Item: a task. Turns counts of chunks into places in the task's lists, which follow one another, and notes them."""
+    """Item: a task. Turns counts of chunks into positions in the task's consecutive lists, and stores the ranges of the
+    lists."""
     task = first + wp.tid()
     frame = frames[task]
     place = tasks[task].lists_first
@@ -122,7 +124,7 @@ def fill_task_events(
 
 @wp.kernel
 def make_roots(first: int, live: wp.array(dtype=LiveNode), frames: wp.array(dtype=Frame)):
-    """Item: a live node. Makes it the root of its task, as yet without lists."""
+    """Item: a live node. Makes it the root of its task; its lists follow later."""
     number = first + wp.tid()
     node = live[number]
     frame = Frame()

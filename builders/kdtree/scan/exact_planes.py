@@ -1,11 +1,12 @@
-"""The best plane of a node by trying each against every triangle: O(N^2), and no list to keep (survey, Algorithm 4.1.2).
+"""The best plane of a node by comparing every plane with every triangle: O(N^2), without sorted lists.
 
-For few triangles this beats every sort: 16 boxes are compared with a plane at a time. The planes are those of a sweep, and of
-equally cheap ones the same one wins: smaller axis, smaller position, planar triangles on the right.
+For few triangles this is faster than any sort, because 16 boxes are compared with a plane at once. The candidate planes are
+those of a sweep, and the same one wins among equal costs: smaller axis, smaller position, planar triangles on the right.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
 """
 
 import warp as wp
@@ -18,11 +19,11 @@ from wrt.kernels.simd.lanes import FOR_LANES
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 LANES = 16
-"""Boxes compared at a time; rows of `ReferenceLists.value` are padded to a multiple of it with NaN, which compares false."""
+"""Boxes compared at once. Rows of `ReferenceLists.value` are padded to a multiple of it with NaN, which compares false."""
 
 
 def values_for(triangles: int) -> int:
-    """Values that a search among so many triangles writes down."""
+    """Number of floats that a search among this many triangles writes."""
     return 2 * (triangles + LANES)
 
 
@@ -36,7 +37,7 @@ def values_for(triangles: int) -> int:
 """
 )
 def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis: int, padded: int):
-    """Writes down the intervals of a range along one axis: a row of lower ends, a row of upper ends."""
+    """Writes the intervals of a range along one axis: a row of lower ends, a row of upper ends."""
     ...
 
 
@@ -60,7 +61,7 @@ def gather_axis(lists: ReferenceLists, number: int, first: int, count: int, axis
 """
 )
 def count_sides(lists: ReferenceLists, number: int, padded: int, position: float) -> wp.vec3i:
-    """Triangles to the left of a plane, in it, and to the right; those that straddle it count on both sides."""
+    """Numbers of triangles to the left of a plane, in it, and to the right. Straddlers count on both sides."""
     ...
 
 
@@ -68,7 +69,7 @@ def count_sides(lists: ReferenceLists, number: int, padded: int, position: float
 def try_position(
     cost: SplitCost, along: AxisFrame, lists: ReferenceLists, number: int, padded: int, position: float, best: Split
 ):
-    """The better of `best` and the plane at a position, in whatever order planes come."""
+    """The better of `best` and the plane at a position. The result does not depend on the order of the planes."""
     if position > along.low and position < along.high and not (best.axis == along.axis and best.position == position):
         counts = count_sides(lists, number, padded, position)
         found = better_split(cost, along, position, counts[0], counts[1], counts[2], no_split())

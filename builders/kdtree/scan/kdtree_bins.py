@@ -1,13 +1,13 @@
-"""Min-max binning: counts of where boxes begin and end, bin by bin, and the best plane between bins (Shevtsov et al. 2007).
+"""Min-max binning: counts of the begins and ends of boxes per bin, and the best plane between bins (Shevtsov et al. 2007).
 
-The box of a node's triangles, cut off at its own, is divided into bins of equal width along each axis. A box counts in the bin
-in which it begins and in the one in which it ends; the first counts summed from the left are the triangles to the left of a
-plane, the second summed from the right those to its right, straddlers in both. The planes tried are those between bins, and
-the two faces of the box, which cut off empty space.
+The box of a node's triangles, clamped to the node's own, is divided into bins of equal width along each axis. A box counts in
+the bin in which it begins and in the one in which it ends. The sum of the begins from the left is the number of triangles to
+the left of a plane, the sum of the ends from the right that to its right; straddlers are in both. The candidate planes are
+those between bins, and the two faces of the box, which cut off empty space.
 
-A reference has lanes for the lower ends and for the negated upper ones: both are binned by the same expression, the upper ends
-from the other face on, so that an interval that ends at a plane counts on its left only. Counts are what the plane gives but
-for the rounding of its position, and estimates where only every `step`-th triangle is counted; partition counts again.
+A reference has lanes for the lower ends and for the negated upper ones. Both are binned by the same expression, the upper ends
+from the opposite face, so that an interval that ends at a plane counts on its left only. Counts are exact up to the rounding of
+the plane's position. If only every `step`-th triangle is counted they are estimates, and the partition counts again.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
@@ -24,13 +24,13 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 def counters_for(bins: int) -> int:
-    """Counters of a node: 6 rows, where boxes begin along x, y, z, and where they end, counted from the upper face."""
+    """Counters of a node: 6 rows, for the begins of boxes along x, y, z, and for their ends, counted from the upper face."""
     return 6 * bins
 
 
 @wp.struct
 class Placement:
-    """The bins of a node: a lane falls into bin (lane - origin) * scale, cut off at 0 and at the last."""
+    """The bins of a node: a lane falls into bin (lane - origin) * scale, clamped to [0, bins - 1]."""
 
     low: wp.vec3
     """Origin of the lower ends."""
@@ -42,7 +42,7 @@ class Placement:
 
 @wp.func
 def place(frame: Frame, bins: int):
-    """The bins of a node; along an axis without extent everything falls into the first."""
+    """The bins of a node. Along an axis without extent everything falls into the first bin."""
     placement = Placement()
     placement.low = frame.inner_low
     placement.high = frame.inner_high
@@ -107,7 +107,7 @@ def bin_range(
 """
 )
 def merge_bins(counter: wp.array2d(dtype=int), slot: int, first: int, end: int, bins: int):
-    """Makes the bins of a slot those of the slots first .. end - 1 together."""
+    """Replaces the bins of a slot by the sums of those of the slots first .. end - 1."""
     ...
 
 
@@ -119,7 +119,7 @@ def bin_count(counter: wp.array2d(dtype=int), slot: int, i: int) -> int:
 
 @wp.func
 def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
-    """The best plane between bins, and of the faces of the triangles' box. step: each counted triangle stands for so many."""
+    """The best of the planes between bins and the faces of the triangles' box. step: triangles per counted triangle."""
     best = no_split()
     triangles = frame.triangles
     for axis in range(3):
@@ -135,7 +135,7 @@ def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int)
                 right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
                 position = low + (high - low) * (float(b) / float(bins))
                 on_left = wp.min(left * step, triangles)
-                # a triangle in the plane counts on neither side: planar ones go to the right
+                # a triangle in the plane counts on neither side, so planar ones are put on the right
                 on_right = wp.max(wp.min(right * step, triangles), triangles - on_left)
                 best = cheaper_split(cost, along, position, on_left, on_right, False, best)
         best = cheaper_split(cost, along, high, triangles, 0, True, best)

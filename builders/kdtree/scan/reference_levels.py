@@ -1,13 +1,13 @@
-"""The top of a build that scans references: all large nodes of a level at once, parallel over chunks of their references.
+"""The top levels of a build that scans references: all large nodes of a level at once, parallel over chunks of references.
 
     search      every chunk bins its references (`bins`); every node merges the bins of its chunks, and stops or splits
-    classify    every chunk counts its references on both sides of its node's plane, and finds their boxes
-    emit        the host lists the children, and says where each chunk has to write; this is the one round trip of a level
+    classify    every chunk counts its references on both sides of its node's plane, and computes their boxes
+    emit        the host lists the children and computes the write positions of the chunks; the only host round trip of a level
     partition   every chunk moves its references to the next level's buffer, in order
 
-A node that is small enough, or that stays a leaf, waits for the end of the levels; its references move along unchanged. Counts
-and minima are the same in any grouping, so neither chunks nor threads show in the result, and a node gets the split that a
-task would give it.
+A node that is small enough, or is a leaf, waits for the end of the levels; its references are copied unchanged. Counts and
+minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same split as in a
+task.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
@@ -33,23 +33,23 @@ from wrt.kernels.runtime.launch import launch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CHUNK = 8192
-"""References that are worth a launch of their own."""
+"""Least number of references in a chunk."""
 
 PLANES = 2048
-"""Planes an axis whose evaluation is worth one."""
+"""Planes per axis whose evaluation justifies an item of its own."""
 
 EVEN = 4
-"""Chunks per thread of kernels whose items all cost the same."""
+"""Chunks per thread in kernels whose items all cost the same."""
 
 
 @dataclass(frozen=True)
 class LevelRules:
-    """How the top levels are split.
+    """Parameters of the top levels.
 
     Attributes:
-        large: a node of more triangles is split here, the others become tasks.
-        bins: bins an axis.
-        sampled: a node of at least so many triangles is judged by every l-th of them, l = log10(triangles); 0: none is.
+        large: nodes of more triangles are split here; the others become tasks.
+        bins: bins per axis.
+        sampled: in a node of at least this many triangles only every l-th is counted, l = log10(triangles); 0: always all.
     """
 
     large: int
@@ -60,7 +60,7 @@ class LevelRules:
 @with_known_layout
 @wp.struct
 class LiveRange:
-    """A node of the current level; its list is frame.count[0] references from frame.first[0] on."""
+    """A node of the current level. Its list is the frame.count[0] references from frame.first[0] on."""
 
     frame: Frame
     split: Split
@@ -69,7 +69,7 @@ class LiveRange:
     left: int
     """Index of its left child on the next level (the right one follows); of itself if it is finished."""
     chunk_first: int
-    """Its chunks follow one another."""
+    """First chunk; the chunks of a node are contiguous."""
     chunk_count: int
 
 
@@ -82,13 +82,13 @@ class Chunk:
     begin: int
     count: int
     to_left: int
-    """Where its references on the left of the plane are written to; all of them if the node is finished."""
+    """Position to which its references on the left of the plane are written; all of them if the node is finished."""
     to_right: int
 
 
 @wp.func
 def sample_step(triangles: int, sampled: int):
-    """Every how many-th triangle of a node counts."""
+    """Step of the sample: every step-th triangle of a node is counted."""
     step = int(1)
     if sampled > 0 and triangles >= sampled:
         rest = triangles / 100
@@ -100,7 +100,7 @@ def sample_step(triangles: int, sampled: int):
 
 @wp.kernel
 def make_references(first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float)):
-    """Item: a chunk of `size` triangles."""
+    """Item: a chunk of `size` triangles. Writes their references."""
     begin = (first + wp.tid()) * size
     write_references(boxes, begin, wp.min(triangles, begin + size), references)
 
@@ -115,7 +115,7 @@ def bin_chunks(
     chunks: wp.array(dtype=Chunk),
     counter: wp.array2d(dtype=int),
 ):
-    """Item: a chunk, which has a slot of counters."""
+    """Item: a chunk. Bins its references in its slot of counters."""
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]
@@ -138,7 +138,7 @@ def decide(
     counter: wp.array2d(dtype=int),
     merged: int,
 ):
-    """Item: a live node; merged: slots from here on are for the bins of nodes."""
+    """Item: a live node. Merges its bins, and stops or splits. Slots from `merged` on hold the bins of nodes."""
     index = first + wp.tid()
     node = nodes[index]
     if not node.finished:
@@ -162,7 +162,7 @@ def measure_chunks(
     chunks: wp.array(dtype=Chunk),
     measured: wp.array(dtype=Sides),
 ):
-    """Item: a chunk. Everything in a finished node is on its left."""
+    """Item: a chunk. Measures the sides of its node's plane. In a finished node everything is on the left."""
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]
@@ -183,7 +183,7 @@ def move_chunks(
     chunks: wp.array(dtype=Chunk),
     target: wp.array(dtype=float),
 ):
-    """Item: a chunk."""
+    """Item: a chunk. Moves its references to the next level's buffer."""
     chunk = chunks[first + wp.tid()]
     node = nodes[chunk.node]
     split = node.split
@@ -207,10 +207,10 @@ def move_chunks(
 
 @dataclass
 class TopLevels:
-    """What the top levels leave.
+    """Result of the top levels.
 
     Attributes:
-        levels: live nodes of each level, structured arrays of `LiveRange`; the last level's become tasks.
+        levels: live nodes of each level, structured arrays of `LiveRange`; those of the last level become tasks.
         references: the lists of the last level's nodes, one after the other.
     """
 
@@ -273,7 +273,7 @@ def split_level(
 
 
 def cut_chunks(nodes: np.ndarray) -> np.ndarray:
-    """Cuts the nodes' lists into chunks, one at least for each, and tells the nodes theirs."""
+    """Divides the nodes' lists into chunks, at least one each, and stores their ranges in the nodes."""
     first, count = nodes["frame"]["first"][:, 0], nodes["frame"]["count"][:, 0]
     pieces = np.maximum(1, -(-count // CHUNK))
     nodes["chunk_count"] = pieces
@@ -288,7 +288,8 @@ def cut_chunks(nodes: np.ndarray) -> np.ndarray:
 
 
 def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
-    """Lists the children in order, a finished node as its own; tells the nodes theirs. sides: of the nodes' chunks."""
+    """Lists the children in order, with a finished node as its own child, and stores their indices in the nodes. sides: of the
+    nodes' chunks."""
     born = np.where(nodes["finished"], 1, 2)
     nodes["left"] = np.cumsum(born) - born
     owner = np.repeat(np.arange(len(nodes)), born)
@@ -313,7 +314,7 @@ def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
 
 
 def place_chunks(chunks: np.ndarray, nodes: np.ndarray, children: np.ndarray, sides: np.ndarray) -> None:
-    """Says where each chunk has to write its references."""
+    """Computes the write positions of each chunk."""
     first = children["frame"]["first"][:, 0]
     left = nodes["left"][chunks["node"]]
     right = np.where(nodes["finished"][chunks["node"]], left, left + 1)

@@ -1,8 +1,9 @@
-"""References as a node's list: what builders share that scan a node's triangles instead of sorting them.
+"""References as a node's list: the common part of builders that scan a node's triangles instead of sorting them.
 
-A node has one list, of the references (`wrt.builders.triangle_references`) of its triangles, in order of their ids. Partition
-moves every reference to the side or sides of the plane on which its box lies, and grows the boxes of both sides while it does.
-The counts of a split may be estimates (bins, samples): those of the children are counted here, by the plane itself.
+A node has one list, of the references (`wrt.builders.triangle_references`) of its triangles, in the order of their ids.
+Partition moves every reference to the side or sides of the plane on which its box lies, and computes the boxes of both sides in
+the same pass. The counts of a split may be estimates (bins, samples); those of the children are counted here, by the plane
+itself.
 """
 
 from functools import cache
@@ -26,38 +27,38 @@ HEAD = f"""{FOR_LANES}
 
 @wp.struct
 class SearchRules:
-    """Options of searches; each uses what concerns it."""
+    """Options of searches. Each search uses some of them."""
 
     bins: int
-    """Bins of an axis."""
+    """Bins per axis."""
     sampled: int
-    """Triangles of a node from which on only some of them are counted; 0: all are."""
+    """Triangles of a node from which on only a sample of them is counted; 0: all are counted."""
     round_robin: bool
-    """Whether levels take turns in the axes; else the longest one is split."""
+    """Whether the split axis alternates by level; otherwise the longest axis is split."""
 
 
 @wp.struct
 class ReferenceLists:
-    """Lists of all tasks, each in its own share, and room for the search."""
+    """Lists of all tasks, each in its own range, and memory for the search."""
 
     reference: wp.array(dtype=float)
-    """8 floats an entry."""
+    """8 floats per entry."""
     counter: wp.array2d(dtype=int)
-    """(tasks, counters): a task's bins."""
+    """(tasks, counters) bins of each task."""
     value: wp.array2d(dtype=float)
-    """(tasks, values): what a task's search writes down."""
+    """(tasks, values) scratch of each task's search."""
     rules: SearchRules
     vertices: wp.array(dtype=wp.vec3)
     """The mesh, for builds that clip."""
     faces: wp.array(dtype=wp.vec3i)
     pad: float
-    """By how much cells and boxes are enlarged when they are clipped."""
+    """Enlargement of cells and boxes for clipping, in scene units."""
 
 
 @with_known_layout
 @wp.struct
 class Sides:
-    """What a partition made of a range: counts and boxes on both sides of the plane."""
+    """Result of a partition of a range: counts and boxes on both sides of the plane."""
 
     left: int
     right: int
@@ -73,7 +74,7 @@ _SIDE = """
         const int left = planar ? planar_left : low < position;
         const int right = planar ? !planar_left : high > position;
 """
-"""The sides of the reference at `from`: 1 or 0 each."""
+"""C++: the sides of the reference at `from`, 1 or 0 each."""
 
 _GROW = """
         const float a = left ? -INFINITY : INFINITY, b = right ? -INFINITY : INFINITY;  // lifts the others out of the minimum
@@ -130,7 +131,7 @@ def measure_sides(
     planar_left: bool,
     sides: wp.ref[Sides],
 ):
-    """Counts the references of a range on both sides of a plane, and finds their boxes."""
+    """Counts the references of a range on both sides of a plane, and computes their boxes."""
     ...
 
 
@@ -172,14 +173,14 @@ def partition(
     to_right: int,
     sides: wp.ref[Sides],
 ):
-    """Moves a range to the two sides of a plane, in order. Where the target is the source, one side may begin where the range
-    does: it is compacted in place."""
+    """Moves a range to the two sides of a plane, in order. If the target is the source, one side may begin where the range
+    begins: it is compacted in place."""
     ...
 
 
 @wp.func
 def divide(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classify and partition: gives the children their lists."""
+    """Classifies and partitions: gives the children their lists."""
     append_left = split.left < split.right
     begin = frame.first[0]
     to_left = wp.where(append_left, frame.top, begin)
@@ -191,14 +192,14 @@ def divide(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: 
     top = frame.top + wp.where(append_left, sides.left, sides.right)
     set_list(left, to_left, sides.left, wp.max(left.low, sides.left_low), wp.min(left.high, sides.left_high))
     set_list(right, to_right, sides.right, wp.max(right.low, sides.right_low), wp.min(right.high, sides.right_high))
-    # behind `top` nothing waits; in front of it the right child does, or a right child further up
+    # no waiting node has lists behind `top`; those of the right child, or of one further up, are in front of it
     left.top = top
     right.top = wp.where(append_left, frame.top, top)
 
 
 @wp.func
 def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, inner_high: wp.vec3):
-    """Gives a node its list."""
+    """Sets the list of a node."""
     frame.first[0] = first
     frame.count[0] = count
     frame.triangles = count
@@ -208,13 +209,13 @@ def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, i
 
 @wp.func
 def emit_leaf(lists: ReferenceLists, task: Task, frame: Frame, parts: Parts, begin: int):
-    """Lists the node's triangles, by id."""
+    """Lists the node's triangles by id."""
     write_order(lists.reference, frame.first[0], frame.count[0], parts.primitive, begin)
 
 
 @cache
 def scanning(search: wp.Function, clipping: bool = False) -> Method:
-    """The method of a builder that searches by scanning references; clipping: whether straddlers are clipped."""
+    """The method of a builder that searches by scanning references. clipping: whether straddlers are clipped."""
     if not clipping:
         return Method(ReferenceLists, search, divide, emit_leaf)
     from wrt.builders.kdtree.phases.split_clipping import divide_clipping

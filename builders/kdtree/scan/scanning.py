@@ -1,8 +1,8 @@
-"""A build that scans references: top levels by all threads together, then a pool of tasks, one a subtree.
+"""A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
 
-What is common to the builders that search by scanning: `reference_levels` splits large nodes, `subtrees` builds the others with
-the builder's own search, `assembly` puts the parts together. A builder without parallel levels makes everything large enough
-to be a task, and is then one thread's work.
+This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `subtrees` builds the
+others with the builder's own search, and `assembly` combines the parts. A builder without parallel levels makes the whole tree
+one task, and runs on one thread.
 """
 
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ from wrt.kernels.runtime.launch import launch, load, specialise
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SPARE_ROOM = 1.5
-"""Room that a task has for its work, as a multiple of its own lists; doubled whenever that was too little."""
+"""Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 
 @wp.kernel
@@ -37,20 +37,20 @@ def copy_lists(
     frames: wp.array(dtype=Frame),
     lists: ReferenceLists,
 ):
-    """Item: a task. Copies its references to its share."""
+    """Item: a task. Copies its references to its own range."""
     number = first + wp.tid()
     copy_references(references, source[number], frames[number].triangles, lists.reference, tasks[number].lists_first)
 
 
 @dataclass(frozen=True)
 class Scan:
-    """What a builder that scans supplies.
+    """The builder-specific part of a scanning build.
 
     Attributes:
         method: how subtrees are built.
         levels: how the top is split.
-        values: floats that a search in a node of the largest task writes down.
-        counters: counters that it needs behind those of the bins.
+        values: floats that a search in a node of the largest task writes.
+        counters: counters that it needs in addition to those of the bins.
     """
 
     method: Method
@@ -60,7 +60,7 @@ class Scan:
 
 
 def one_task(method: Method, triangles: int, values: int, bins: int = 1, counters: int = 0) -> Scan:
-    """A build by one thread: the whole tree is one task."""
+    """A build on one thread: the whole tree is one task."""
     return Scan(method, LevelRules(large=triangles, bins=bins, sampled=0), values, counters)
 
 
@@ -87,7 +87,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
 def build_tasks(
     top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
-    """Builds the subtrees below the top levels; returns the tasks' shares, their lists, and what each task made."""
+    """Builds the subtrees below the top levels; returns the tasks' memory, their lists, and the result of each task."""
     device, roots = top.references.device, top.levels[-1]["frame"].copy()
     count = len(roots)
     room = Reservation(roots["triangles"], 1, spare, config.cost.width, device)

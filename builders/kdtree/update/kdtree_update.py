@@ -1,5 +1,4 @@
-"""A kd-tree whose triangles have moved: refilled, then measured, and built again in parts
-(`wrt.builders.rebuild_heuristic`)."""
+"""A kd-tree over moved triangles: refill, measure, and rebuild parts (`wrt.builders.rebuild_heuristic`)."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,17 +17,17 @@ from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
 
 
 class MovedKdTree:
-    """The old planes with moved triangles between them.
+    """The old planes with refilled leaves.
 
     Args:
-        old: the tree before, on the CPU.
-        boxes: where the triangles are now.
-        shift: (3,) by how much most triangles have moved.
-        config: as the tree was built.
+        old: the tree before the motion, on the CPU.
+        boxes: boxes of the moved triangles.
+        shift: (3,) translation of most triangles.
+        config: configuration of the tree's build.
         build: (boxes, config) -> tree.
 
     Attributes:
-        tree: None if its lists would hold more than 64 times the triangles.
+        tree: the refilled tree; None if its lists would hold more than 64 times the triangles.
     """
 
     def __init__(
@@ -48,7 +47,7 @@ class MovedKdTree:
 
     @cached_property
     def costs(self) -> np.ndarray:
-        """(nodes,) what each subtree costs now."""
+        """(nodes,) current cost of each subtree."""
         return node_costs(self._flat, self._config.cost)
 
     @cached_property
@@ -56,14 +55,14 @@ class MovedKdTree:
         return child_probabilities(self._flat)
 
     def children(self, node: int) -> tuple[np.ndarray, np.ndarray]:
-        """The children of a node, and how likely a ray that meets it meets each; none of a leaf."""
+        """The children of a node, and the probability that a ray that meets the node meets each; empty for a leaf."""
         flat, (left, right) = self._flat, self._probabilities
         if flat.is_leaf[node]:
             return np.empty(0, dtype=np.int64), np.empty(0)
         return np.array([flat.left[node], flat.right[node]]), np.array([left[node], right[node]])
 
     def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
-        """What to build again, of one node each; arguments as of `worn_subtrees`."""
+        """The parts to rebuild, one node each; arguments as in `worn_subtrees`."""
         listed = partial(subtree_triangles, self.tree, self._flat)
         return worn_subtrees(self.costs, built, self.children, tolerance, triangles=listed)
 
@@ -73,11 +72,11 @@ class MovedKdTree:
         return subtree_triangles(self.tree, self._flat, node)
 
     def with_rebuilt(self, chosen: Sequence[Part], ids: Sequence[np.ndarray]) -> tuple[KdTree, np.ndarray]:
-        """The tree with some subtrees built again, and its nodes' old numbers.
+        """The tree with some subtrees rebuilt, and its nodes' old numbers.
 
         Args:
-            chosen: their nodes, one each, not the root.
-            ids: the triangles of each.
+            chosen: parts of one node each, other than the root.
+            ids: the triangles of each part.
         """
         low, high = self._boxes.boxes.low.numpy().T, self._boxes.boxes.high.numpy().T
         automatic = self._config.stop.limits(self._boxes.count).depth

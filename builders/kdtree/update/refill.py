@@ -1,16 +1,16 @@
-"""Refill: the planes of a kd-tree kept, the lists of its leaves made anew for triangles that have moved.
+"""Refill: keeps the planes of a kd-tree and rebuilds the lists of its leaves for triangles that have moved.
 
-A kd-tree cannot be refitted: planes divide space, and what moves across one has to change sides. But the planes may stay as
-they are, good or bad: every triangle is taken down the tree again, with its box, and listed in each leaf that it comes to. That
-is one walk a triangle and no search for planes. The tree is correct for any motion. Boxes that straddle many planes make long
-lists, which is why the caller says how long they may become.
+A kd-tree cannot be refitted: planes divide space, and a triangle that crosses one changes sides. But the planes may stay. Every
+triangle's box is sent down the tree again, and listed in each leaf that it reaches. This is one traversal per triangle without
+a search for planes. The tree is correct for any motion. Boxes that straddle many planes make long lists, so the caller limits
+their length.
 
-A triangle in a plane goes to the right of it; a plane may come to lie outside the box of all triangles, or two may fall
-together: rays meet cells that are widened (`wrt.kernels.simd.boxes`), so cells without inside lose nothing.
+A triangle in a plane goes to the right of it. A plane may come to lie outside the box of all triangles, or two may coincide.
+Rays meet widened cells (`wrt.kernels.simd.boxes`), so cells without interior lose nothing.
 
 References:
     X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (trees deformed until a heuristic asks for a rebuild).
+        Conference on Computer Science and Software Engineering 2008 (trees are deformed until a heuristic requests a rebuild).
 """
 
 from dataclasses import replace
@@ -40,7 +40,7 @@ def find_leaves(
     counts: wp.array(dtype=int),
     leaves: wp.array(dtype=int),
 ):
-    """Item: a triangle. Counts the leaves that its box comes to; if there are `begins`, names them too."""
+    """Item: a triangle. Counts the leaves that its box reaches and, if there are `begins`, lists them."""
     i = first + wp.tid()
     stack = wp.zeros(shape=(STACK,), dtype=int)
     waiting = int(1)
@@ -67,13 +67,13 @@ def find_leaves(
 
 
 def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, most_references: int) -> KdTree | None:
-    """The same planes with moved triangles in the leaves; None if that takes more references than allowed.
+    """The same planes with moved triangles in the leaves; None if this needs more references than allowed.
 
     Args:
-        tree: over as many triangles, on the CPU; it stays as it is.
-        triangles: boxes of the triangles where they are now.
-        shift: (3,) float64, added to the positions of the planes.
-        most_references: entries of all leaf lists together.
+        tree: a tree over the same number of triangles, on the CPU; not modified.
+        triangles: boxes of the moved triangles.
+        shift: (3,) float64 translation of the planes.
+        most_references: most entries of all leaf lists together.
     """
     start, device, none = perf_counter(), tree.nodes.device, wp.empty(0, dtype=int, device=tree.nodes.device)
     words = tree.nodes.numpy().copy()
@@ -101,13 +101,13 @@ def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, most_refer
 
 
 def fill_leaves(leaves: np.ndarray, counts: np.ndarray, nodes: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of each node, 0 for inner ones, and all lists, padded to whole blocks.
+    """Number of triangles of each node, 0 for inner nodes, and all lists, padded to whole blocks.
 
     Args:
-        leaves: those of triangle 0, then those of triangle 1 and so on.
-        counts: (triangles,) how many of each.
-        nodes: of the tree.
-        width: triangles a block.
+        leaves: leaves of triangle 0, then those of triangle 1 and so on.
+        counts: (triangles,) number of leaves of each triangle.
+        nodes: number of nodes of the tree.
+        width: triangles per block.
     """
     order = np.argsort(leaves, kind="stable")
     sizes = np.bincount(leaves, minlength=nodes)
@@ -119,7 +119,7 @@ def fill_leaves(leaves: np.ndarray, counts: np.ndarray, nodes: int, width: int) 
 
 
 def node_costs(flat: UnpackedKdTree, cost: SurfaceAreaCost) -> np.ndarray:
-    """(nodes,) expected cost of a ray that meets a node's cell, in all below it: that of the root is the tree's SAH cost."""
+    """(nodes,) expected cost of a ray below a node whose cell it meets; the root's is the tree's SAH cost."""
     costs = np.where(flat.is_leaf, cost.of_leaf(flat.triangles), cost.traversal).astype(np.float64)
     left, right = child_probabilities(flat)
     order = np.argsort(flat.depth, kind="stable")
@@ -131,7 +131,7 @@ def node_costs(flat: UnpackedKdTree, cost: SurfaceAreaCost) -> np.ndarray:
 
 
 def child_probabilities(flat: UnpackedKdTree) -> tuple[np.ndarray, np.ndarray]:
-    """Of each node, how likely a ray through its cell meets the left and the right child's."""
+    """Probabilities, for each node, that a ray through its cell meets the left and the right child's cell."""
     area = half_area(flat.low, flat.high)
     safe = np.where(area > 0.0, area, 1.0)
     return tuple(np.where(flat.is_leaf, 0.0, area[child] / safe) for child in (flat.left, flat.right))

@@ -1,7 +1,13 @@
-"""Subtrees of a kd-tree built again, in place of the old ones (Yang et al. 2008: the whole tree, or a subtree).
+"""Replacement of subtrees of a kd-tree by rebuilt ones (Yang, Xu and Zhao 2008: the whole tree, or a subtree).
 
-The triangles of a subtree are those in its leaves, with their boxes cut off at its cell. Nodes are in depth-first order
-(`wrt.kernels.layout.kdtree_nodes`), so a subtree is a range of them: the tree is put together of the ranges between.
+The triangles of a subtree are those in its leaves, with their boxes clamped to its cell. Nodes are in depth-first order
+(`wrt.kernels.layout.kdtree_nodes`), so a subtree is a contiguous range of them. The new tree concatenates the ranges between
+the replaced subtrees and the new subtrees.
+
+References:
+    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
+        Conference on Computer Science and Software Engineering 2008 (as described by Rahikainen 2013).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013.
 """
 
 from collections.abc import Callable, Mapping
@@ -37,7 +43,7 @@ def subtree_triangles(tree: KdTree, flat: UnpackedKdTree, node: int) -> np.ndarr
 
 
 def build_subtree(ids: np.ndarray, flat: UnpackedKdTree, node: int, low: np.ndarray, high: np.ndarray, build: Build) -> KdTree:
-    """A tree of the cell's box for the triangles `ids` of a subtree; low, high: (T, 3) float32 boxes of all triangles."""
+    """A tree over the cell's box for the triangles `ids` of a subtree. low, high: (T, 3) float32 boxes of all triangles."""
     cell = flat.low[node].astype(np.float32), flat.high[node].astype(np.float32)
     own = boxes_of(np.maximum(low[ids], cell[0]), np.minimum(high[ids], cell[1]))
     tree = build(replace(own, low=cell[0], high=cell[1]))
@@ -47,10 +53,15 @@ def build_subtree(ids: np.ndarray, flat: UnpackedKdTree, node: int, low: np.ndar
 
 
 def exchange(tree: KdTree, flat: UnpackedKdTree, subtrees: Mapping[int, KdTree]) -> tuple[KdTree, np.ndarray]:
-    """The tree with others in place of some of its nodes, none of which is below another.
+    """Replaces some subtrees of a tree. No replaced node is below another.
+
+    Args:
+        tree: the tree.
+        flat: its nodes as arrays.
+        subtrees: the replacement of each node.
 
     Returns:
-        The tree, and for each of its nodes which of the old ones it is, -1 for one of a new subtree.
+        The new tree, and for each of its nodes the number of the old node that it is, -1 for a node of a replacement.
     """
     pieces, origin, moved_to = [], [], np.zeros(len(flat.axis), dtype=np.int64)
     lists, block_base, begin, total = [tree.primitive.numpy()], len(tree.primitive) // tree.width, 0, 0

@@ -1,33 +1,33 @@
-"""Ferko & Ferko 2015, implemented and measured by Pichler 2018: bounds, the plane, then a test in two dimensions.
+"""Ferko and Ferko 2015, implemented and measured by Pichler 2018: bounds, the plane, then a test in two dimensions.
 
-**Problem.** Most tests of a ray and a triangle end in a miss. Which cheap comparisons find that out earliest?
+**Problem.** Most tests of a ray and a triangle end in a miss. Which cheap comparisons detect a miss earliest?
 
-**Idea.** A sphere around the triangle; the point in which the line meets the plane; the triangle's box, or its bounding
-circle; and then two dimensions, by one of two transformations:
+**Idea.** Test the triangle's bounding sphere, intersect the plane, and test the point against the triangle's box or bounding
+circle. Then continue in two dimensions, by one of two transformations:
 
     unit triangle   (UTM) to (0, 0), (1, 0), (0, 1): the point's coordinates are u and v   `unit_triangle`
-    similarity      (SPTM) the longest edge to the x-axis; comparisons then prune what lies around the triangle, three or four,
-                    each triangle's own order by the probability that a comparison rejects, weighted by what the others cost,
-                    or not   `similarity`, `pruning`, `regions`
+    similarity      (SPTM) the longest edge to the x-axis. Three or four comparisons then prune the regions around the triangle,
+                    in a fixed order or in each triangle's own order. That order follows the probability that a comparison
+                    rejects, optionally weighted by the cost of the others   `similarity`, `pruning`, `regions`
 
-    hybrid          the unit triangle for the closest hit, which needs u and v; pruning where any hit will do
+    hybrid          the unit triangle for the closest hit, which needs u and v; pruning for any-hit queries
 
 **Data.** A plane (16 bytes) and the unit triangle's rows (28) or the similarity's (48); the order (4); the bounding circle
-(16), which the sphere shares; the box (24). `VARIANTS` names what is switched on in each.
+(16), which the sphere shares; the box (24). `VARIANTS` lists which steps each variant has.
 
-**Departures.** The paper compares t with the ray's range at the plane, and (what it found faster) t_max after the rest; here
-that is the traversal's business for all tests, after the test. It does not compute u and v when it prunes, and its pictures
-were wrong; here they are computed of what passes. So the engine can use every variant, and tests can compare them. The weights
-go into the order at build. The engine's boxes (`wrt.kernels.simd.boxes`) are those of the triangles themselves, widened by
-rounding, and asked after the test: what the box step finds first they would find last.
+**Departures.** The thesis compares t with the ray's range after the plane, or, which it found faster, compares t_max last. Here
+the traversal compares t for all tests, after the test. The pruning variants of the thesis do not compute u and v, and its
+images were wrong; here u and v are computed for points that pass. So the engine can use every variant, and the test suite can
+compare them. The weights enter the order when records are built. The engine's boxes (`wrt.kernels.simd.boxes`) are those of the
+triangles themselves, widened by rounding, and are tested last; the box step rejects first what they would reject last.
 
-**Limits.** Coordinates relative to the scene's centre are multiplied with the rows of small triangles, so precision is lost
-far from it, as with all transformations. Not watertight: rows of neighbours round on their own. Triangles seen edge-on and
-needles may be hit beside (not `accurate`).
+**Limits.** The rows of small triangles are multiplied by coordinates relative to the scene's centre, so precision drops with
+the distance from it, as with all transformations. The test is not watertight: the rows of neighbours round independently. It
+may report hits beside needles and triangles seen edge-on (not `accurate`).
 
 References:
-    A. Ferko, M. Ferko: unpublished outline of a fast ray-triangle intersection, 2015.
-    L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018.
+    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018. (After an unpublished outline by
+        A. Ferko and M. Ferko, 2015.)
 """
 
 from dataclasses import replace
@@ -47,10 +47,10 @@ VARIANTS: dict[str, Variant] = {
     "ferko_prune4_weights": Variant(fold=4, circle=True, ordered=True, weighted=True),
     "ferko_prune4_no_circle": Variant(fold=4, ordered=True),
 }
-"""What each test of the family asks. The probabilities suppose that the point is in the circle, so those variants ask that
-first; the paper tries them without it, too, with the order that makes the fewest comparisons."""
+"""Steps of each test of the family. The probabilities assume that the point is in the circle, so the ordered variants test the
+circle first. The thesis also tries them without the circle, with the order that makes the fewest comparisons."""
 
 _ONE_EACH = tuple(make_test(name, variant) for name, variant in VARIANTS.items())
 
 TESTS: tuple[TriangleTest, ...] = (*_ONE_EACH, replace(_ONE_EACH[0], name="ferko_hybrid", any_hit="ferko_prune3_no_circle"))
-"""The family. The hybrid prunes by the variant that the paper chose."""
+"""The family. The hybrid prunes with the variant that the thesis chose."""

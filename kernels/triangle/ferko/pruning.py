@@ -1,12 +1,12 @@
 """Pruning: in the triangle's own frame, each comparison cuts off a region that the triangle does not reach.
 
 Below the longest edge: Q_y < 0. Above C': Q_y > y. Left of A'C': Q_y x > Q_x y. Right of C'B': y (Q_x - 1) + Q_y (1 - x) > 0.
-Three of them (3-fold), or all four (4-fold), each an exit; in the order of their operations, or in the triangle's own order
-(`wrt.kernels.triangle.ferko.rejection_regions`).
+A test makes three of them (3-fold) or all four (4-fold), each an exit, in the order of their cost or in the triangle's own
+order (`wrt.kernels.triangle.ferko.rejection_regions`).
 
-One triangle's order is not its neighbour's, so lanes that look at W triangles, or W rays, at once cannot branch on it: what
-one needs last another needs first, and all are computed. Their form makes all comparisons of a triangle with an order of
-its own in one step, with the same result; only the scalar form follows the order.
+Neighbouring triangles have different orders, so lanes that test W triangles, or W rays, at once cannot branch on the order: all
+comparisons are computed anyway. For triangles with an order of their own, the lane form makes all comparisons in one step, with
+the same result. Only the scalar form follows the order.
 """
 
 from typing import Any
@@ -20,12 +20,12 @@ from wrt.kernels.triangle.support.lane_form import Step
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 FIXED_ORDER = {3: BELOW | LEFT << 3 | RIGHT << 6, 4: BELOW | ABOVE << 3 | LEFT << 6 | RIGHT << 9}
-"""Without probabilities: cheap comparisons first. All triangles have as many comparisons."""
+"""Orders without probabilities: cheap comparisons first. Every triangle has the same number of comparisons."""
 
 
 @wp.func
 def keeps(comparison: int, q: wp.vec2, apex_x: float, apex_y: float):
-    """Whether a comparison leaves a point Q in the game; not if it is NaN."""
+    """Whether a comparison keeps a point Q. False if Q is NaN."""
     if comparison == wp.static(BELOW):
         return q[1] >= 0.0
     if comparison == wp.static(ABOVE):
@@ -37,7 +37,7 @@ def keeps(comparison: int, q: wp.vec2, apex_x: float, apex_y: float):
 
 @wp.func
 def prune(order: int, q: wp.vec2, own: Any, at: int):
-    """Number of comparisons made, negative if the last one cut the point off. `own[at]`: the triangle's SIMILARITY."""
+    """Number of comparisons made, negative if the last one cut the point off. The triangle's SIMILARITY begins at `own[at]`."""
     rest = int(order)
     made = int(0)
     while rest != 0:
@@ -58,12 +58,12 @@ _EXITS = {BELOW: "below the longest edge", ABOVE: "above the vertex", LEFT: "lef
 
 
 def pruning_steps(fold: int, ordered: bool) -> tuple[Step, ...]:
-    """The comparisons as steps: one each, or all in one if each triangle has its own order."""
+    """The comparisons as steps: one step each, or a single step if each triangle has its own order."""
     digits = [BELOW, LEFT, RIGHT] if fold == 3 else [BELOW, ABOVE, LEFT, RIGHT]
     if not ordered:
         first, *others = (Step(_EXITS[digit], "", _PASSES[digit]) for digit in digits)
         return Step(first.exit, IN_PLANE, first.passes, ("qx", "qy")), *others
     passes = {digit: f"({_PASSES[digit]})" for digit in digits}
-    if fold == 4:  # acute triangles are not asked
+    if fold == 4:  # acute triangles skip this comparison
         passes[ABOVE] = f"(({_PASSES[ABOVE]}) | (order < {ORDER_OF_FOUR}.0f))"
     return (Step("outside the triangle", IN_PLANE, " & ".join(passes.values()), ("qx", "qy")),)

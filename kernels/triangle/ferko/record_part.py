@@ -1,4 +1,4 @@
-"""What a step of Ferko and Ferko's test keeps of a triangle, to be put together into records."""
+"""Parts of a triangle's record, one per step of Ferko and Ferko's test."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,11 +12,11 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @dataclass(frozen=True)
 class Part:
-    """Some floats of a triangle.
+    """Some floats of a triangle's record.
 
     Attributes:
-        names: in the steps of a `LaneForm`.
-        derive: `wp.func(corners) -> vector`: computes them.
+        names: their names in the steps of a `LaneForm`.
+        derive: `wp.func(corners) -> vector` that computes them.
     """
 
     names: tuple[str, ...]
@@ -25,7 +25,7 @@ class Part:
 
 @cache
 def join(parts: tuple[Part, ...]) -> Record:
-    """The record that holds the floats of all parts, one part after the other."""
+    """The record that holds the floats of all parts, in order."""
     own = sum(len(part.names) for part in parts)
     Own = wp.types.vector(length=own, dtype=wp.float32)
 
@@ -45,7 +45,7 @@ def join(parts: tuple[Part, ...]) -> Record:
 
 
 def followed_by(earlier: wp.Function, part: Part, first: int) -> wp.Function:
-    """`wp.func(corners) -> values`: those of `earlier`, and a part's from number `first` on."""
+    """`wp.func(corners) -> values`: the values of `earlier`, with those of `part` from number `first` on."""
     derive_part, count = part.derive, len(part.names)
 
     @wp.func
@@ -60,5 +60,5 @@ def followed_by(earlier: wp.Function, part: Part, first: int) -> wp.Function:
 
 
 def place(parts: tuple[Part, ...], part: Part) -> int:
-    """Number of the part's first float in the record; -1 if it is not in it."""
+    """Number of the part's first float in the record; -1 if the record does not contain the part."""
     return sum(len(p.names) for p in parts[: parts.index(part)]) if part in parts else -1

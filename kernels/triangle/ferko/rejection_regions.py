@@ -1,29 +1,30 @@
-"""Which comparison rejects most: shares of the bounding circle, and the order of comparisons that follows from them.
+"""The order of pruning comparisons, from the shares of the bounding circle that they cut off.
 
-**Idea.** Where rays that meet a triangle's bounding circle meet it anywhere with the same probability, the comparison whose
-region has the largest share of the circle should come first. Weighted, a share is multiplied by the operations of all the
-other comparisons: cheap ones come earlier. Shares and order belong to a triangle and are computed with its record; the
-weights belong to the variant of the test; nothing belongs to the scene.
+**Idea.** Assume that rays meet the bounding circle uniformly. The comparison whose region has the largest share of the circle
+should then come first. A weighted share is multiplied by the number of operations of all other comparisons, which moves cheap
+comparisons forward. Shares and order are properties of a triangle and are computed with its record. The weights are a property
+of the variant of the test. Nothing depends on the scene.
 
-**Regions**, in the triangle's own frame (`wrt.kernels.triangle.ferko.similarity`): below the longest edge; above C', if that
-is asked; left of A'C'; right of C'B', with what is left of the circle. With the circle's centre (1/2, m) and radius r, below
-is the segment that the x-axis cuts off, at the distance m from the centre, and left the one that A'C' cuts off, at the
-distance (y / 2 - x m) / |C'|: one formula for acute and obtuse triangles. Above C', for an obtuse triangle (m = 0, r = 1/2),
-is the segment at the distance y; then left of A'C' but not above C' are a triangle over the chord from the circle to C', and
-the segment between that chord's end and A'. Above an acute triangle there is next to nothing, and nothing is asked.
+**Regions**, in the triangle's own frame (`wrt.kernels.triangle.ferko.similarity`): below the longest edge; above C', for
+four-fold pruning; left of A'C'; right of C'B', with the rest of the circle. Let the circle have centre (1/2, m) and radius r.
+Below is the segment that the x-axis cuts off, at distance m from the centre. Left is the segment that A'C' cuts off, at
+distance (y / 2 - x m) / |C'|; the formula holds for acute and obtuse triangles. Above C', for an obtuse triangle (m = 0, r =
+1/2), is the segment at distance y. What is left of A'C' but not above C' is then a triangle over the chord from the circle to
+C', and the segment between that chord's end and A'. Above an acute triangle the share is almost 0, and the comparison is
+skipped.
 
-**What follows.** Of three comparisons the order is always below, left, right: A'B' is longer than A'C', which, as x >= 1/2, is
-longer than C'B', and a longer chord cuts off more; the weights fall in the same order. So three-fold pruning with
-probabilities is three-fold pruning with the circle asked first, and what the paper saves by it is the circle's doing. Only
-the comparison above C' has no fixed place.
+**Consequence.** The order of three comparisons is always below, left, right: A'B' is longer than A'C', which, as x >= 1/2, is
+longer than C'B'; a longer chord cuts off more; and the weights decrease in the same order. So three-fold pruning with
+probabilities equals three-fold pruning with the circle tested first, and the savings that the thesis reports for it come from
+the circle. Only the comparison above C' has no fixed position.
 
-**Slips of the printed form.** It speaks of a normal distribution, and computes with a uniform one. cos(beta) misses a square
-that the algorithm has. By its test for acute triangles (see `similarity`) shares of some are computed with a circle that does
-not contain them; the order of three comes out the same. Heron's formula and two helper triangles give what half of base times
-height gives. The count of operations of its weights (below 1, above 1, left 5, right 6) is kept.
+**Errors in the printed form.** The text speaks of a normal distribution but computes with a uniform one. cos(beta) lacks a
+square that the algorithm has. The test for acute triangles (see `similarity`) computes the shares of some of them with a circle
+that does not contain them; the order of three comparisons comes out the same. Heron's formula and two auxiliary triangles
+compute what half of base times height gives. We keep the operation counts of the weights (below 1, above 1, left 5, right 6).
 
 References:
-    L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018 (after A. Ferko, M. Ferko, unpublished, 2015).
+    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
 """
 
 from functools import cache
@@ -39,27 +40,27 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 COMPARISONS = ("below", "above", "left", "right")
 BELOW, ABOVE, LEFT, RIGHT = range(1, 5)
-"""Digits of an order: octal, the first comparison is the last digit."""
+"""Digits of an order, which is an octal number. The first comparison is the lowest digit."""
 
 OPERATIONS = wp.constant(wp.vec4d(1.0, 1.0, 5.0, 6.0))
-"""Comparisons, additions and multiplications of each, as the paper counts."""
+"""Comparisons, additions and multiplications of each comparison, as the thesis counts them."""
 
 ORDER_OF_FOUR = 0o1000
-"""An order that is at least this has four comparisons."""
+"""Orders at or above this number have four comparisons."""
 
 PI = wp.constant(wp.float64(3.141592653589793))
 
 
 @wp.func
 def segment(radius: wp.float64, distance: wp.float64):
-    """Area of what a line at some distance from its centre cuts off a circle."""
+    """Area that a line at a signed distance from the centre cuts off a circle."""
     cosine = wp.min(distance / radius, wp.float64(1.0))
     return radius * radius * (wp.acos(cosine) - cosine * wp.sqrt(wp.float64(1.0) - cosine * cosine))
 
 
 @wp.func
 def shares(frame: Similarity, above: bool):
-    """Shares of the circle below, above, left and right; -1 above if that is not asked."""
+    """Shares of the circle below, above, left and right. The share above is -1 if that comparison is skipped."""
     zero, half, one = wp.float64(0.0), wp.float64(0.5), wp.float64(1.0)
     height = circle_height(frame)
     radius = wp.sqrt(half * half + height * height)
@@ -80,7 +81,8 @@ def shares(frame: Similarity, above: bool):
 
 @wp.func
 def order_by(values: wp.vec4d):
-    """The comparisons by falling value, the cheaper one first where two are equal; negative values are left out."""
+    """The comparisons by decreasing value. Of two equal values the cheaper comparison comes first. Negative values are
+    omitted."""
     rest = values
     order = int(0)
     for place in range(4):
@@ -99,7 +101,7 @@ Order = wp.types.vector(length=1, dtype=wp.float32)
 
 @cache
 def order_part(fold: int, weighted: bool) -> Part:
-    """The order of a triangle's comparisons, `fold` of them (an acute triangle has three), as a whole number."""
+    """The order of a triangle's `fold` comparisons as an integer. An acute triangle has three."""
     above = fold == 4
 
     @wp.func

@@ -1,21 +1,21 @@
 """The similarity-preserving transformation: a triangle in its own plane, its longest edge on the x-axis from 0 to 1.
 
-**What.** A' = (0, 0) and B' = (1, 0) are the ends of the longest edge, C' = (x, y) is the third vertex, with y > 0 and
-x >= 1/2. Angles and ratios of lengths are kept, so the regions around the triangle in which a ray may pass it by keep their
-shares of the bounding circle: that is what `wrt.kernels.triangle.ferko.rejection_regions` computes.
+**Definition.** A' = (0, 0) and B' = (1, 0) are the ends of the longest edge, C' = (x, y) is the third vertex, with y > 0 and
+x >= 1/2. The transformation keeps angles and ratios of lengths, so the regions around the triangle that the comparisons cut off
+keep their shares of the bounding circle. `wrt.kernels.triangle.ferko.rejection_regions` computes these shares.
 
-**How.** The paper multiplies a translation, three rotations, a scaling and two mirrorings (y, where C' came out below the
-axis; x, where it came out left of 1/2, because the comparison with the left edge is the cheaper one). The product has a short
-form: with e = B - A and n = e x (C - A), a point P of the plane has x = (P - A) . e / |e|^2 and y = (P - A) . (n x e) /
-(|n| |e|^2). C is above the axis by construction, as (n x e) . (C - A) = |n|^2; and mirroring x is exchanging A and B. Two
-cases that the rotations must leave out, because they would divide by zero, do not arise.
+**Computation.** The thesis multiplies a translation, three rotations, a scaling and two mirrorings: y, if C' came out below the
+axis; x, if it came out left of 1/2, because the comparison with the left edge is the cheaper one. The product has a short form.
+With e = B - A and n = e x (C - A), a point P of the plane has x = (P - A) . e / |e|^2 and y = (P - A) . (n x e) / (|n| |e|^2).
+C is above the axis by construction, as (n x e) . (C - A) = |n|^2; and mirroring x exchanges A and B. Two cases that the
+rotations must exclude, because they would divide by zero, do not arise.
 
-**Slips of the printed form.** Mirroring y negates the second *row* of the matrix; the print has the first column. And a
-triangle is acute if C' lies outside the circle over the longest edge, (x - 1/2)^2 + y^2 > 1/4; the print asks for y > 1/2,
-which takes the acute triangle with C' = (0.9, 0.4) for an obtuse one.
+**Errors in the printed form.** Mirroring y negates the second *row* of the matrix; the print negates the first column. A
+triangle is acute if C' lies outside the circle over the longest edge, (x - 1/2)^2 + y^2 > 1/4. The print tests y > 1/2, which
+classifies the acute triangle with C' = (0.9, 0.4) as obtuse.
 
 References:
-    L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018 (after A. Ferko, M. Ferko, unpublished, 2015).
+    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
 """
 
 from typing import Any
@@ -42,7 +42,7 @@ class Similarity:
     edge: wp.vec3d
     """B - A."""
     up: wp.vec3d
-    """In the plane, across the edge, towards C; of the edge's length."""
+    """A vector in the plane, perpendicular to the edge, towards C, with the edge's length."""
     x: wp.float64
     """C' = (x, y)."""
     y: wp.float64
@@ -56,7 +56,7 @@ def vertex(corners: Corners, number: int):
 
 @wp.func
 def similarity(corners: Corners):
-    """The frame of a triangle; of equally long edges the first counts. Not finite for a triangle without area."""
+    """The frame of a triangle. Of equally long edges the first one counts. Not finite for a triangle without area."""
     ab = wp.length_sq(vertex(corners, 1) - vertex(corners, 0))
     bc = wp.length_sq(vertex(corners, 2) - vertex(corners, 1))
     ca = wp.length_sq(vertex(corners, 0) - vertex(corners, 2))
@@ -84,7 +84,7 @@ SimilarityRows = wp.types.vector(length=12, dtype=wp.float32)
 
 @wp.func
 def derive_rows(corners: Corners):
-    """Two rows of the matrix, constants included, C', and the numbers of the vertices that become A' and B'."""
+    """Two rows of the matrix with their constants, C', and the numbers of the vertices that become A' and B'."""
     frame = similarity(corners)
     scale = wp.float64(1.0) / dot(frame.edge, frame.edge)
     rows = SimilarityRows()
@@ -108,7 +108,7 @@ SIMILARITY = Part(
 
 @wp.func
 def in_plane(point: wp.vec3, own: Any, at: int):
-    """The point Q of the triangle's own frame for a point of its plane; the rows begin at `own[at]`."""
+    """The point Q of the triangle's own frame for a point of its plane. The rows begin at `own[at]`."""
     rx = three(own, at)
     ry = three(own, at + 4)
     return wp.vec2(dot(rx, point) + own[at + 3], dot(ry, point) + own[at + 7])
@@ -116,7 +116,7 @@ def in_plane(point: wp.vec3, own: Any, at: int):
 
 @wp.func
 def weights(q: wp.vec2, own: Any, at: int):
-    """(u, v), the weights of the vertices 1 and 2, of a point Q; the paper does without them."""
+    """(u, v), the weights of the vertices 1 and 2, of a point Q. The thesis does not compute them."""
     of_third = q[1] / own[at + 9]
     of_second = q[0] - own[at + 8] * of_third
     of_first = (1.0 - of_second) - of_third

@@ -1,22 +1,23 @@
-"""Bounds of a triangle that are asked before the triangle itself: sphere, box and circle.
+"""Bounds of a triangle that are tested before the triangle itself: sphere, box and circle.
 
 **Sphere and circle.** The smallest circle around a triangle has the longest edge as its diameter if the triangle is obtuse or
-right, and goes through all three vertices if it is acute. In the triangle's own frame (`wrt.kernels.triangle.ferko.similarity`)
-its centre is (1/2, m) with m = max(0, (x^2 - x + y^2) / (2 y)): below the x-axis, the circle through all vertices is not the
-smallest. The sphere has the same centre and radius. A line is asked for its distance from the centre; the point in which it
-meets the plane, whether it lies in the circle.
+right, and passes through all three vertices if it is acute. In the triangle's own frame
+(`wrt.kernels.triangle.ferko.similarity`) its centre is (1/2, m) with m = max(0, (x^2 - x + y^2) / (2 y)): where the second term
+is negative, the circumscribed circle is not the smallest. The sphere has the same centre and radius. The sphere test compares
+the line's distance from the centre with the radius; the circle test asks whether the point at which the line meets the plane
+lies in the circle.
 
 **Box.** The point in the plane must lie in the triangle's box.
 
-**Rounding.** A bound should lose nothing that the triangle test itself would find. A line's distance from the sphere's centre
-is computed from the cross product, not as the paper does from |l|^2 - s^2, which cancels from afar. The circle's radius is
-widened by the roundings of its centre; the box, whose faces touch triangles in them, by those of the point; the sphere by
-those of the cross product. The point itself is as far off along the ray as t is rounded: seen from afar, the circle and the
-pruning take it as it is, the unit triangle sees it along an axis, and they may differ at a vertex by that much. The paper
-also drops spheres that lie behind the ray; here a test sees the line, and the ray's range is the traversal's business. Radii
+**Rounding.** A bound must not reject what the triangle test itself would accept. The line's distance from the sphere's centre
+is computed from the cross product, not from |l|^2 - s^2 as in the thesis, which cancels for distant origins. The circle's
+radius is widened by the rounding error of its centre, the box, whose faces touch the triangle, by that of the point, and the
+sphere by that of the cross product. The error of t moves the point along the ray: from a great distance the circle and the
+pruning use the point as computed, while the unit triangle projects it along an axis, so the two may differ at a vertex by that
+error. The thesis also drops spheres behind the ray. Here a test sees the line, and the traversal applies the ray's range. Radii
 are squared, so triangles shorter than 1e-18 are lost.
 
-**Slip of the printed form.** The centre's derivation divides vectors by vectors; the system of equations that it ends in is
+**Error in the printed form.** The derivation of the centre divides vectors by vectors; the system of equations at its end is
 right.
 """
 
@@ -35,7 +36,8 @@ Circle = wp.types.vector(length=4, dtype=wp.float32)
 Box = wp.types.vector(length=6, dtype=wp.float32)
 
 ROUNDINGS = wp.constant(1e-6)
-"""Of a point, as a share of the largest coordinate on the way to it: some 16 units in the last place."""
+"""Rounding error of a point, relative to the largest coordinate that occurs in its computation: about 16 units in the last
+place."""
 
 
 @wp.func
@@ -75,7 +77,7 @@ BOX = Part(("low_x", "low_y", "low_z", "high_x", "high_y", "high_z"), derive_box
 
 @wp.func
 def largest(v: wp.vec3):
-    """Largest component, without sign."""
+    """Largest absolute component."""
     x = wp.abs(v[0])
     y = wp.abs(v[1])
     z = wp.abs(v[2])
@@ -85,7 +87,7 @@ def largest(v: wp.vec3):
 
 @wp.func
 def meets_sphere(ray: PlainRay, own: Any, at: int):
-    """Whether the ray's line comes as near to the centre as the radius. (r + s)^2 is at most 1.01 r^2 + 101 s^2."""
+    """Whether the line's distance from the centre is at most the radius. Uses (r + s)^2 <= 1.01 r^2 + 101 s^2."""
     d = ray.direction / largest(ray.direction)
     centre = three(own, at) - ray.origin
     moment = cross(centre, d)
@@ -94,14 +96,14 @@ def meets_sphere(ray: PlainRay, own: Any, at: int):
 
 @wp.func
 def in_circle(point: wp.vec3, own: Any, at: int):
-    """Whether a point of the plane is in the circle."""
+    """Whether a point of the plane lies in the circle."""
     away = point - three(own, at)
     return dot(away, away) <= own[at + 3]
 
 
 @wp.func
 def in_box(point: wp.vec3, t: float, ray: PlainRay, own: Any, at: int):
-    """Whether the ray's point at t is in the box."""
+    """Whether the ray's point at t lies in the box."""
     slack = ROUNDINGS * (largest(ray.origin) + wp.abs(t) * largest(ray.direction))
     return (
         point[0] >= own[at] - slack
@@ -114,7 +116,7 @@ def in_box(point: wp.vec3, t: float, ray: PlainRay, own: Any, at: int):
 
 
 def largest_of(result: str, v: str) -> str:
-    """C++ that declares the largest component of a vector, without sign."""
+    """C++ that declares the largest absolute component of a vector."""
     return f"""
         const float {result}_x = WRT_ABS({v}x), {result}_y = WRT_ABS({v}y), {result}_z = WRT_ABS({v}z);
         const float {result}_xy = {result}_x > {result}_y ? {result}_x : {result}_y;

@@ -1,13 +1,13 @@
 """The unit-triangle transformation (UTM): the point's coordinates are u and v.
 
-Two rows of a matrix take the plane's points to u and v. The paper finds them by inverting the matrix of the three vertices,
-which no plane through the origin allows, and then settles for Baldwin and Weber's free vector: a column that is not needed is
-(0, 0, 1), so two factors a row and a constant are left, and the number of the column. They are the rows of
-`wrt.kernels.triangle.support.axis_projection`; what differs from Baldwin and Weber's test is that u is compared before v is
+Two rows of a matrix map points of the plane to u and v. The thesis first inverts the matrix of the three vertices, which is
+singular for a plane through the origin, and then uses Baldwin and Weber's free vector: the column that is not needed is
+(0, 0, 1), so each row has two factors and a constant, and the column's number is stored. These are the rows of
+`wrt.kernels.triangle.support.axis_projection`. The difference from Baldwin and Weber's test is that u is compared before v is
 computed.
 
 References:
-    L. Pichler: Fast ray-triangle intersection. Diploma thesis, 2018 (after A. Ferko, M. Ferko, unpublished, 2015).
+    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
     D. Baldwin, M. Weber: Fast ray-triangle intersections by coordinate transformation.
         Journal of Computer Graphics Techniques 5(3), 2016.
 """
@@ -25,12 +25,12 @@ from wrt.kernels.triangle.support.record_blocks import Corners
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 UnitRows = wp.types.vector(length=7, dtype=wp.float32)
-"""Number of the axis that is left out, and the rows of u and v."""
+"""Number of the omitted axis, and the rows of u and v."""
 
 
 @wp.func
 def derive_rows(corners: Corners):
-    """The two rows, without the plane's."""
+    """The rows of u and v, without the plane's row."""
     all_rows = projection.derive_rows(corners, corners.a)
     rows = UnitRows()
     rows[0] = all_rows[0]
@@ -44,7 +44,7 @@ UNIT_TRIANGLE = Part(("axis", "up", "uq", "u0", "vp", "vq", "v0"), derive_rows)
 
 @wp.func
 def in_unit_triangle(point: wp.vec3, own: Any, at: int):
-    """(u, v) of a point of the plane; u is NaN if it is outside."""
+    """(u, v) of a point of the plane. u is NaN if the point is outside."""
     outside = wp.vec2(wp.nan, 0.0)
     x = turned(point, int(own[at]))
     u = (own[at + 1] * x[1] + own[at + 2] * x[2]) + own[at + 3]

@@ -1,4 +1,4 @@
-"""The members of the family, each made from the same steps: which of them are switched on, and how the end is made."""
+"""The variants of Ferko and Ferko's test, generated from the same steps according to switches."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -20,20 +20,20 @@ from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, m
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-PAPER = "Pichler: Fast ray-triangle intersection, after Ferko and Ferko (2018)"
+PAPER = "Pichler: Fast CPU Ray-Triangle Intersection Method, after Ferko and Ferko (2018)"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Variant:
-    """Which steps a test takes. The plane is always one.
+    """The steps of a test. Every test intersects the plane.
 
     Attributes:
-        fold: 0: by the unit-triangle transformation; 3 or 4: by so many pruning comparisons.
+        fold: 0 for the unit-triangle transformation; 3 or 4 for that number of pruning comparisons.
         ordered: whether each triangle has its own order of comparisons, by the probability that they reject.
         weighted: whether the probabilities are weighted by the operations saved.
-        sphere: whether the line must meet the bounding sphere, before all else.
+        sphere: whether the line must meet the bounding sphere; tested first.
         box: whether the point in the plane must lie in the triangle's box.
-        circle: whether it must lie in the bounding circle.
+        circle: whether the point must lie in the bounding circle.
     """
 
     fold: int = 0
@@ -45,12 +45,12 @@ class Variant:
 
     @property
     def order(self) -> Part | None:
-        """The triangle's own order, if it has one."""
+        """The part that holds the triangle's own order; None if the order is fixed."""
         return order_part(self.fold, self.weighted) if self.ordered else None
 
     @property
     def parts(self) -> tuple[Part, ...]:
-        """What is kept of a triangle."""
+        """The parts of the triangle's record."""
         parts = [PLANE, SIMILARITY if self.fold else UNIT_TRIANGLE]
         if self.ordered:
             parts.append(self.order)
@@ -66,7 +66,8 @@ PlaneRow = wp.types.vector(length=4, dtype=wp.float32)
 
 @wp.func
 def derive_plane(corners: Corners):
-    """The triangle's normal, its largest component 1, and the plane's distance along it; NaN for a triangle without area."""
+    """The triangle's normal, scaled so that its largest component is 1, and the plane's constant. NaN for a triangle without
+    area."""
     a = wp.vec3d(corners.a)
     normal = cross(wp.vec3d(corners.b) - a, wp.vec3d(corners.c) - a)
     normal = normal / normal[main_axis(normal)]
@@ -79,13 +80,13 @@ POINT = f"""
     const float t = (n0 - {dotted("n", "o")}) / {dotted("n", "d")};
     const float px = ox + t * dx, py = oy + t * dy, pz = oz + t * dz;
 """
-"""C++ for the point in which the line meets the plane; it stands before the first comparison that needs it. A ray along the
-plane has a t that is not finite, and leaves there."""
+"""C++ for the point at which the line meets the plane. It is emitted before the first comparison that needs it. A ray parallel
+to the plane has a t that is not finite and leaves at that comparison."""
 
 
 @cache
 def point_test(variant: Variant) -> wp.Function:
-    """`wp.func(ray, own) -> vec4 (t, x, y, z)`: the point in the plane, if no bound rejects it; else t is NaN."""
+    """`wp.func(ray, own) -> vec4 (t, x, y, z)`: the point in the plane; t is NaN if a bound rejects it."""
     Own = wp.types.vector(length=join(variant.parts).own, dtype=wp.float32)
     circle_at, box_at = place(variant.parts, CIRCLE), place(variant.parts, BOX)
     sphere, circle, box = variant.sphere, variant.circle, variant.box
@@ -114,7 +115,8 @@ def point_test(variant: Variant) -> wp.Function:
 
 @cache
 def pruning_test(variant: Variant) -> wp.Function:
-    """`wp.func(q, own) -> int`: comparisons made for a point Q of the triangle's own frame, negative if it was cut off."""
+    """`wp.func(q, own) -> int`: number of comparisons made for a point Q of the triangle's own frame, negative if it was cut
+    off."""
     Own = wp.types.vector(length=join(variant.parts).own, dtype=wp.float32)
     similarity_at = place(variant.parts, SIMILARITY)
     order_at = place(variant.parts, variant.order) if variant.ordered else 0
@@ -131,7 +133,7 @@ def pruning_test(variant: Variant) -> wp.Function:
 
 
 def make_intersect(variant: Variant) -> wp.Function:
-    """`wp.func(ray, own) -> vec3 (t, u, v)`, t NaN if the ray's line misses."""
+    """`wp.func(ray, own) -> vec3 (t, u, v)`; t is NaN if the ray's line misses."""
     Own = wp.types.vector(length=join(variant.parts).own, dtype=wp.float32)
     find_point, pruned = point_test(variant), variant.fold > 0
     make_comparisons = pruning_test(variant) if pruned else None
@@ -160,7 +162,7 @@ def make_intersect(variant: Variant) -> wp.Function:
 
 
 def make_lanes(variant: Variant) -> LaneForm:
-    """The same as steps. What the last comparison leaves is a hit if t is finite."""
+    """The variant as steps. A point that passes the last comparison is a hit if t is finite."""
     point = ("px", "py", "pz")
     bound_steps = [Step("outside the bounding box", bounds.BOX_CODE, bounds.BOX_PASSES)] if variant.box else []
     if variant.circle:
@@ -177,7 +179,7 @@ def make_lanes(variant: Variant) -> LaneForm:
 
 
 def needed(name: str, later: list[Step]) -> bool:
-    """Whether a name is a result or is read by a later step."""
+    """Whether a name is a result or a later step reads it."""
     return name in ("t", "u", "v") or any(step.reads([name]) for step in later)
 
 

@@ -1,8 +1,8 @@
-"""Where tests end: one count for each exit, made from the very steps that the engine compiles.
+"""Counts at which exit tests end, from the same steps that the engine compiles.
 
-A test of a ray and a triangle ends at the step whose condition fails, or is a hit. Lanes go together: a vector of them ends
-where the last of its lanes does. Both are counted, for groups of any shape: frusta of R rays x one triangle, one ray x G
-triangles, or R x G. What early exits could save at most, and what they save in lockstep, are the two sides of that.
+A test of a ray and a triangle ends at the step whose condition fails, or with a hit. Lanes run in lockstep: a vector ends at
+the step at which its last lane ends. The kernels count both, for groups of any shape: frusta of R rays x one triangle, one ray
+x G triangles, or R x G. The first count bounds what early exits can save; the second is what they save in lockstep.
 """
 
 from functools import cache
@@ -19,7 +19,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @cache
 def exit_of(test: TestForm) -> wp.Function:
-    """`wp.func(records, slot, width, ray) -> int`: number of the step at which a test ends; the number of steps for a hit."""
+    """`wp.func(records, slot, width, ray) -> int`: the step at which a test ends; the number of steps for a hit."""
     if isinstance(test.lanes, LaneForm):
         return exit_of_form(test.lanes, test.ray_state)
     RayState, intersect, load = test.ray_state, test.intersect, test.record.load
@@ -34,7 +34,7 @@ def exit_of(test: TestForm) -> wp.Function:
 
 @cache
 def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
-    """The same from the steps of a form."""
+    """As `exit_of`, from the steps of a form."""
     RayState, components = ray_state, form.components
     text = FOR_LANES + f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
     text += "    const float* r = &records.data[(size_t)(slot / width) * (COMPONENTS * width) + slot % width];\n"
@@ -55,10 +55,10 @@ def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
 
 @cache
 def make_kernel(test: TestForm) -> wp.Kernel:
-    """Counts the ends of all tests of a group of rays against all triangles.
+    """Counts where the tests of groups of rays against all triangles end.
 
-    Item: a group of `group_rays` rays. It writes a row of `counts`: tests by their end, then groups of `group_rays` x
-    `group_triangles` tests by the end of the last of them. A group that would reach beyond the last triangle has fewer.
+    One item is a group of `group_rays` rays. It writes a row of `counts`: first the number of tests per end, then the number of
+    groups of `group_rays` x `group_triangles` tests per end of their last test. The last group of triangles may be smaller.
     """
     prepare, end = test.prepare, exit_of(test)
     ends = len(test.lanes.exits) + 1

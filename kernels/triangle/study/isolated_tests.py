@@ -1,8 +1,8 @@
-"""A triangle test on its own: no tree, no boxes, no rule about ties. For measuring tests, not for tracing.
+"""A triangle test without a tree, boxes or a rule for ties: for measuring tests, not for tracing.
 
-`make_frusta`: packets of P rays from one origin, W rays at a time against one triangle after the other (the test's
-`packet_form`). `make_blocks`: one ray after the other against blocks of W triangles (`block_test`). Both go through all
-triangles and keep the closest hit ahead, so that nothing can be left out. `make_pairs`: ray i against triangle i, by the
+`make_frusta`: packets of P rays with a common origin, W rays at a time against one triangle after the other (the test's
+`packet_form`). `make_blocks`: one ray after the other against blocks of W triangles (`block_test`). Both test every triangle
+and keep the closest hit with t > 0, so that the compiler can remove nothing. `make_pairs`: ray i against triangle i, by the
 scalar form.
 """
 
@@ -58,7 +58,7 @@ _FRUSTA = """
 
 @cache
 def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
-    """Closest hits of frusta of `rays` rays, a multiple of `width`, which is also that of the blocks. Item: a frustum."""
+    """Closest hits of frusta of `rays` rays. `rays` is a multiple of `width`, the block width. One item is a frustum."""
     form = test.packet_form
     constants = f"    constexpr int W = {width}, P = {rays}, RECORD = {test.record.components}, PASSES = {form.passes};\n"
     state = "".join(f"float {name}[P]; " for name in form.state)
@@ -96,7 +96,7 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
 
 @cache
 def make_blocks(test: TestForm, width: int) -> wp.Kernel:
-    """Closest hits of rays, one after the other, against blocks of `width` triangles. Item: a ray; arguments as above."""
+    """Closest hits of single rays against blocks of `width` triangles. One item is a ray. Arguments as in `make_frusta`."""
     prepare, block_test = test.prepare, test.block_test(width)
     Lanes = lanes(width)
 
@@ -133,7 +133,7 @@ def make_blocks(test: TestForm, width: int) -> wp.Kernel:
 
 @cache
 def make_pairs(test: TriangleTest) -> wp.Kernel:
-    """Item i: ray i against triangle i of blocks of one; `out` is (t, u, v), t NaN for a miss."""
+    """Item i tests ray i against triangle i of blocks of width 1. `out` is (t, u, v); t is NaN for a miss."""
     prepare, intersect, load = test.prepare, test.intersect, test.record.load
 
     def pairs(

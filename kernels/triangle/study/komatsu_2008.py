@@ -1,16 +1,16 @@
-"""The contenders of Komatsu et al. 2008 as the paper writes them: one-sided, in float32, with all their exits.
+"""The tests compared by Komatsu et al. 2008 as the paper prints them: one-sided, in float32, with all their exits.
 
-For the paper's tables only. What the engine uses differs where it pays to be two-sided, safer at edges or better suited to
-wide vectors (`wrt.kernels.triangle.komatsu`, `.moeller_trumbore`). N = E1 x E2 is the triangle's normal, S leads from P0 to
-the origin O, D is the direction:
+They serve only to reproduce the paper's tables. The engine uses `wrt.kernels.triangle.komatsu` and `.moeller_trumbore`, which
+are two-sided, safer at edges and better suited to wide vectors. N = E1 x E2 is the triangle's normal, S points from P0 to the
+origin O, and D is the direction:
 
-    moeller     P0, E1, E2, N beforehand                        48 bytes, 34 operations a test
+    moeller     P0, E1, E2, N precomputed                       48 bytes, 34 operations a test
     pluecker    N, the planes of O and each edge, N . S         52 bytes, 21 operations a test and 41 for an origin
     proposed    N, -S x E2, S x E1, N . S                       40 bytes, 17 operations a test and 26 for an origin
 
-All drop at the first exit what does not face the origin, N . D >= 0. The second of Pluecker's exits comes when everything is
-computed but t. (The paper lists S among the 40 bytes of the proposed test; what its listing uses is N.) The paper's fourth
-contender, projection, is described without a listing and not repeated here.
+All three reject triangles that do not face the origin, N . D >= 0, at the first exit. Pluecker's second exit comes when
+everything except t has been computed. (The paper counts S among the 40 bytes of the proposed test; its listing uses N.) The
+paper describes its fourth test, projection, without a listing, and we do not reproduce it.
 
 References:
     K. Komatsu, Y. Kaeriyama, K. Suzuki, H. Takizawa, H. Kobayashi: A fast ray frustum-triangle intersection algorithm with
@@ -33,7 +33,7 @@ ProposedValues = wp.types.vector(length=10, dtype=wp.float32)
 
 @wp.func
 def derive_moeller(corners: Corners, origin: wp.vec3):
-    """P0, E1, E2, N; whatever the origin."""
+    """P0, E1, E2, N. They do not depend on the origin."""
     first = corners.b - corners.a
     second = corners.c - corners.a
     normal = cross(first, second)
@@ -92,7 +92,7 @@ FACING = Step(
 DISTANCE = """
     const float t = -f2 / f1, u = alpha / -f1, v = beta / -f1;
 """
-"""What a hit still needs; the paper leaves u' and v' undivided, here hits are to be compared."""
+"""The values of a hit. The paper leaves u' and v' undivided; we divide them so that hits can be compared."""
 
 MOELLER = LaneForm(
     ray=(*ORIGIN, *DIRECTION),
@@ -167,7 +167,7 @@ PROPOSED = LaneForm(
 
 
 def published(name: str, record: Record, lanes: LaneForm) -> TestForm:
-    """A contender."""
+    """One of the paper's tests."""
     return TestForm(name=name, record=record, ray_state=PlainRay, prepare=prepare, lanes=lanes)
 
 

@@ -1,7 +1,7 @@
-"""What a ray-triangle test costs on paper: floating-point operations, read off the text of its steps.
+"""Floating-point operations of a ray-triangle test, counted in the text of its steps.
 
-The steps of a `LaneForm` are straight-line C++: selects instead of branches, no loops, no calls that compute. Each operator
-that is written is therefore carried out once a lane, and counting operators in the text counts the operations of a test.
+The steps of a `LaneForm` are straight-line C++: selects instead of branches, no loops, no calls that compute. Each written
+operator is therefore executed once per lane, and the number of operators in the text is the number of operations of a test.
 Tests that are written by hand declare theirs.
 """
 
@@ -12,7 +12,7 @@ TOKEN = re.compile(r"//[^\n]*|0x[0-9a-fA-F]+u?|\d+\.?\d*(?:[eE][-+]?\d+)?f?|[A-Z
 """Comments, numbers, names, operators."""
 
 OPERAND_ENDS = re.compile(r"[\w.)\]]$")
-"""What an operand ends with: a sign after anything else is a sign, not an operation."""
+"""End of an operand. A sign after anything else is unary and is not counted."""
 
 KINDS = {"+": "add", "-": "add", "*": "multiply", "/": "divide", "?": "select"}
 KINDS |= dict.fromkeys(("<", ">", "<=", ">=", "==", "!="), "compare")
@@ -20,14 +20,14 @@ KINDS |= dict.fromkeys(("<", ">", "<=", ">=", "==", "!="), "compare")
 
 @dataclass(frozen=True)
 class Operations:
-    """Numbers of operations; a change of sign is none.
+    """Numbers of operations. A change of sign does not count.
 
     Attributes:
         add: additions and subtractions.
         multiply: multiplications.
         divide: divisions.
         compare: comparisons.
-        select: choices between two numbers.
+        select: selections between two numbers.
     """
 
     add: int = 0
@@ -38,7 +38,7 @@ class Operations:
 
     @property
     def arithmetic(self) -> int:
-        """Additions, multiplications and divisions, which is what papers count."""
+        """Additions, multiplications and divisions, which are what papers count."""
         return self.add + self.multiply + self.divide
 
     def __add__(self, other: "Operations") -> "Operations":

@@ -1,7 +1,7 @@
-"""How many comparisons pruning makes: the measure by which the paper compares orders.
+"""Counts the comparisons that pruning makes: the measure by which Pichler 2018 compares orders.
 
-Counted for the pairs of a ray and a triangle that a tree with one triangle a leaf has to test, whatever it looks like: the ray
-meets the triangle's own box, and not after its closest hit.
+The count covers the pairs of a ray and a triangle that any tree with one triangle per leaf has to test: the ray meets the
+triangle's own box no later than at its closest hit.
 """
 
 from functools import cache
@@ -22,21 +22,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class Pruned:
-    """What became of the tests of one ray."""
+    """Counts for the tests of one ray."""
 
     tests: int
     """Triangles tested."""
     points: int
-    """Those whose bounds, if any were asked, did not reject the ray."""
+    """Tests in which no bound rejected the ray."""
     comparisons: int
-    """Comparisons made for these."""
+    """Comparisons made in those tests."""
     kept: int
     """Hits."""
 
 
 @cache
 def make_kernel(variant: Variant, width: int) -> wp.Kernel:
-    """Counts the work of one variant; `closest` holds the rays' closest t, inf for a miss."""
+    """Counts the work of one variant. `closest` holds each ray's closest t, inf for a miss."""
     record, at = join(variant.parts), place(variant.parts, SIMILARITY)
     load, load_vertices = load_own(record.own), load_corners(record.components)
     find_point, make_comparisons = point_test(variant), pruning_test(variant)

@@ -1,10 +1,11 @@
-"""Triangles seen along the main axis of their normal: two coordinates of a point in their plane tell whether it is inside.
+"""Projection of a triangle along the main axis of its normal: two coordinates of a point in its plane decide whether it is
+inside.
 
-A triangle's projection onto a coordinate plane has the barycentric coordinates that it has in space; the plane across the
-normal's largest component keeps most of its area. The axis is `k`, the other two, in cyclic order, are `p` and `q`.
+A triangle's projection onto a coordinate plane keeps its barycentric coordinates. The projection along the normal's largest
+component keeps most of its area. That axis is `k`; the other two, in cyclic order, are `p` and `q`.
 
-Two ways to keep such a triangle: `RowsOfPlane` are three linear functions (the plane, u and v), constants included;
-`wrt.kernels.triangle.shevtsov` keeps a vertex and two edges instead.
+There are two representations. `RowsOfPlane` holds three linear functions (the plane, u and v) with their constants;
+`wrt.kernels.triangle.shevtsov` holds a vertex and two edges instead.
 """
 
 from typing import Any
@@ -17,16 +18,16 @@ from wrt.kernels.triangle.support.vectors import cross
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 RowsOfPlane = wp.types.vector(length=10, dtype=wp.float32)
-"""k (0.0, 1.0 or 2.0); n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; then u_p, u_q, u and v_p, v_q, v: a point of the
-plane has u = u_p x_p + u_q x_q + u, and v alike."""
+"""k (0.0, 1.0 or 2.0); n_p, n_q, n: the plane x_k + n_p x_p + n_q x_q = n; then u_p, u_q, u_0 and v_p, v_q, v_0: a point of the
+plane has u = u_p x_p + u_q x_q + u_0, and v likewise."""
 
 ROW_NAMES = ("axis", "np", "nq", "n0", "up", "uq", "u0", "vp", "vq", "v0")
-"""Their names in the steps of a `LaneForm`."""
+"""Names of these ten floats in the steps of a `LaneForm`."""
 
 
 @wp.func
 def main_axis(normal: Any):
-    """Axis of the largest component, the earlier one if two are equal; 2 for NaN."""
+    """Axis of the component with the largest magnitude, the earlier one if two are equal; 2 for NaN."""
     x = wp.abs(normal[0])
     y = wp.abs(normal[1])
     z = wp.abs(normal[2])
@@ -35,13 +36,13 @@ def main_axis(normal: Any):
 
 @wp.func
 def next_axis(axis: int):
-    """The following one of x, y, z, x, ..."""
+    """The next axis in the cyclic order x, y, z."""
     return wp.where(axis == 2, 0, axis + 1)
 
 
 @wp.func
 def derive_rows(corners: Corners, origin: wp.vec3):
-    """The rows of a triangle, in float64 and then rounded. A triangle without area has some that are not finite."""
+    """The rows of a triangle, computed in float64 and then rounded. Some are not finite for a triangle without area."""
     a = wp.vec3d(corners.a)
     edge_b = wp.vec3d(corners.b) - a
     edge_c = wp.vec3d(corners.c) - a
@@ -57,7 +58,7 @@ def derive_rows(corners: Corners, origin: wp.vec3):
     rows[3] = float(a[k] + (normal[p] * a[p] + normal[q] * a[q]) / height)
     rows[4] = float(edge_c[q] / height)
     rows[5] = float(-edge_c[p] / height)
-    rows[6] = float((edge_c[p] * a[q] - edge_c[q] * a[p]) / height) + 0.0  # never -0, so that no sum with it is
+    rows[6] = float((edge_c[p] * a[q] - edge_c[q] * a[p]) / height) + 0.0  # + 0.0 turns -0 into 0, so no sum with it is -0
     rows[7] = float(-edge_b[q] / height)
     rows[8] = float(edge_b[p] / height)
     rows[9] = float((edge_b[q] * a[p] - edge_b[p] * a[q]) / height) + 0.0
@@ -73,7 +74,7 @@ def turned(v: wp.vec3, axis: int):
 
 @wp.func
 def plane_hit(origin: wp.vec3, direction: wp.vec3, rows: RowsOfPlane):
-    """(t, u, v) at which the line meets the plane of a triangle; something that is not finite if it is parallel."""
+    """(t, u, v) at which the line meets the plane of a triangle; some are not finite if the line is parallel to it."""
     o = turned(origin, int(rows[0]))
     d = turned(direction, int(rows[0]))
     t = (rows[3] - ((o[0] + rows[1] * o[1]) + rows[2] * o[2])) / ((d[0] + rows[1] * d[1]) + rows[2] * d[2])
@@ -83,7 +84,7 @@ def plane_hit(origin: wp.vec3, direction: wp.vec3, rows: RowsOfPlane):
 
 
 def turned_lanes(vector: str) -> str:
-    """C++ that declares the components k, p and q of a vector by the float `axis`, as `turned`."""
+    """C++ that declares the components k, p and q of a vector for the float `axis`, like `turned`."""
     parts = []
     for name, (if_x, if_y, if_z) in zip("kpq", ("xyz", "yzx", "zxy"), strict=True):
         choice = f"axis == 0.0f ? {vector}{if_x} : axis == 1.0f ? {vector}{if_y} : {vector}{if_z}"

@@ -1,4 +1,4 @@
-"""From a mesh and a list of triangle ids to the blocks that a triangle test reads."""
+"""Packs a mesh's triangles, given as a list of ids, into the blocks that a triangle test reads."""
 
 from collections.abc import Callable
 from functools import cache
@@ -66,10 +66,10 @@ def pack_blocks(
         vertices: (V,) vec3, relative to the scene's centre.
         faces: (F,) vec3i.
         primitive: (blocks * width,) int32 triangle ids, -1 in unused lanes.
-        width: triangles a block.
-        origin: where all rays start, relative to the scene's centre, for a record that depends on it.
-        earlier: blocks of the same kind made of the first of these ids: they are copied, not made again.
-        allocate: what makes the array of records, called as `wp.empty` is.
+        width: triangles per block.
+        origin: the common origin of all rays, relative to the scene's centre, for a record that depends on it.
+        earlier: blocks of the same kind for the first of these ids; they are copied instead of recomputed.
+        allocate: allocates the array of records; same signature as `wp.empty`.
 
     Raises:
         RuntimeError: a graph is being captured on the device.

@@ -1,14 +1,14 @@
 """A triangle test as lane loops, written once: W triangles of a block for one ray, or W rays of a packet for one triangle.
 
-The arithmetic of a test does not care what the lanes hold. A `LaneForm` is that arithmetic for one ray and one triangle, as
-steps of C++ over named floats. Each step ends in a condition: what fails it leaves, and the next step is taken if any lane is
-left (an early exit saves time only where all lanes take it). From it come
+The arithmetic of a test is the same whatever the lanes hold. A `LaneForm` is that arithmetic for one ray and one triangle, as
+steps of C++ over named floats. Each step ends in a condition. Lanes that fail it leave, and the next step runs if any lane
+remains (an early exit saves time only if all lanes take it). Two forms are generated from it:
 
 * `block_test`: names of the triangle are loaded from W lanes of the block, names of the ray are scalars;
 * `packet_form`: names of the ray are loaded from the packet, those of the triangle are scalars.
 
-A test that needs more than steps (`wrt.kernels.triangle.watertight.woop` computes some lanes again) writes both by hand. Either
-way the bits are those of the test's scalar form in plain Warp: same operations, same order, nothing fused.
+A test that does not fit into steps (`wrt.kernels.triangle.watertight.woop` recomputes some lanes) provides both by hand. In
+both cases the bits are those of the test's scalar form in plain Warp: same operations, same order, no fused multiply-add.
 """
 
 import re
@@ -34,7 +34,7 @@ PACKET_ORIGIN = {
     "oy": "SHARED ? origin0[1] : origin_y[k]",
     "oz": "SHARED ? origin0[2] : origin_z[k]",
 }
-"""Where a packet has the origins of its rays, whatever the test."""
+"""Where a packet stores the origins of its rays, for every test."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,14 @@ class PacketForm:
     Attributes:
         state: names of the components that the test keeps per ray.
         passes: 1, or 3 for one pass over the rays of each main axis (bit `pass` of `bounds.passes` tells which occur).
-        prepare: per ray, from direction x, y, z, origin ox, oy, oz, inverse ix, iy, iz, slopes sx, sy and `main_x`,
-            `main_y`: the state.
-        triangle: once a triangle and pass.
-        inside: for the W rays from f on: declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
-            goes on with `continue` if it meets none.
+        prepare: per ray; computes the state from direction x, y, z, origin ox, oy, oz, inverse ix, iy, iz, slopes sx, sy and
+            `main_x`, `main_y`.
+        triangle: once per triangle and pass.
+        inside: for the W rays from f on; declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
+            executes `continue` if no line meets it.
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
-        ray: for ray k alone: sets what `block_test` reads of `ray`, the struct that the test's `prepare` returns.
+        ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
+            reads.
     """
 
     state: tuple[str, ...]
@@ -74,8 +75,8 @@ class HandWritten:
         make_block_test: width W -> `wp.func(records, block, ray, t, u, v) -> uint32` mask of the lanes whose triangle the
             ray's line meets; t, u, v (`wp.ref` of W floats) are valid there.
         packet_form: W rays x one triangle.
-        operations: those of a test that is not a hit, and those that a hit adds; empty if nobody counted them.
-        exits: as `Step.exit`: one, since what happens inside is not told apart.
+        operations: those of a test that misses, and those that a hit adds; empty if they were not counted.
+        exits: as `Step.exit`. A single exit, because the exits inside the code are not distinguished.
     """
 
     make_block_test: Callable[[int], wp.Function]
@@ -93,10 +94,10 @@ class RayValue:
     """A number of the ray that steps may name.
 
     Attributes:
-        name: in the steps.
-        scalar: C++ that takes it from `ray`, the struct that the test's `prepare` returns.
-        packet: C++ that computes it for a packet, to be kept, over the names of `PacketForm.prepare`; empty for the origin,
-            which packets have.
+        name: name in the steps.
+        scalar: C++ expression that reads it from `ray`, the struct that the test's `prepare` returns.
+        packet: C++ expression over the names of `PacketForm.prepare` that computes the number, which the packet then stores.
+            Empty for the origin, which packets already store.
     """
 
     name: str
@@ -116,7 +117,7 @@ class Step:
     """A part of a test up to an exit.
 
     Attributes:
-        exit: what is known of a ray that leaves here, in a few words.
+        exit: a short description of the rays that leave here.
         code: C++ statements that declare `const float`s; selects instead of branches.
         passes: C++ condition without branches (`&`, not `&&`); must be false for NaN.
         keeps: names declared here that later steps read.
@@ -128,13 +129,13 @@ class Step:
     keeps: tuple[str, ...] = ()
 
     def reads(self, names: Iterable[str]) -> list[str]:
-        """Those of the names that occur."""
+        """The given names that occur in the step."""
         words = set(re.findall(r"[A-Za-z_]\w*", self.code + self.passes))
         return [name for name in names if name in words]
 
     @property
     def operations(self) -> Operations:
-        """What the step costs."""
+        """Number of operations of the step."""
         return count_operations(f"{self.code};{self.passes}")
 
 
@@ -147,8 +148,7 @@ class LaneForm:
         steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
         triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
         packet_setup: C++ before the `packet` expressions of `ray`.
-        apart: of a form that was `joined`, the one with all exits, which is what is counted
-            (`wrt.kernels.triangle.study.exit_counts`).
+        apart: of a form made by `joined`, the form with all exits, which `wrt.kernels.triangle.study.exit_counts` counts.
     """
 
     ray: tuple[RayValue, ...]
@@ -159,18 +159,21 @@ class LaneForm:
 
     @property
     def exits(self) -> tuple[str, ...]:
-        """What is known of a ray that leaves, step by step."""
+        """A description of the rays that leave, for each step."""
         return tuple(step.exit for step in self.steps)
 
     @property
     def operations(self) -> tuple[Operations, ...]:
-        """What each step costs."""
+        """Number of operations of each step."""
         return tuple(step.operations for step in self.steps)
 
     def joined(self, *counts: int) -> "LaneForm":
-        """The same test with fewer exits: so many steps at a time become one. Same arithmetic, same bits.
+        """The same test with fewer exits: each count joins that many consecutive steps into one. Same arithmetic, same bits.
 
         Lanes leave together or not at all, so an exit that few vectors take costs more than it saves.
+
+        Raises:
+            ValueError: the counts do not sum to the number of steps.
         """
         if sum(counts) != len(self.steps):
             raise ValueError(f"counts {counts} do not sum to the {len(self.steps)} steps of the form")
@@ -207,7 +210,7 @@ class LaneForm:
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Where a packet has the numbers of its ray k, in the order of `ray`."""
+        """C++ expressions for the numbers of ray k of a packet, in the order of `ray`."""
         return tuple(f"ray_{value.name}[k]" if value.packet else PACKET_ORIGIN[value.name] for value in self.ray)
 
     @property
@@ -217,11 +220,11 @@ class LaneForm:
         return {name: numbers[name] for name in numbers if any(step.reads([name]) for step in self.steps)}
 
     def kept(self) -> tuple[str, ...]:
-        """Names that outlive their step."""
+        """Names that later steps read."""
         return tuple(dict.fromkeys((*(name for step in self.steps for name in step.keeps), *RESULT)))
 
     def lane_code(self, number: int, declare: Callable[[Step], list[str]]) -> str:
-        """C++ for one lane and one step: what it reads, what it does, what it keeps."""
+        """C++ for one lane and one step: loads, arithmetic, stores."""
         step = self.steps[number]
         before = dict.fromkeys(name for earlier in self.steps[:number] for name in earlier.keeps)
         lines = [*declare(step), *(f"const float {name} = kept_{name}[i];" for name in step.reads(before)), step.code.strip()]

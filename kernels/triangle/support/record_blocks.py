@@ -3,9 +3,9 @@
 A block is `components * W` floats: `records[(block * components + component) * W + lane]`. Unused lanes of a last
 block hold NaN, which every test turns into a miss, and primitive -1.
 
-The first nine components are the vertices, relative to the scene's centre: ax ay az bx by bz cx cy cz. They are there
-whatever the test: the consistency rule (`wrt.kernels.simd.boxes`) asks for the triangle's box, and packets look at them before
-they test. What a test computes beforehand follows them.
+The first nine components are the vertices, relative to the scene's centre: ax ay az bx by bz cx cy cz. Every test has them,
+because the consistency rule (`wrt.kernels.simd.boxes`) needs the triangle's box, and packets read them before they test. The
+values that a test precomputes follow them.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ VERTEX_COMPONENTS = 9
 
 @wp.struct
 class TriangleBlocks:
-    """Triangles in the order in which a tree's leaves, or brute force, test them."""
+    """Triangles in the order in which the leaves of a tree, or brute force, test them."""
 
     records: wp.array(dtype=float)
     """(blocks * components * W,) the test's records."""
@@ -41,12 +41,12 @@ class Corners:
 
 @dataclass(frozen=True)
 class Record:
-    """What a triangle test reads of a triangle.
+    """Per-triangle data of a triangle test.
 
     Attributes:
-        own: floats that the test computes beforehand; 0 for a test that reads the vertices as they are.
-        derive: `wp.func(corners, origin) -> vector of own floats`: computes them.
-        per_origin: whether they depend on `origin`, the point at which all rays start; if not, it is ignored.
+        own: number of floats that the test precomputes; 0 for a test that reads the vertices.
+        derive: `wp.func(corners, origin) -> vector of own floats` that computes them.
+        per_origin: whether they depend on `origin`, the common origin of all rays; otherwise `origin` is ignored.
     """
 
     own: int = 0
@@ -55,27 +55,27 @@ class Record:
 
     @property
     def components(self) -> int:
-        """Floats of a triangle in a block."""
+        """Floats per triangle in a block."""
         return VERTEX_COMPONENTS + self.own
 
     @property
     def test_bytes(self) -> int:
-        """Bytes of a triangle that the test itself reads."""
+        """Bytes per triangle that the test itself reads."""
         return 4 * (self.own or VERTEX_COMPONENTS)
 
     @property
     def load(self) -> wp.Function:
-        """`wp.func(records, slot, width)`: what the test reads of a triangle, `Corners` or a vector of `own` floats."""
+        """`wp.func(records, slot, width)` that returns the triangle's data: `Corners`, or a vector of `own` floats."""
         return load_own(self.own) if self.own else load_corners(self.components)
 
 
 VERTICES = Record()
-"""The three vertices as they are: 36 bytes a triangle, nothing computed beforehand."""
+"""The three vertices: 36 bytes per triangle, nothing precomputed."""
 
 
 @cache
 def load_corners(components: int) -> wp.Function:
-    """`wp.func(records, slot, width) -> Corners`, without the index checks of `records[...]`: it is in innermost loops."""
+    """`wp.func(records, slot, width) -> Corners`, without the index checks of `records[...]`, for innermost loops."""
 
     @wp.func_native(f"""
         const float* r = &records.data[(size_t)(slot / width) * {components} * width + slot % width];
@@ -95,7 +95,7 @@ def load_corners(components: int) -> wp.Function:
 
 @cache
 def load_own(own: int) -> wp.Function:
-    """`wp.func(records, slot, width) -> vector`: what the test computed beforehand, likewise without checks."""
+    """`wp.func(records, slot, width) -> vector`: the precomputed values, also without index checks."""
     Own = wp.types.vector(length=own, dtype=wp.float32)
 
     @wp.func_native(f"""
@@ -127,7 +127,7 @@ def corners_high(corners: Corners):
 
 
 def vertex_box(block: str, lane: str) -> str:
-    """C++ that sets `low[3]` and `high[3]` to a triangle's exact box; `block` points at a block, or at a triangle of one."""
+    """C++ that sets `low[3]` and `high[3]` to a triangle's exact box. `block` points at a block, or at a triangle of one."""
     p, q, r = (f"{block}[({3 * vertex} + a) * W + {lane}]" for vertex in range(3))
     return f"""
         for (int a = 0; a < 3; ++a) {{

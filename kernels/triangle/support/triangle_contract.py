@@ -1,4 +1,4 @@
-"""What a ray-triangle test is to the rest of the engine."""
+"""The interface of a ray-triangle test to the rest of the engine."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from wrt.kernels.triangle.support.record_blocks import VERTICES, Record
 
 @dataclass(frozen=True)
 class CrossingForms:
-    """The forms of a test by which a ray crosses a surface once at an edge or a vertex: it hits one of the triangles there.
+    """Forms of a test for counting crossings: a ray through an edge or a vertex hits exactly one of the triangles there.
 
     Attributes:
         intersect: as `TriangleTest.intersect`.
@@ -26,22 +26,22 @@ class CrossingForms:
 
 @dataclass(frozen=True, kw_only=True)
 class TestForm:
-    """The lane loops of a test and what they read: enough to measure it (`wrt.kernels.triangle.study.isolated_tests`), not to
-    trace with.
+    """The lane loops of a test and their inputs: enough to measure it (`wrt.kernels.triangle.study.isolated_tests`), not to
+    trace with it.
 
     Attributes:
-        name: in tables.
-        record: what it reads of a triangle; `record.per_origin`: all rays of a batch must have the same origin, for which
-            records are made. Such a test sees only what lies ahead.
+        name: key in tables.
+        record: per-triangle data. With `record.per_origin`, all rays of a batch must have the same origin, and the records are
+            computed for it. Such a test reports only hits in front of the origin.
         ray_state: struct that `prepare` returns.
         prepare: `wp.func(origin, direction) -> ray`, once per ray.
-        prepare_lanes: C++ that does the same for L rays of a stream at once: from directions dx, dy, dz, origins ox, oy, oz and
-            inverses ix, iy, iz, all indexed by the ray, it fills words[14], words[15] .. with the words of the ray's state,
-            in order; empty if rays are prepared one by one.
-        candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once: from vertices corner[0] .. corner[8]
-            and the words of the rays' states, as of `prepare_lanes`, all indexed by the pair, it fills t, u and v. The block
-            test has found that each ray's line meets its triangle, and must be right: t is clamped to the triangle's box, which
-            makes a hit of a NaN. Empty if streams test their candidates one by one.
+        prepare_lanes: C++ that does the same for L rays of a stream at once. It reads directions dx, dy, dz, origins ox, oy, oz
+            and inverses ix, iy, iz, all indexed by the ray, and fills words[14], words[15] .. with the words of the ray state,
+            in order. Empty if rays are prepared one by one.
+        candidate_lanes: C++ of `intersect` for L pairs of a ray and a triangle at once. It reads vertices corner[0] ..
+            corner[8] and the words of the ray states, as in `prepare_lanes`, all indexed by the pair, and fills t, u and v. The
+            block test has already found that each ray's line meets its triangle, and that result must be right: t is clamped to
+            the triangle's box, which turns a NaN into a hit. Empty if streams test their candidates one by one.
         lanes: one ray x W triangles, and W rays x one triangle.
     """
 
@@ -76,15 +76,15 @@ class TriangleTest(TestForm):
         name: key in `TRIANGLE_TESTS`.
         paper: authors, title, year.
         watertight: whether no ray can pass between two triangles that share an edge or a vertex.
-        accurate: whether every hit lies within `wrt.kernels.simd.boxes.SLACK` times the ray's reach of the triangle; others may
-            report hits beside needles and beside triangles that they see edge-on.
+        accurate: whether every hit lies within `wrt.kernels.simd.boxes.SLACK` times the ray's reach of the triangle. Other
+            tests may report hits beside needles and beside triangles seen edge-on.
         two_sided: whether both sides of a triangle are hit.
-        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle`: as `record.load` returns it.
-            The twin of the lane loops, in plain Warp.
-        line_test: width -> `block_test` that leaves t, u and v as they are, for streams; None where the compiler makes it of
-            `block_test`, as it leaves out what nobody reads.
-        crossing: the forms that count crossings exactly; None if it has none.
-        any_hit: key in `TRIANGLE_TESTS` of the test that takes its place where any hit will do; empty for itself.
+        intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle` is what `record.load` returns. It
+            performs the same operations as the lane loops, in plain Warp.
+        line_test: width -> `block_test` that does not write t, u and v, for streams. None if the compiler derives it from
+            `block_test` by removing unused results.
+        crossing: the forms that count crossings exactly; None if the test has none.
+        any_hit: key in `TRIANGLE_TESTS` of the test that replaces this one in any-hit queries; empty for the test itself.
     """
 
     paper: str
@@ -97,5 +97,5 @@ class TriangleTest(TestForm):
     any_hit: str = ""
 
     def forms(self, crossing: bool) -> CrossingForms:
-        """The forms for one ray: those that count crossings exactly, or the inclusive ones."""
+        """The forms for one ray: those that count crossings exactly if `crossing`, else the inclusive ones."""
         return self.crossing if crossing else CrossingForms(self.intersect, self.block_test, self.line_test)

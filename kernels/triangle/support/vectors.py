@@ -1,7 +1,7 @@
-"""Vectors in triangle tests, once in Warp and once as the C++ of lane loops: same operations, same order, same bits.
+"""Vector arithmetic of triangle tests, in Warp and as the C++ of lane loops: same operations, same order, same bits.
 
-Sums run from left to right. A cross product is exactly the negative of the one with its factors exchanged, as products
-commute and a - b = -(b - a) in floating point.
+Sums run from left to right. Exchanging the factors of a cross product negates it exactly, because products commute and
+a - b = -(b - a) in floating point.
 """
 
 from typing import Any
@@ -13,7 +13,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 @wp.struct
 class PlainRay:
-    """Origin and direction as they are."""
+    """A ray's origin and direction, unchanged."""
 
     origin: wp.vec3
     direction: wp.vec3
@@ -21,7 +21,7 @@ class PlainRay:
 
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
-    """Nothing to prepare."""
+    """Stores origin and direction; computes nothing."""
     ray = PlainRay()
     ray.origin = origin
     ray.direction = direction
@@ -30,25 +30,25 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def miss():
-    """What a test returns for a ray whose line passes beside the triangle: (t, u, v) with t NaN."""
+    """The result for a ray whose line misses the triangle: (t, u, v) with t NaN."""
     return wp.vec3(wp.nan, 0.0, 0.0)
 
 
 @wp.func
 def cross(p: Any, q: Any):
-    """p x q, of vec3 or vec3d."""
+    """p x q for vec3 or vec3d."""
     return type(p)(p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0])
 
 
 @wp.func
 def dot(p: Any, q: Any):
-    """p . q, of vec3 or vec3d."""
+    """p . q for vec3 or vec3d."""
     return (p[0] * q[0] + p[1] * q[1]) + p[2] * q[2]
 
 
 @wp.func
 def three(values: Any, first: int):
-    """Three floats of a record, from number `first` on, as a vector."""
+    """Three floats of a record, starting at number `first`, as a vector."""
     return wp.vec3(values[first], values[first + 1], values[first + 2])
 
 
@@ -57,13 +57,13 @@ def three(values: Any, first: int):
     return power > 0.0 ? 1.0 / power : size + 1.0;
 """)
 def scale_to_one(size: wp.float64) -> wp.float64:
-    """What brings a size between 1 and 2, a power of two; 1 for 0, and NaN for NaN."""
+    """The power of two that scales a size to between 1 and 2; 1 for 0, NaN for NaN."""
     ...
 
 
 @wp.func
 def largest(v: wp.vec3d):
-    """Largest component, without sign."""
+    """Largest absolute component."""
     return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
 
 

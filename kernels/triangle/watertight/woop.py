@@ -1,30 +1,30 @@
-"""Watertight test: Woop, Benthin, Wald 2013.
+"""Woop, Benthin and Wald 2013: the watertight test.
 
-**Problem.** A test that works with rounded edges or barycentric coordinates may miss both triangles that share an edge.
+**Problem.** A test with rounded edges or barycentric coordinates may miss both triangles that share an edge.
 
-**Idea.** Move the origin to 0 and shear space so that the ray becomes the unit vector along its largest axis, z. A vertex
-goes to the same place whichever triangle it belongs to. Seen along the ray, the test is: on which side of each projected
-edge is the point 0? The three signed areas U, V, W of an edge seen from its two triangles are exact negatives of each
-other, because multiplication commutes and a - b = -(b - a) in floating point (as long as no multiply-add is fused). Where
-one is zero, the ray passes the edge to the last bit, or the products underflowed: the three are then computed again in
-float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the
-sheared vertices, and a ray can slip between neighbours at no edge and no vertex; on an edge it hits both.
+**Idea.** Move the origin to 0 and shear space so that the ray becomes the unit vector along its largest axis, z. A vertex is
+mapped to the same point in every triangle that contains it. Projected along the ray, the test asks on which side of each edge
+the point 0 lies. The signed area of an edge (U, V or W) in one of its triangles is the exact negative of that in the other,
+because multiplication commutes and a - b = -(b - a) in floating point (as long as no multiply-add is fused). An area of zero
+means that the ray passes through the edge exactly, or that the products underflowed. All three areas are then recomputed in
+float64, where products of float32 numbers are exact. The sign of each area is therefore that of the exact area of the sheared
+vertices. No ray passes between neighbours at an edge or a vertex; a ray on an edge hits both.
 
-**Where it is hit.** The areas of a hit weigh the vertices too. Those of a thin triangle are computed again for that
+**Weights.** The areas of a hit also weigh the vertices. Those of a thin triangle are recomputed for this purpose
 (`wrt.kernels.triangle.watertight.woop_areas`), so that every hit is near its triangle.
 
-**Exactly one of them.** Whoever counts crossings needs a rule by which a ray on an edge belongs to one side of it. Rasterisers
-give pixels on an edge to the triangle whose top or left edge it is; here the point 0 is thought of as moved by (e, e^2) for
-an infinitely small e > 0 (simulation of simplicity). To first order that adds e (p.y - q.y) + e^2 (q.x - p.x) to the area
-p x q: where the exact area is 0, the edge's own direction tells the side, and its two triangles disagree about it. No three
-points and no edge hold the moved point, so what is counted is the number of projected triangles around a point in general
-position: even for every closed surface, whatever edges and vertices the ray meets. A triangle that is seen edge-on, or whose
-projected vertices coincide, surrounds nothing. This is `CROSSING`, in the same forms as the rest.
+**Crossings.** Counting crossings needs a rule by which a ray on an edge belongs to one side of it. Rasterisers assign a pixel
+on an edge to the triangle whose top or left edge it is. Here the point 0 is moved symbolically by (e, e^2) for an infinitely
+small e > 0 (simulation of simplicity). To first order this adds e (p.y - q.y) + e^2 (q.x - p.x) to the area p x q: where the
+exact area is 0, the edge's own direction decides the side, with opposite results in its two triangles. The moved point lies on
+no edge and no line through two vertices. So the count is the number of projected triangles around a point in general position,
+which is even for every closed surface, whichever edges and vertices the ray meets. A triangle that is seen edge-on, or whose
+projected vertices coincide, contains no such point. `CROSSING` holds this rule in the same forms as the inclusive one.
 
 **Data.** Per triangle: the three vertices. Per ray: the axis order and the shear (`ShearedRay`).
 
-**Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only asks whether the three
-signs agree. The distance is compared by the caller (see `wrt.kernels.simd.boxes`, the consistency rule).
+**Departures.** The axes are not swapped to keep the winding: the test is two-sided, so it only checks that the three signs
+agree. The caller compares the distance (see `wrt.kernels.simd.boxes`, the consistency rule).
 
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection.
@@ -49,20 +49,20 @@ from wrt.kernels.triangle.watertight.woop_streams import CANDIDATE_LANES, INCLUS
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SMALL = wp.constant(1.1754944e-38)
-"""Smallest normal float32: an area below it may have lost digits, or all of them."""
+"""Smallest normal float32. An area below it may have lost some or all of its digits."""
 
 LIFT = wp.constant(wp.float64(2.0**200))
-"""What brings the areas of triangles too small for float32 into its range; the weights do not change by it."""
+"""Factor that brings the areas of triangles too small for float32 into its range. It cancels in the weights."""
 
 
 @wp.struct
 class ShearedRay:
-    """A ray as the watertight test needs it."""
+    """Origin, axis order and shear of a ray."""
 
     origin: wp.vec3
     """The origin's components in the order x, y, z below."""
     x: int
-    """Axes: z is that of the direction's largest component, x and y the next two, in cyclic order."""
+    """Axes: z is that of the direction's largest component; x and y are the next two, in cyclic order."""
     y: int
     z: int
     shear: wp.vec3
@@ -71,7 +71,8 @@ class ShearedRay:
 
 @wp.func
 def turned(v: wp.vec3, z: int):
-    """The components along the axes x, y, z of a ray whose main axis is z; selected, as an index would go through memory."""
+    """The components along the axes x, y, z of a ray whose main axis is z. Selected, because an index would go through
+    memory."""
     return wp.vec3(
         wp.where(z == 2, v[0], wp.where(z == 0, v[1], v[2])),
         wp.where(z == 2, v[1], wp.where(z == 0, v[2], v[0])),
@@ -81,7 +82,7 @@ def turned(v: wp.vec3, z: int):
 
 @wp.func
 def prepare(origin: wp.vec3, direction: wp.vec3):
-    """Axis order and shear of a ray; `direction` is finite and not zero."""
+    """Axis order and shear of a ray. `direction` must be finite and not zero."""
     size = wp.abs(direction)
     ray = ShearedRay()
     ray.z = wp.where(size[0] >= size[1], wp.where(size[0] >= size[2], 0, 2), wp.where(size[1] >= size[2], 1, 2))
@@ -95,7 +96,7 @@ def prepare(origin: wp.vec3, direction: wp.vec3):
 
 @wp.func
 def sheared(ray: ShearedRay, vertex: wp.vec3):
-    """The vertex as seen along the ray: across the main axis, and its distance along that."""
+    """The sheared vertex: its two coordinates across the main axis, and its distance along that axis."""
     z = vertex[ray.z] - ray.origin[2]
     x = (vertex[ray.x] - ray.origin[0]) - ray.shear[0] * z
     y = (vertex[ray.y] - ray.origin[1]) - ray.shear[1] * z
@@ -104,20 +105,20 @@ def sheared(ray: ShearedRay, vertex: wp.vec3):
 
 @wp.func_native("return (a == 0.0f) | (b == 0.0f) | (c == 0.0f);")
 def some_zero(a: float, b: float, c: float) -> bool:
-    """Whether one of three numbers is 0: one decision, where `or` takes three."""
+    """Whether one of three numbers is 0: one branch, where `or` would take three."""
     ...
 
 
 @wp.func_native("return ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));")
 def on_one_side(a: float, b: float, c: float) -> bool:
-    """Whether three areas have no different signs. With `and` and `or` the first sign decides how to go on, and that nobody can
-    guess: from which side a ray comes."""
+    """Whether no two of three areas have opposite signs. With `and` and `or`, the first sign would select a branch that the
+    processor cannot predict, because rays come from either side."""
     ...
 
 
 @wp.func
 def intersect(ray: ShearedRay, corners: Corners):
-    """One ray, one triangle: (t, u, v), t NaN if the ray's line misses. u, v weigh the vertices b and c."""
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
     a = sheared(ray, corners.a)
     b = sheared(ray, corners.b)
     c = sheared(ray, corners.c)
@@ -135,9 +136,9 @@ def intersect(ray: ShearedRay, corners: Corners):
 
 @wp.func
 def interpolate(ray: ShearedRay, depth: wp.vec3, areas: wp.vec3):
-    """(t, u, v) from the distances of the vertices along the main axis and the areas against them.
+    """(t, u, v) from the distances of the vertices along the main axis and the signed areas opposite them.
 
-    These are multiplied before 1 / direction comes in: the product of all three may be beyond float32 where t is not."""
+    Distances and areas are multiplied before 1 / direction: the product of all three may overflow float32 where t does not."""
     scale = 1.0 / ((areas[0] + areas[1]) + areas[2])
     distance = ((areas[0] * depth[0] + areas[1] * depth[1]) + areas[2] * depth[2]) * scale
     return wp.vec3(ray.shear[2] * distance, areas[1] * scale, areas[2] * scale)
@@ -145,14 +146,14 @@ def interpolate(ray: ShearedRay, depth: wp.vec3, areas: wp.vec3):
 
 @wp.func
 def side(area: wp.float64, p: wp.vec3, q: wp.vec3):
-    """Side of the edge p q on which the moved point lies, 1 or -1; 0 if p and q coincide."""
+    """Side of the edge p q on which the symbolically moved point lies, 1 or -1; 0 if p and q coincide."""
     tie = wp.where(p[1] > q[1], 1, wp.where(p[1] < q[1], -1, wp.where(q[0] > p[0], 1, wp.where(q[0] < p[0], -1, 0))))
     return wp.where(area > wp.float64(0.0), 1, wp.where(area < wp.float64(0.0), -1, tie))
 
 
 @wp.func
 def intersect_crossing(ray: ShearedRay, corners: Corners):
-    """`intersect` for crossings: on an edge, one of its triangles is hit."""
+    """`intersect` for counting crossings: a ray on an edge hits exactly one of its triangles."""
     a = sheared(ray, corners.a)
     b = sheared(ray, corners.b)
     c = sheared(ray, corners.c)
@@ -232,7 +233,7 @@ _PRECISE_LANE = """
         wrt_precise_areas(px, py, qx, qy, rx, ry, areas[0], areas[1], areas[2]);
     };
 """.replace("WRT_PRECISE_AREAS", PRECISE_AREAS)
-"""Not inlined: what one hit in a hundred takes must not take registers from the others."""
+"""Not inlined: this path runs for about one hit in a hundred and must not take registers from the others."""
 
 _WEIGHTS = """
     if (mask) {
@@ -256,7 +257,7 @@ _WEIGHTS = """
         }
     }
 """
-"""Where the lanes in the mask are hit."""
+"""C++ that computes t, u and v of the lanes in the mask."""
 
 _THIN = {"AREAS_SIZE": AREAS_SIZE, "IS_THIN": IS_THIN}
 
@@ -289,7 +290,7 @@ def _block(width: int, rule: dict[str, str], weights: bool) -> str:
 
 
 def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Function:
-    """The lane form by one of the two rules for a ray on an edge; weights: whether t, u and v are worked out."""
+    """The block test by one of the two rules for a ray on an edge. `weights`: whether t, u and v are computed."""
     Lanes = lanes(width)
 
     @wp.func_native(_block(width, _CROSSING if crossing else _INCLUSIVE, weights))
@@ -307,7 +308,7 @@ def make_block_test(width: int, crossing: bool, weights: bool = True) -> wp.Func
 
 @cache
 def block_test(width: int) -> wp.Function:
-    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets; t, u, v are valid there."""
+    """One ray, W triangles: the bit mask of the lanes whose triangle the ray's line meets. t, u, v are valid in those lanes."""
     return make_block_test(width, crossing=False)
 
 
@@ -319,21 +320,21 @@ def line_test(width: int) -> wp.Function:
 
 @cache
 def crossing_block_test(width: int) -> wp.Function:
-    """`block_test` for crossings."""
+    """`block_test` for counting crossings."""
     return make_block_test(width, crossing=True)
 
 
 @cache
 def crossing_line_test(width: int) -> wp.Function:
-    """`line_test` for crossings."""
+    """`line_test` for counting crossings."""
     return make_block_test(width, crossing=True, weights=False)
 
 
 CROSSING = CrossingForms(intersect_crossing, crossing_block_test, crossing_line_test)
-"""The forms by which a closed surface is crossed an even number of times."""
+"""The forms by which a line crosses a closed surface an even number of times."""
 
 OPERATIONS = (Operations(add=18, multiply=12, compare=9), Operations(add=4, multiply=9, divide=1))
-"""Of a miss, and what a hit adds; where nothing has to be computed again."""
+"""Operations of a miss, and those that a hit adds, without recomputation."""
 
 TEST = TriangleTest(
     name="woop",

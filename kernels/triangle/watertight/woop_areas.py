@@ -1,30 +1,29 @@
 """Areas by which the watertight test (`wrt.kernels.triangle.watertight.woop`) weighs the vertices of a triangle that it has
 hit.
 
-**Problem.** The sign of each area is right, and so is whether a triangle is hit. Where it is hit is another matter. Of a
-needle, or of a triangle seen edge-on, the areas are small differences of large products: rounding these moves the weights,
-and so t, by up to the length of the triangle. Such a hit is far off its triangle (by 14,000 times 2^-24 of the ray's reach,
-measured with needles 100,000 times as long as wide), and whatever takes a hit to be near its triangle loses it: leaves of a
-kd-tree that list only the triangles that they meet (`split_clipping`), and packets that cull by vertices.
+**Problem.** The signs of the areas are exact, so whether a triangle is hit is exact too. The position of the hit is not. The
+areas of a needle, or of a triangle seen edge-on, are small differences of large products. Rounding these moves the weights, and
+so t, by up to the length of the triangle. Code that assumes that a hit is near its triangle then loses it: leaves of a kd-tree
+that list only the triangles that they meet (`split_clipping`), and packets that cull by vertices.
 
-**Rule.** An area is the difference of two products. Where the areas of a hit sum to less than `THIN` of the sum N of the
-first products, without their signs, they are computed again in float64, in which products of float32 numbers are exact and
-their difference has one rounding. That is one hit in a hundred of usual scenes.
+**Rule.** An area is the difference of two products. If the areas of a hit sum to less than `THIN` of the sum N of the
+magnitudes of the first products, they are recomputed in float64, in which products of float32 numbers are exact and their
+difference rounds once. In common scenes this concerns about one hit in a hundred.
 
-**Bound.** u = 2^-24, R the ray's reach, D the triangle's extent as it is sheared, at most twice its own. A coordinate of a
-sheared vertex is off by 6 u R: by one rounding each of two differences, a shear and a product, and by one of a difference of
-up to 2 R. Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six products: M <=
-2 N + S, as no area is larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas are off by d_i, where sum
-|d_i| <= u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights adds 4 u D,
-and the ten roundings of t 10 u R. A hit is off its triangle by 16 u R + 14 u D at most. Measured: 5 u R on all kinds of
-meshes, 11 u R on needles 100,000 times as long as wide."""
+**Bound.** u = 2^-24, R is the ray's reach, D the extent of the sheared triangle, at most twice that of the triangle. A
+coordinate of a sheared vertex has an error of 6 u R: one rounding each of two differences, a shear and a product, and one of a
+difference of up to 2 R. Let x_i be the vertices as computed, A_i their exact areas, S the sum of these and M that of all six
+products: M <= 2 N + S, as no area is larger than S. The ray meets that triangle, sum A_i x_i = 0. Computed areas have errors
+d_i with sum |d_i| <= u (M + S), so that they miss it by |sum d_i x_i| / S <= u D (M / S + 1) <= 10 u D. Rounding the weights
+adds 4 u D, and the ten roundings of t 10 u R. A hit is at most 16 u R + 14 u D away from its triangle. Measured errors are
+below that (notebooks/records/2026-11-22-thin-triangles.md)."""
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 THIN = wp.constant(0.25)
-"""Share of half the products that areas are made of, below which their sum has lost digits that matter."""
+"""Ratio of the summed areas to N below which the sum has lost digits that matter. It enters the bound above as M / S <= 9."""
 
 
 @wp.func
@@ -35,13 +34,13 @@ def area64(p: wp.vec3, q: wp.vec3):
 
 @wp.func
 def exact_area(p: wp.vec3, q: wp.vec3):
-    """Signed area p x q, rounded to float32: the sign is exact, or the area so small that it counts as 0."""
+    """Signed area p x q, rounded to float32. Its sign is exact, unless the area is so small that it rounds to 0."""
     return float(area64(p, q))
 
 
 @wp.func
 def precise_areas(a: wp.vec3, b: wp.vec3, c: wp.vec3, areas: wp.vec3):
-    """The areas of a triangle that is hit: as given, or of a thin one from float64, where float32 can hold them."""
+    """The areas of a triangle that is hit: as given, or recomputed in float64 for a thin triangle if float32 can hold them."""
     size = (wp.abs(c[0] * b[1]) + wp.abs(a[0] * c[1])) + wp.abs(b[0] * a[1])
     result = wp.vec3(areas)
     if wp.abs((areas[0] + areas[1]) + areas[2]) < THIN * size:
@@ -55,7 +54,7 @@ AREAS_SIZE = "(WRT_ABS(rx * qy) + WRT_ABS(px * ry)) + WRT_ABS(qx * py)"
 """C++: N of a triangle with the sheared vertices p, q, r."""
 
 IS_THIN = f"WRT_ABS((a + b) + c) < {float(THIN)!r}f * size"
-"""C++: whether a triangle with the areas a, b, c is thin; size: `AREAS_SIZE`."""
+"""C++: whether a triangle with the areas a, b, c is thin. `size` is `AREAS_SIZE`."""
 
 PRECISE_AREAS = """
     auto wrt_precise_areas = [](float px, float py, float qx, float qy, float rx, float ry, float& a, float& b, float& c) {
@@ -65,4 +64,4 @@ PRECISE_AREAS = """
         a = fits ? fine_a : a; b = fits ? fine_b : b; c = fits ? fine_c : c;
     };
 """
-"""C++: the areas a, b, c of a thin triangle from float64, where float32 can hold them."""
+"""C++: the areas a, b, c of a thin triangle in float64, if float32 can hold them."""

@@ -1,5 +1,5 @@
-"""The watertight test (`wrt.kernels.triangle.watertight.woop`) for packets: W rays x one triangle, number for number the
-same."""
+"""The watertight test (`wrt.kernels.triangle.watertight.woop`) for packets: W rays x one triangle, with the same results bit
+for bit."""
 
 from wrt.kernels.triangle.support.lane_form import PacketForm
 from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS
@@ -92,4 +92,4 @@ PACKET = PacketForm(
     ray.shear = wp::vec3(slope_x[k], slope_y[k], shear_z[k]);
     """,
 )
-"""W rays x one triangle: the same arithmetic; a pass for each main axis that occurs among the rays."""
+"""W rays x one triangle: the same arithmetic, with one pass for each main axis that occurs among the rays."""

@@ -1,7 +1,7 @@
 """The watertight test (`wrt.kernels.triangle.watertight.woop`) for the lanes of a stream: its rays, and 16 pairs of a ray and a
 triangle.
 
-Both are that test number for number; what differs is that each lane has an axis order of its own, which is selected.
+The arithmetic is that of the test, bit for bit. Each lane has its own axis order, which is applied by selects.
 """
 
 from wrt.kernels.triangle.watertight.woop_areas import IS_THIN, PRECISE_AREAS
@@ -11,7 +11,7 @@ INCLUSIVE_SIDE = """
             bool inside = ((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f));
             bool hit = inside & ((a + b) + c != 0.0f);
 """
-"""C++: a triangle whose edge the ray may pass, by its areas in float64; a triangle is hit on its edges."""
+"""C++: whether a triangle is hit, from its areas in float64, by the inclusive rule: a triangle contains its edges."""
 
 PREPARE_LANES = """
     WRT_FOR(L, k) {
