@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -19,9 +21,11 @@ from wrt.bench.studies.kdtrees.kdtree_pictures import (
     rectangles,
     waiting_cells,
 )
+from wrt.builders.kdtree import KDTREE_BUILDERS
 
 figure_of = pytest.importorskip("matplotlib.figure").Figure
 FAR = np.array([100.0, -200.0, 50.0])
+BUILDERS = tuple(KDTREE_BUILDERS)
 
 
 @pytest.fixture(scope="module")
@@ -139,3 +143,14 @@ def test_planar_references():
     tree = scene.statistics().tree
     assert tree.leaves > 1
     assert planar_references(scene, mesh) == (6, tree.references, 6 + 2 * (tree.leaves - 1))
+
+
+def test_a_builder_more_has_a_colour_of_its_own(monkeypatch):
+    """The colours were as many as the builders, and one builder more broke the import of all pictures."""
+    more = [f"new_{number}" for number in range(8)]
+    for name in more:
+        monkeypatch.setitem(KDTREE_BUILDERS, name, KDTREE_BUILDERS["binned"])
+    colours = [color_of(name) for name in KDTREE_BUILDERS]
+    assert len(set(colours)) == len(colours) == len(BUILDERS) + len(more)
+    assert [color_of(name) for name in BUILDERS] == colours[: len(BUILDERS)]
+    assert all(re.fullmatch("#[0-9a-f]{6}", colour) for colour in colours)

@@ -43,6 +43,8 @@ class KdTreeBuilder:
         build: (boxes, config) -> tree.
         most_triangles: largest mesh in tests and benchmarks, because larger ones take too long; the builder accepts any size.
         clips: whether it clips triangles to cells if the config asks for it.
+        least_cost: whether it finds the plane of least cost in a node of few triangles, among all planes at which a box begins
+            or ends. If not, it chooses planes by another rule and leaves only the decision to stop to the cost.
         start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
     """
 
@@ -51,6 +53,7 @@ class KdTreeBuilder:
     build: Callable[[TriangleBoxes, KdTreeConfig], KdTree]
     most_triangles: int = MAX_INDEX
     clips: bool = False
+    least_cost: bool = False
     start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
 
@@ -61,32 +64,41 @@ FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder("in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build, clips=True),
         KdTreeBuilder(
-            "binned", "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)", binned.build, clips=True
+            "in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build, clips=True, least_cost=True
+        ),
+        KdTreeBuilder(
+            "binned",
+            "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
+            binned.build,
+            clips=True,
+            least_cost=True,
         ),
         KdTreeBuilder(
             "streaming",
             "Popov, Guenther, Seidel, Slusallek: Experiences with streaming construction of SAH KD-trees (2006)",
             streaming.build,
             clips=True,
+            least_cost=True,
         ),
         KdTreeBuilder(
             "adaptive_sampling",
             "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
             adaptive_sampling.build,
             clips=True,
+            least_cost=True,
         ),
         KdTreeBuilder(
             "lazy",
             "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
             lazy.build,
             clips=True,
+            least_cost=True,
             start=lazy.start,
         ),
-        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True),
-        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build),
-        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True),
+        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True, least_cost=True),
+        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build, least_cost=True),
+        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True, least_cost=True),
         KdTreeBuilder(
             "between_medians",
             "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",

@@ -38,8 +38,8 @@ PALETTE = (
     "#d62728",
 )
 
-COLORS = dict(zip(KDTREE_BUILDERS, PALETTE, strict=True))
-"""Every builder's own, in all pictures; `color_of` a name that begins with it."""
+GOLDEN = (5**0.5 - 1) / 2
+"""A step round the colour circle that keeps away from all hues before."""
 
 ROUND = tuple(np.arange(16) * (np.pi / 8.0))
 """Ways from a point to its label, to the right first."""
@@ -57,8 +57,20 @@ WAITING = "#c8c8c8"
 
 
 def color_of(name: str) -> str:
-    """The colour of a builder, or of a variant of it, whose name follows after a comma; black for others."""
-    return COLORS.get(name.partition(",")[0], "black")
+    """The colour of a builder, the same in all pictures, or of a variant of it, whose name follows after a comma.
+
+    Builders beyond the palette get hues of their own; what is no builder is black.
+    """
+    from colorsys import hsv_to_rgb
+
+    builders, builder = list(KDTREE_BUILDERS), name.partition(",")[0]
+    if builder not in builders:
+        return "black"
+    number = builders.index(builder)
+    if number < len(PALETTE):
+        return PALETTE[number]
+    red, green, blue = (round(255 * part) for part in hsv_to_rgb(number * GOLDEN % 1.0, 0.6, 0.75))
+    return f"#{red:02x}{green:02x}{blue:02x}"
 
 
 def plane_axes(axis: int) -> tuple[int, int]:

@@ -1,0 +1,127 @@
+"""The page of algorithms: every key of every table stands in its section, and no other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import pytest
+
+import wrt
+from wrt.accelerators.accelerator import ACCELERATORS
+from wrt.accelerators.projected_bvh import COSTS
+from wrt.accelerators.ray_aware_bvh import TOP_LEVELS
+from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
+from wrt.builders.convert.node_layouts import LAYOUTS
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree.kdtree_config import AXES
+from wrt.builders.tree import TERMINATIONS
+from wrt.execution.plan_checks import ORDERS
+from wrt.execution.planner import DEFAULT_TEST
+from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs" / "algorithms.md").read_text(encoding="utf-8")
+
+TABLES: dict[str, Iterable[str]] = {
+    "Accelerators": ACCELERATORS,
+    "BVH builders": BVH_BUILDERS,
+    "kd-tree builders": KDTREE_BUILDERS,
+    "Termination": TERMINATIONS,
+    "Axes of medians": AXES,
+    "Layouts": LAYOUTS,
+    "Weights of boxes": COSTS,
+    "Axes to split": AXIS_CHOICES,
+    "Finding the area of a ray": TOP_LEVELS,
+    "Traversals": TRAVERSALS,
+    "Packet cullings": CULLINGS,
+    "Mailboxes": MAILBOXES,
+    "Orders of rays": ORDERS,
+    "Triangle tests": TRIANGLE_TESTS,
+    "As published": PUBLISHED,
+    "Schedules": SCHEDULES,
+}
+"""Heading of a section -> the table that judges it. A new table needs a section and a line here."""
+
+DEFAULTS = {
+    "BVH builders": wrt.Bvh().builder,
+    "kd-tree builders": wrt.KdTree().builder,
+    "Termination": wrt.KdTree().termination,
+    "Axes of medians": wrt.KdTree().axis,
+    "Triangle tests": DEFAULT_TEST,
+    "Schedules": DEFAULT_SCHEDULE,
+}
+
+WORTH_A_ROW = ("ProjectedBvh", "RayAwareBvh", "FuzzyScene", "GroupedScene", "Instance", "InstancedScene", "UpdatePolicy")
+"""Public names that stand for an algorithm."""
+
+
+def sections(page: str) -> dict[str, str]:
+    """Heading -> what follows it, up to the next heading."""
+    parts = re.split(r"^#+ (.+)$", page, flags=re.MULTILINE)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+def rows_of(text: str) -> list[tuple[str, str]]:
+    """First and second cell of every row below the head "name | paper" of a section's table."""
+    rows, inside = [], False
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if line.startswith("| name |"):
+            inside = True
+        elif inside and not line.startswith("|"):
+            inside = False
+        elif inside and not line.startswith("| ---"):
+            rows.append((cells[0], cells[1]))
+    return rows
+
+
+def keys_in(page: str, section: str) -> list[str]:
+    """Names in the first cells of a section's table."""
+    return [key for name, _ in rows_of(sections(page)[section]) for key in re.findall(r"`([^`]+)`", name)]
+
+
+CASES = [(section, key) for section, table in TABLES.items() for key in table]
+
+
+@pytest.mark.parametrize(("section", "key"), CASES, ids=[f"{section}-{key}" for section, key in CASES])
+def test_every_key_has_a_row(section, key):
+    assert keys_in(PAGE, section).count(key) == 1, f"docs/algorithms.md, section {section!r}, has no row for `{key}`"
+
+
+@pytest.mark.parametrize("section", TABLES)
+def test_no_row_without_a_key(section):
+    assert set(keys_in(PAGE, section)) <= set(TABLES[section])
+    assert all(paper for _, paper in rows_of(sections(PAGE)[section]))
+
+
+@pytest.mark.parametrize("section", DEFAULTS)
+def test_defaults_are_marked(section):
+    (marked,) = [name for name, _ in rows_of(sections(PAGE)[section]) if "(default)" in name]
+    assert marked.startswith(f"`{DEFAULTS[section]}`")
+
+
+@pytest.mark.parametrize("name", WORTH_A_ROW)
+def test_public_algorithms_have_a_row(name):
+    assert hasattr(wrt, name)
+    assert re.search(rf"^\| .*`wrt\.{name}\b.*\|.*\d{{4}}.*\|$", PAGE, re.MULTILINE)
+
+
+@pytest.mark.parametrize("table", [BVH_BUILDERS, KDTREE_BUILDERS, TRAVERSALS, CULLINGS, TRIANGLE_TESTS])
+def test_years_are_those_of_the_entries(table):
+    """Each row, or the one that it refers to, names a year of its entry's paper."""
+    rows, above = {}, ""
+    for name, paper in (
+        row for section, entries in TABLES.items() if entries is table for row in rows_of(sections(PAGE)[section])
+    ):
+        above = f"{above} {paper}" if paper.startswith("the same") else paper
+        rows |= dict.fromkeys(re.findall(r"`([^`]+)`", name), above)
+    for name, entry in table.items():
+        years = re.findall(r"\b(?:19|20)\d\d\b", entry.paper)
+        assert not years or set(years) & set(re.findall(r"\b(?:19|20)\d\d\b", rows[name])), name

@@ -1,0 +1,225 @@
+"""The site's pages: their Python runs as it stands, their links lead somewhere, and nothing public is left out.
+
+The blocks of a page run one after the other, in a folder of their own that has a mesh `model.ply`. A block after the comment
+<!-- needs: NAME --> runs where NAME is to be had: a package, or "cuda".
+"""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+
+import wrt
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+NOT_RUN = {"adding.md": "tests/test_adding.py follows it"}
+GATHERED = ("notebooks", "records", "_build")
+"""Folders that a build of the site makes in docs/."""
+
+PAGES = {
+    path.relative_to(DOCS).as_posix(): path.read_text(encoding="utf-8")
+    for path in sorted(DOCS.rglob("*.md"))
+    if path.relative_to(DOCS).parts[0] not in GATHERED
+}
+
+BLOCK = re.compile(r"(?:<!-- needs: (\w+) -->\n)?^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+RUN = [page for page, text in PAGES.items() if BLOCK.search(text) and page not in NOT_RUN]
+
+
+def is_here(need: str) -> bool:
+    """Whether what a block needs is to be had: a CUDA device, or a package that can be imported."""
+    if need == "cuda":
+        return bool(wp.get_cuda_devices())
+    try:
+        import_module(need)
+    except ImportError:
+        return False
+    return True
+
+
+def run_page(page: str, folder: Path) -> tuple[dict, list[str]]:
+    """What the page's blocks leave behind, and what those needed that could not run."""
+    names, missing = {"__name__": "page"}, []
+    for number, (need, code) in enumerate(BLOCK.findall(PAGES[page])):
+        if need and not is_here(need):
+            missing.append(need)
+            continue
+        path = folder / f"block_{number}.py"  # Warp reads the source of kernels
+        path.write_text(code, encoding="utf-8")
+        exec(compile(code, str(path), "exec"), names)
+    return names, missing
+
+
+def check_start(names):
+    assert len(BLOCK.findall(PAGES["start.md"])[0][1].splitlines()) <= 12
+    assert names["hits"].is_hit.mean() > 0.3
+    assert names["dark"].shape == names["hits"].shape
+    assert Path("model.png").stat().st_size > 10_000
+
+
+def check_queries(names):
+    np.testing.assert_array_equal(names["number"], names["lists"].count)
+    assert names["three"].count.max() <= 3 < names["number"].max()
+    assert 0.01 < names["inside"].mean() < 0.9
+    assert names["volume"] > 0.0
+    assert names["around"].shape == (16, 100_000)
+    assert names["matrix"].shape == (len(names["points"]),) * 2
+    assert names["matrix"].diagonal().all()
+    np.testing.assert_array_equal(names["again"].t, names["hits"].t)
+    assert {"nodes", "leaves", "triangles"} <= names["work"].keys()
+
+
+def check_drop_in(names):
+    hits = wrt.Scene(wrt.TriangleMesh.load("model.ply")).intersect(names["rays"][:, :3], names["rays"][:, 3:])
+    np.testing.assert_array_equal(names["answer"]["t_hit"], hits.t)
+    assert set(names["index_ray"]) == set(np.flatnonzero(names["number"]))
+    assert (names["hidden"] == np.isfinite(names["answer"]["t_hit"])).all()
+    assert len(names["lists"]["ray_ids"]) == names["number"].sum()
+
+
+def check_lidar(names):
+    assert names["ranges"].shape == names["facing"].shape == (64, 720)
+    assert names["sweep"].is_hit.mean() > 0.5
+    assert np.nanmax(names["ranges"][names["sweep"].is_hit]) <= 40.0
+    assert 1 <= names["strongest"] <= 3
+    again = names["scene"].intersect(names["path"][3], names["rings"], t_max=40.0).t
+    np.testing.assert_array_equal(names["depth"][3], again.ravel())
+
+
+def check_sun_hours(names):
+    """At noon on midsummer the sun is at 90 - 48 + 23.45 degrees, in the south; the open court gets more than its arcades."""
+    noon = names["sun_directions"](48.0, 172, 12.0)
+    np.testing.assert_allclose(noon, [0.0, -np.cos(np.radians(65.45)), np.sin(np.radians(65.45))], atol=1e-3)
+    morning, evening = names["sun_directions"](48.0, 172, [9.0, 15.0])
+    np.testing.assert_allclose(morning * [-1, 1, 1], evening)
+    assert morning[0] > 0.0
+    hours = names["sun_hours"]
+    assert 0.0 <= np.nanmin(hours) < np.nanmax(hours) <= 16.1
+    assert 0.05 < names["openness"].mean() <= 1.0
+    np.testing.assert_array_equal(names["matrix"], names["matrix"].T)
+
+
+def check_moving(names):
+    assert set(names["met"].instance_id) >= {-1, 0, 1, 100}
+    assert names["shade"].mean() <= names["forest"].occluded(names["origins"], names["directions"]).mean() < 1
+    meshes = {2: names["stage"].meshes, 3: names["groups"].meshes, 5: (names["film"].meshes[0],)}
+    for frame, scene in ((2, names["stage"]), (3, names["groups"]), (5, names["film"])):
+        np.testing.assert_array_equal(meshes[frame][-1].vertices, names["walk"].frames[frame])
+        found = scene.intersect(names["origins"][:2000], names["directions"][:2000])
+        expected = wrt.Scene(meshes[frame]).intersect(names["origins"][:2000], names["directions"][:2000])
+        np.testing.assert_array_equal(found.t, expected.t)
+
+
+def check_large_batches(names):
+    expected = names["scene"].intersect([0, 0, 2], names["lidar"])
+    np.testing.assert_array_equal(names["t"], expected.t)
+    np.testing.assert_array_equal(names["dark"], expected.t <= 1.0)
+    assert len(list(Path("trees").iterdir())) == 1
+    np.testing.assert_array_equal(names["again"].intersect([0, 0, 2], names["lidar"]).t, expected.t)
+
+
+def check_own_kernels(names):
+    seen = names["scene"].intersect(names["camera"].rays()).is_hit
+    assert (names["picture"][~seen] == 0).all()
+    assert 0.3 < names["picture"][seen].mean() < 0.95
+    row = names["scene"].intersect(names["eye"].numpy(), names["fan"].numpy()).t
+    np.testing.assert_array_equal(names["depth"].numpy(), row)
+
+
+def check_gradients(names):
+    found = names["guess"].numpy()[0]
+    np.testing.assert_allclose(found, names["camera"].position, atol=1e-3 * names["mesh"].extent)
+
+
+def check_exact(names):
+    both = names["hits"].is_hit & names["exact"].is_hit
+    assert both.mean() > 0.3
+    np.testing.assert_allclose(names["exact"].t[both], names["hits"].t[both], rtol=1e-3, atol=1e-5)
+
+
+def check_known_rays(names):
+    np.testing.assert_array_equal(names["shaded"], names["scene"].occluded(names["shadow"]))
+
+
+def check_auto(names):
+    assert (names["plan"].traversal, names["hits"].plan.traversal) == ("stream", "stream")
+    assert names["same"].plan.culling == "interval"
+
+
+CHECKS = {
+    "start.md": check_start,
+    "guides/queries.md": check_queries,
+    "guides/drop_in.md": check_drop_in,
+    "guides/lidar.md": check_lidar,
+    "guides/sun_hours.md": check_sun_hours,
+    "guides/moving.md": check_moving,
+    "guides/large_batches.md": check_large_batches,
+    "guides/own_kernels.md": check_own_kernels,
+    "guides/gradients.md": check_gradients,
+    "guides/exact.md": check_exact,
+    "guides/known_rays.md": check_known_rays,
+    "guides/gpu.md": lambda names: np.testing.assert_array_equal(names["found"].t.numpy(), names["hits"].t.ravel()),
+    "concepts/auto.md": check_auto,
+}
+"""What is asked of the names that a page's blocks leave behind."""
+
+
+def test_every_page_with_code_is_checked():
+    assert sorted(CHECKS) == RUN
+    assert set(NOT_RUN) <= PAGES.keys()
+
+
+@pytest.mark.parametrize("page", RUN)
+def test_code_runs(page, tmp_path, monkeypatch):
+    """As a reader would run it. Blocks whose needs are missing are skipped with a message, and the others count."""
+    wrt.scenes.build("teapot", level=6, ground=False).save(tmp_path / "model.ply")
+    monkeypatch.chdir(tmp_path)
+    names, missing = run_page(page, tmp_path)
+    if len(missing) == len(BLOCK.findall(PAGES[page])):
+        pytest.skip(f"all blocks of docs/{page} need {', '.join(sorted(set(missing)))}")
+    CHECKS[page](names)
+    if missing:
+        pytest.skip(f"all of docs/{page} ran and was right but the blocks that need {', '.join(missing)}")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    for link in re.findall(r"\]\((?!https?:)([^)#]+)", PAGES[page]):
+        assert (DOCS / page).parent.joinpath(link).exists(), link
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_speak_of_nothing_temporary(page):
+    """No place on one machine, and no line too long to read."""
+    assert not re.search(r"/(work|opt|tmp|home)/", PAGES[page])
+    assert all(len(line) <= 140 or line.startswith(("|", "```")) for line in PAGES[page].splitlines())
+
+
+def test_every_page_is_in_a_contents_list():
+    listed = {"index.md"}
+    for page, text in PAGES.items():
+        for block in re.findall(r"```\{toctree\}\n(.*?)```", text, re.DOTALL):
+            entries = [line for line in block.splitlines() if line and not line.startswith(":")]
+            listed |= {(Path(page).parent / f"{entry}.md").as_posix() for entry in entries}
+    assert PAGES.keys() <= listed
+
+
+@pytest.mark.parametrize("name", [name for name in wrt.__all__ if name not in ("__version__", "device", "scenes")])
+def test_every_public_name_is_in_the_reference(name):
+    reference = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
+    assert re.search(rf"^\.\. auto(class|function):: wrt\.{name}$", reference, re.MULTILINE)
+
+
+@pytest.mark.parametrize("module", ["device", "scenes"])
+def test_public_modules_are_in_the_reference(module):
+    text = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
+    assert f".. automodule:: wrt.{module}" in text
+    if module == "scenes":
+        for name in wrt.scenes.__all__:
+            assert name == "BUILTIN_SCENES" or f":: wrt.scenes.{name}\n" in text
