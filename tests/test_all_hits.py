@@ -328,7 +328,7 @@ def test_warp_arrays_stay_on_the_device(device):
 
 def test_too_many_hits_for_one_answer(wood, wood_rays, monkeypatch):
     monkeypatch.setattr(all_hits, "MAX_TOTAL", 100)
-    with pytest.raises(ValueError, match=r"these rays have [\d,]+ hits or more, and one answer holds 100; pass fewer rays"):
+    with pytest.raises(ValueError, match=r"these rays have [\d,]+ hits or more, and one result holds 100; pass fewer rays"):
         wood.intersect_all(*wood_rays)
     assert all_hits.sum_up(np.zeros(3, dtype=np.int32)).tolist() == [0, 0, 0, 0]
     monkeypatch.setattr(all_hits, "MAX_TOTAL", (1 << 31) - 1)
@@ -370,7 +370,7 @@ def test_plans():
     from dataclasses import replace
 
     plan = replace(scene.explain(*rays, query="all"), mailbox="hashed")
-    with pytest.raises(ValueError, match="has to meet a triangle in every leaf"):
+    with pytest.raises(ValueError, match="has to test a triangle in every leaf"):
         scene.intersect_all(*rays, traversal=plan)
 
 

@@ -129,7 +129,7 @@ def test_bad_input():
         wrt.analyse(scene, rays=((0, 0, 0), (0, 0, 1)))
     with pytest.raises(TypeError, match=r"area must be .* not str"):
         wrt.analyse(scene, "sun")
-    with pytest.raises(ValueError, match="rays holds none"):
+    with pytest.raises(ValueError, match="rays is empty"):
         wrt.analyse(scene, rays=wrt.Rays(np.zeros((0, 3)), np.zeros((0, 3))))
     for name in ("box_cost", "triangle_cost"):
         with pytest.raises(ValueError, match=f"{name} is -1"):

@@ -217,9 +217,9 @@ def test_bench_is_imported_when_called():
         (["render", "-o", "a.png", "--accelerator", "octree"], "'octree' is unknown; choose from auto"),
         (["render", "-o", "a.png", "--traversal", "walk"], "'walk' is unknown; choose from auto, brute"),
         (["render", "-o", "a.png", "--triangle-test", "t"], "'t' is unknown; choose from auto, woop"),
-        (["render", "-o", "a.png", "--device", "tpu"], "'tpu' is not there; choose from cpu"),
+        (["render", "-o", "a.png", "--device", "tpu"], "'tpu' does not exist; choose from cpu"),
         (["render", "-o", "a.png", "--threads", "0"], "'--threads'"),
-        (["render", "-o", "a.png", "--ground"], "--ground goes with a MODEL"),
+        (["render", "-o", "a.png", "--ground"], "--ground needs a MODEL"),
         (["render", "-o", "a.xyz"], "unknown extension '.xyz'"),
         (["render", "tetra.ply", "-o", "a.png", "--scene", "teapot"], "leave MODEL out"),
         (["info", "--scene", "nowhere"], "'nowhere' is unknown"),
@@ -255,7 +255,7 @@ def test_what_goes_wrong_on_the_way_ends_with_1(tmp_path, model, monkeypatch):
         assert result.stderr.count("\n") == 1
         assert message in result.stderr
     monkeypatch.setattr(wrt.imaging.rendering, "render", lambda *args, **options: (_ for _ in ()).throw(MemoryError()))
-    assert run("render", model, "-o", "a.png").stderr == "error: out of memory; take a smaller mesh or picture\n"
+    assert run("render", model, "-o", "a.png").stderr == "error: out of memory; use a smaller mesh or image\n"
 
 
 def test_interruption_ends_with_130(model, tmp_path, monkeypatch):

@@ -277,5 +277,5 @@ def test_one_by_one(device):
         assert "one by one" in str(alone)
         assert_same_hits(scene.intersect(rays, traversal=alone), scene.intersect(rays, traversal=plan))
         np.testing.assert_array_equal(scene.occluded(rays, traversal=alone), scene.occluded(rays, traversal=plan))
-    with pytest.raises(ValueError, match="one_by_one goes with"):
+    with pytest.raises(ValueError, match="one_by_one needs"):
         scene.intersect(rays, traversal=replace(alone, traversal="brute", accelerator="none"))

@@ -157,11 +157,11 @@ BAD = {
     "packets": (
         lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, traversal="stream"),
         ValueError,
-        "spaces of their own",
+        "their own spaces",
     ),
-    "precise": (lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, precise=True), ValueError, "of one tree"),
-    "handle": (lambda f: wrt.FuzzyScene(f, TWO.faces).handle(), ValueError, "of one tree"),
-    "statistics": (lambda f: wrt.FuzzyScene(f, TWO.faces).statistics(), ValueError, "many trees"),
+    "precise": (lambda f: wrt.FuzzyScene(f, TWO.faces).intersect(f[0], f[0] + 1.0, precise=True), ValueError, "single tree"),
+    "handle": (lambda f: wrt.FuzzyScene(f, TWO.faces).handle(), ValueError, "single tree"),
+    "statistics": (lambda f: wrt.FuzzyScene(f, TWO.faces).statistics(), ValueError, "several trees"),
 }
 
 

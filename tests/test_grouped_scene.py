@@ -70,7 +70,7 @@ def test_bad_input():
         scene.move({0: BALL.vertices, 1: np.zeros((2, 3))})
     with pytest.raises(TypeError, match=r"must be a wrt\.Bvh"):
         wrt.GroupedScene(groups(3), "kdtree")
-    with pytest.raises(ValueError, match="not kept in a folder"):
+    with pytest.raises(ValueError, match="not stored in a folder"):
         wrt.GroupedScene(groups(3), cache=".")
     assert scene.tree is before
 

@@ -39,7 +39,7 @@ def test_other_formats(tmp_path):
         ("a.xyz", np.zeros((4, 4)), ValueError, "unknown extension '.xyz'"),
         ("a", np.zeros((4, 4)), ValueError, "unknown extension ''"),
         ("a.jpg", np.zeros((4, 4, 4)), ValueError, "no alpha"),
-        ("nowhere/a.png", np.zeros((4, 4)), FileNotFoundError, "no folder .*make it first"),
+        ("nowhere/a.png", np.zeros((4, 4)), FileNotFoundError, "no folder .*create it first"),
     ],
 )
 def test_what_cannot_be_saved(tmp_path, name, image, error, message):

@@ -78,7 +78,7 @@ def test_hits_of_another_scene_are_refused(scene):
     foreign = wider.intersect(*rays())
     with pytest.raises(ValueError, match="hits of another scene"):
         scene.occluded(*rays(), skip=foreign)
-    with pytest.raises(ValueError, match="hits are of another scene"):
+    with pytest.raises(ValueError, match="hits belong to another scene"):
         wrt.differentiable_hits(scene, foreign, *rays())
     twin = wrt.Scene(TEAPOT, "kdtree", device="cpu")
     scene.occluded(*rays(), skip=twin.intersect(*rays()))  # the same triangles in the same places
@@ -107,7 +107,7 @@ def test_hits_are_pickled(scene, count, kind, options):
     if options == {"counters": True}:
         np.testing.assert_array_equal(revived.counters["nodes"], hits.counters["nodes"])
     else:
-        with pytest.raises(ValueError, match="no work was counted"):
+        with pytest.raises(ValueError, match="no counters were recorded"):
             _ = revived.counters
     with pytest.raises(ValueError, match="call spawn before pickling"):
         revived.spawn([0, 0, 1])
@@ -152,10 +152,10 @@ def test_a_forged_scene_is_refused(scene, tmp_path):
         if forged.dtype.kind in "fi":
             forged[0] += 1
             np.savez(tmp_path / "forged.npz", **arrays | {name: forged.reshape(arrays[name].shape)})
-            with pytest.raises(ValueError, match="its checksum is not that of its arrays"):
+            with pytest.raises(ValueError, match="its checksum does not match its arrays"):
                 wrt.Scene.load(tmp_path / "forged.npz")
     np.savez(tmp_path / "without.npz", **{name: array for name, array in arrays.items() if name != CHECKSUM})
-    with pytest.raises(ValueError, match="its checksum is not that of its arrays"):
+    with pytest.raises(ValueError, match="its checksum does not match its arrays"):
         wrt.Scene.load(tmp_path / "without.npz")
 
 
@@ -172,7 +172,7 @@ def test_what_an_archive_declares_is_checked_first(scene, tmp_path):
                     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
                     content = header.getvalue() + content[128:]
                 forged.writestr(name, content)
-        with pytest.raises(ValueError, match="which is not what it holds"):
+        with pytest.raises(ValueError, match="which does not match its size"):
             wrt.Scene.load(path)
     arrays = dict(np.load(tmp_path / "scene.npz"))
     np.savez_compressed(tmp_path / "bomb.npz", **arrays | {"tree.bounds": np.zeros(10**7)})
@@ -192,7 +192,7 @@ def test_saving_follows_links_and_replaces_files_only(scene, tmp_path):
     assert target.stat().st_mode & 0o777 == 0o640
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path(os.devnull), tmp_path):
-        with pytest.raises(ValueError, match="no regular file"):
+        with pytest.raises(ValueError, match="not a regular file"):
             scene.save(path)
     assert (tmp_path / "pipe").is_fifo()
     assert Path(os.devnull).is_char_device()
@@ -211,7 +211,7 @@ def test_a_full_disk_does_not_lose_the_tree(tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("wrt.scene.storage.write_archive", full)
-    with pytest.warns(UserWarning, match="the tree is not kept"):
+    with pytest.warns(UserWarning, match="the tree is not cached"):
         assert wrt.Scene(TEAPOT, cache=tmp_path, device="cpu").intersect(*rays()).is_hit.any()
 
 
@@ -234,7 +234,7 @@ def test_more_rays_than_kernels_can_number(scene):
 def test_numbers_that_no_float_holds(scene):
     for name in ("t_min", "t_max"):
         for number in (10**400, -(10**400)):
-            with pytest.raises(ValueError, match=f"{name} is an int that no float64 holds"):
+            with pytest.raises(ValueError, match=f"{name} is an int beyond the range of float64"):
                 scene.intersect(*rays(), **{name: number})
 
 
@@ -250,11 +250,11 @@ def test_lists_that_contain_themselves(scene):
     for kind in (wrt.Scene, wrt.GroupedScene, wrt.InstancedScene):
         with pytest.raises(ValueError, match="contains itself"):
             kind(endless)
-    with pytest.raises(TypeError, match="origins is no array"):
+    with pytest.raises(TypeError, match="origins is not an array"):
         scene.intersect(endless, endless)
-    with pytest.raises(TypeError, match="skip is no array"):
+    with pytest.raises(TypeError, match="skip is not an array"):
         scene.intersect(*rays(), skip=endless)
-    with pytest.raises(TypeError, match="image is no array"):
+    with pytest.raises(TypeError, match="image is not an array"):
         wrt.save_image("never.png", endless)
     twice = [TEAPOT]
     assert len(wrt.Scene([twice, twice], device="cpu").meshes) == 2

@@ -262,7 +262,7 @@ BAD_QUERIES = {
     "strings": (lambda s: s.intersect([["a", "b", "c"]], DIRECTION), TypeError, "origins must hold real numbers"),
     "complex": (lambda s: s.intersect(np.zeros(3, complex), DIRECTION), TypeError, "origins must hold real numbers"),
     "bool": (lambda s: s.intersect(np.zeros(3, bool), DIRECTION), TypeError, "convert it to float32"),
-    "ragged": (lambda s: s.intersect([[0.0, 1.0, 2.0], [1.0]], DIRECTION), TypeError, "origins is no array"),
+    "ragged": (lambda s: s.intersect([[0.0, 1.0, 2.0], [1.0]], DIRECTION), TypeError, "origins is not an array"),
     "shapes": (lambda s: s.intersect(np.zeros((4, 3)), np.ones((5, 3))), ValueError, "do not broadcast"),
     "negative t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=-1.0), ValueError, "t_min must not be negative"),
     "NaN t_min": (lambda s: s.intersect(ORIGIN, DIRECTION, t_min=np.nan), ValueError, "t_min must not be negative or NaN"),

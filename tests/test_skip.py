@@ -149,8 +149,12 @@ def test_bad_arguments(device):
     count, hits = TEAPOT.triangle_count, scene.intersect(origins, directions)
     twins = wrt.Scene([TEAPOT, TEAPOT], device=device)
     bad = [
-        (ValueError, f"from -1, for none, to {count - 1}, but ranges from 0 to {count}", {"skip": [0] * 19 + [count]}),
-        (ValueError, "ranges from -2 to -2", {"skip": -2}),
+        (
+            ValueError,
+            f"from -1, for none, to {count - 1}, but its values range from 0 to {count}",
+            {"skip": [0] * 19 + [count]},
+        ),
+        (ValueError, "values range from -2 to -2", {"skip": -2}),
         (TypeError, "hold integers, primitive ids or -1 for none, not float64", {"skip": np.zeros(20)}),
         (TypeError, "not bool", {"skip": True}),
         (TypeError, "not object", {"skip": scene}),
@@ -158,19 +162,23 @@ def test_bad_arguments(device):
         (ValueError, r"shape \(7,\), which does not broadcast to that of the rays, \(20,\)", {"skip": [0] * 7}),
         (ValueError, r"shape \(2, 20\), which does not", {"skip": np.zeros((2, 20), dtype=int)}),
         (ValueError, "hits of another scene", {"skip": twins.intersect(origins, directions)}),
-        (ValueError, "does not go with traversal;", {"skip": hits, "traversal": "single"}),
-        (ValueError, "does not go with traversal;", {"skip": hits, "traversal": hits.plan}),
-        (ValueError, "does not go with triangle_test, counters;", {"skip": 0, "triangle_test": "woop", "counters": True}),
-        (ValueError, "does not go with precise;", {"skip": 0, "precise": True}),
+        (ValueError, "cannot be combined with traversal;", {"skip": hits, "traversal": "single"}),
+        (ValueError, "cannot be combined with traversal;", {"skip": hits, "traversal": hits.plan}),
+        (
+            ValueError,
+            "cannot be combined with triangle_test, counters;",
+            {"skip": 0, "triangle_test": "woop", "counters": True},
+        ),
+        (ValueError, "cannot be combined with precise;", {"skip": 0, "precise": True}),
     ]
     for kind, message, arguments in bad:
         with pytest.raises(kind, match=message):
             scene.intersect(origins, directions, **arguments)
     with pytest.raises(ValueError, match=r"the scene has 2; pass the wrt\.Hits"):
         twins.occluded(origins, directions, skip=3)
-    with pytest.raises(ValueError, match=r"hits\.spawn\(directions\) instead, or ask wrt\.Scene\(scene\.flattened"):
+    with pytest.raises(ValueError, match=r"hits\.spawn\(directions\) instead, or use wrt\.Scene\(scene\.flattened"):
         wrt.Scene(wrt.Instance(TEAPOT), device=device).count(origins, directions, skip=hits)
-    with pytest.raises(ValueError, match=r"scenes of one tree; .* ask wrt\.Scene\(scene\.meshes\)"):
+    with pytest.raises(ValueError, match=r"a scene with one tree; .* use wrt\.Scene\(scene\.meshes\)"):
         wrt.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)
 
 

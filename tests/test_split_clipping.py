@@ -212,5 +212,5 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
 
 
 def test_builders_that_do_not_clip_say_so():
-    with pytest.raises(ValueError, match=r"'sorting_sweep' does not clip; choose from in_place, binned"):
+    with pytest.raises(ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, binned"):
         wrt.KdTree(builder="sorting_sweep", split_clipping=True)

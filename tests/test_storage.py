@@ -195,7 +195,7 @@ def test_damaged_and_foreign_files(tmp_path):
     with zipfile.ZipFile(tmp_path / "zip.npz", "w") as archive:
         archive.writestr("wrt.npy", "text")
     for name in (*buffers, "foreign.npz", "array.npy", "pickle.npz", "zip.npz"):
-        with pytest.raises(ValueError, match=rf"{name}' is no scene that wrt saved, or it is damaged"):
+        with pytest.raises(ValueError, match=rf"{name}' is not a scene that wrt saved, or it is damaged"):
             wrt.Scene.load(tmp_path / name)
     with pytest.raises(FileNotFoundError, match="check the path"):
         wrt.Scene.load(tmp_path / "nowhere.npz")
@@ -211,7 +211,7 @@ def test_later_formats_are_refused(tmp_path):
     arrays = dict(np.load(path))
     header = json.loads(str(arrays["wrt"])) | {"format": 99}
     write_archive(path, arrays | {"wrt": np.array(json.dumps(header))})
-    with pytest.raises(ValueError, match="format 99, this version of wrt reads format 2"):
+    with pytest.raises(ValueError, match="format 99, and this version of wrt reads format 2"):
         wrt.Scene.load(path)
 
 

@@ -176,7 +176,7 @@ def test_when_there_is_one():
     assert scene.explain(some).traversal == "wide_stream"
     assert scene.explain(some.origins[0], some.directions[:1]).traversal == "single"
     assert lazy.explain(many).traversal == "lockstep"
-    with pytest.raises(ValueError, match="'wide_packet' walks the wide form of a finished kd-tree"):
+    with pytest.raises(ValueError, match="'wide_packet' walks the wide form of a complete kd-tree"):
         lazy.intersect(many, traversal="wide_packet")
     with pytest.raises(ValueError, match="does not answer the query 'count'"):
         scene.count(many, traversal="wide_stream")

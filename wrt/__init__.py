@@ -6,14 +6,14 @@
     exact = scene.intersect(origins, directions, precise=True)  # as brute force in float64
     dark = scene.occluded(origins, directions)      # bool
     lists = scene.intersect_all(origins, directions)  # every hit of each ray; scene.count, scene.contains(points)
-    forest = wrt.Scene([wrt.Instance(mesh, matrix) for matrix in matrices])  # one tree; hits.instance_id, forest.update
-    seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for rays that go on
-    print(scene.verify())                           # against brute force in float64
+    forest = wrt.Scene([wrt.Instance(mesh, matrix) for matrix in matrices])  # two-level scene; hits.instance_id
+    seen = scene.visible(points[:, None], points)   # bool for every pair; hits.spawn(directions) for secondary rays
+    print(scene.verify())                           # compares answers with brute force in float64
     found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)  # for wp.Tape
-    wrt.device.launch(kernel, n, [scene.handle(), ...])  # kernels of your own that trace rays: wrt.device.closest_hit ...
+    wrt.device.launch(kernel, n, [scene.handle(), ...])  # your own kernels trace rays with wrt.device.closest_hit ...
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
-Names are loaded when they are first used, so that `import wrt` costs little more than `import warp`.
+Names are loaded on first use, so that `import wrt` costs little more than `import warp`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from typing import Any
 __version__ = "0.1.0"
 
 if not (Path(__file__).parent / "kernels").is_dir():
-    # In a checkout kernels/ and builders/ lie beside this folder; installed they lie in it. Python started in a checkout's root
-    # imports this folder before the installed one.
+    # In a checkout, kernels/ and builders/ are siblings of this folder; in an installation, they are inside it. Python
+    # started in the root of a checkout imports this folder before the installed package.
     __path__.append(str(Path(__file__).parents[1]))
 
 _HOME = {

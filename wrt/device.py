@@ -1,4 +1,4 @@
-"""Rays inside your own Warp kernels, on the CPU and on CUDA.
+"""Ray queries inside your own Warp kernels, on the CPU and on CUDA.
 
     import warp as wp
     import wrt
@@ -15,21 +15,22 @@
 
     wrt.device.launch(thickness, len(points), [scene.handle(), points, out])
 
-A kernel gets a scene as `scene.handle()`, which is the scene at that time, in a parameter of the type `SceneHandle`. It calls,
-for one ray at a time:
+A kernel receives a scene as `scene.handle()`, the scene in its present state, in a parameter of type `SceneHandle`. For one
+ray at a time, it can call:
 
-* `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id and uv, as
-  `Scene.intersect` gives them, to the bit;
+* `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id and uv, bit
+  for bit as `Scene.intersect` returns them;
 * `any_hit(...)`: a bool, as `Scene.occluded`; `count_hits(...)`: an int, as `Scene.count`;
-* `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until one misses: all hits, as
-  `Scene.intersect_all`. Each is a search of its own from the last one on: nothing is stored, and there is no bound;
-* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as of `wrt.Hits`.
+* `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
+  `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
+  not limited;
+* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as in `wrt.Hits`.
 
-Positions are in the scene's coordinates, vec3 or vec3d: the way to its centre, in float64, is taken inside. A kernel that
-calls these must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which Warp has none of for
-them, and without fused multiply-add, with which hits may differ and rays may slip between triangles. Others are refused. It
-is compiled once for each kind, width and (in steps of eight levels) depth of tree that it meets; results are the same on every
-device.
+Positions are in the scene's coordinates, vec3 or vec3d; the functions subtract the scene's centre in float64. A kernel that
+calls them must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which these functions do
+not have, and without fused multiply-add, which would change hits and let rays slip between triangles. Other kernels are
+refused. A kernel is compiled once for each kind, width and depth (in steps of eight levels) of tree that it is launched
+with. Results are the same on every device.
 """
 
 from __future__ import annotations
@@ -79,12 +80,12 @@ __all__ = [
 ]
 
 SceneHandle = Any
-"""Type of a kernel's parameter that is a scene's handle. (Scenes with different trees have handles of different types.)"""
+"""Type of a kernel parameter that takes a scene's handle. (Scenes with different kinds of tree have different handle types.)"""
 
 kernel: Callable[[Callable], wp.Kernel] = partial(
     wp.kernel, module="unique", enable_backward=False, module_options={"fuse_fp": False}
 )
-"""`wp.kernel` with the options that ray queries need: the decorator of kernels that call them."""
+"""`wp.kernel` with the options that ray queries need: the decorator for kernels that call them."""
 
 
 def launch(
@@ -96,28 +97,29 @@ def launch(
     num_threads: int | None = None,
     chunk: int = 256,
 ) -> None:
-    """Runs a kernel over the items 0 .. count - 1, on the CPU with all threads. (`wp.launch` runs it there on one.)
+    """Runs a kernel over the items 0 .. count - 1, on the CPU with all threads. (`wp.launch` uses one CPU thread.)
 
-    The items are cut into chunks, one launch each; the result must not depend on how. On CUDA it is one launch. Inside a
-    `wp.Tape`, a kernel with gradients is one launch, which the tape records; those that call ray queries have none.
+    On the CPU the items are divided into chunks; the result must not depend on how. On CUDA this is a single launch. Inside
+    a `wp.Tape`, a kernel with gradients is launched once, and the tape records it; kernels that call ray queries have no
+    gradients.
 
     Args:
         kernel: its first parameter is `first: int`; it works on item `first + wp.tid()`.
         count: number of items.
         inputs: the kernel's other arguments.
-        device: where they live; None for Warp's default device.
-        num_threads: on the CPU; None for `wrt.get_num_threads()`.
-        chunk: on the CPU, the least number of items that is worth a launch of its own (some 20 us).
+        device: device of the arguments; None for Warp's default device.
+        num_threads: number of CPU threads; None for `wrt.get_num_threads()`.
+        chunk: on the CPU, the smallest number of items for which a launch of its own (about 20 us) pays.
 
     Raises:
-        TypeError: `kernel` is none, or has another first parameter; `num_threads` is no int.
-        ValueError: there is no such device, or `num_threads` is out of range; a kernel with a scene among its inputs was not
-            made by `kernel`; inside a `wp.Tape`, an array takes gradients and the kernel has none.
+        TypeError: `kernel` is not a kernel or has another first parameter; `num_threads` is not an int.
+        ValueError: there is no such device, or `num_threads` is out of range; a kernel with a scene among its inputs was
+            not made by `kernel`; inside a `wp.Tape`, an array requires gradients and the kernel has none.
     """
     if not isinstance(kernel, wp.Kernel):
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
     if not kernel.adj.args or kernel.adj.args[0].label != "first":
-        raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter: its chunk's first item")
+        raise TypeError(f"kernel {kernel.key!r} needs `first: int` as its first parameter, the first item of a chunk")
     if num_threads is not None:
         launching.check_num_threads(num_threads, "num_threads")
     target = launching.as_device(device)
@@ -130,8 +132,8 @@ def launch(
             return
         if any(map(takes_gradients, inputs)):
             raise ValueError(
-                f"kernel {kernel.key!r} is compiled without gradients, and inside a wp.Tape arrays of it take some; launch it "
-                "before the tape, or pass wp.clone(array, requires_grad=False); to differentiate hits, call "
+                f"kernel {kernel.key!r} is compiled without gradients, and inside a wp.Tape some of its arrays require them; "
+                "launch it before the tape, or pass wp.clone(array, requires_grad=False); to differentiate hits, call "
                 "wrt.differentiable_hits inside the tape"
             )
     if kernel.is_generic:
@@ -148,7 +150,7 @@ def has_backward(kernel: wp.Kernel) -> bool:
 
 
 def handle_of(scene: SceneState) -> Any:
-    """What kernels get of a scene: `Scene.handle`."""
+    """The kernel argument for a scene: `Scene.handle`."""
     scene.require("handle")
     scene.complete()
     plan = Plan(
@@ -170,7 +172,7 @@ def handle_of(scene: SceneState) -> Any:
 
 
 def fill_gaps(struct: Any, device: wp.Device) -> None:
-    """Puts empty arrays where a struct has none: a `wp.Tape` that goes back through a launch looks at each."""
+    """Fills unset arrays of a struct with empty ones: the backward pass of a `wp.Tape` visits each array."""
     for name, variable in struct._cls.vars.items():
         value = getattr(struct, name)
         if value is None:

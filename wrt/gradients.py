@@ -1,4 +1,4 @@
-"""Hits that a `wp.Tape` can go back through: to rays and vertices."""
+"""Hits with gradients with respect to rays and vertices, for a `wp.Tape`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class DifferentiableHits:
-    """Closest hits as Warp arrays on the scene's device that take gradients, in the leading shape (...) of the hits.
+    """Closest hits as Warp arrays with gradients on the scene's device, in the leading shape (...) of the hits.
 
     Scalars and vectors are float64 if the rays or the vertices are, else float32.
 
@@ -26,7 +26,7 @@ class DifferentiableHits:
         t: (...), in units of the direction's length; inf for a miss.
         uv: (...) vec2, weights of the triangle's second and third vertex; 0 for a miss.
         position: (...) vec3, in the coordinates of the vertices; NaN for a miss.
-        normal: (...) vec3, unit, by the triangle's winding; 0 for a miss.
+        normal: (...) vec3, unit vectors from the triangle's winding; 0 for a miss.
     """
 
     t: wp.array
@@ -36,7 +36,7 @@ class DifferentiableHits:
 
 
 def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any, vertices: Any = None) -> DifferentiableHits:
-    """Computes hits again as smooth functions of rays and vertices; which triangle each ray hits is held fixed.
+    """Recomputes hits as smooth functions of rays and vertices; the triangle that each ray hits is fixed.
 
         hits = scene.intersect(origins, directions)  # not on the tape
         with wp.Tape() as tape:
@@ -45,35 +45,39 @@ def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any,
         tape.backward(loss)
         origins.grad, directions.grad, vertices.grad
 
-    Gradients go to those arguments that are Warp arrays made with `requires_grad=True`; the others are constants. Misses pass
-    on nothing, whatever the loss makes of them. It is one launch: on the CPU, of one thread, as sums of gradients must be.
+    Arguments that are Warp arrays with `requires_grad=True` receive gradients; the others are constants. Misses contribute
+    no gradient, whatever the loss does with them. This is one launch; on the CPU it uses one thread, because gradients are
+    summed.
 
     Args:
-        scene: the scene that was asked.
-        hits: what it answered. Rays and vertices may have changed since, as long as the triangles are still the right ones.
-        origins, directions: (..., 3) as for `intersect`; of the hits' leading shape, or one vector for all rays.
-        vertices: (V, 3) of all meshes one after the other, in the scene's coordinates; None for the scene's own.
+        scene: the scene that was queried.
+        hits: its result. Rays and vertices may have changed since, as long as the rays still hit the same triangles.
+        origins, directions: (..., 3) as in `intersect`, with the hits' leading shape, or one vector for all rays.
+        vertices: (V, 3) of all meshes, concatenated, in the scene's coordinates; None for the scene's own.
+
+    Returns:
+        The hits as arrays with gradients.
 
     Raises:
-        TypeError: an argument is no array of real numbers.
+        TypeError: an argument is not an array of real numbers.
         ValueError: a wrong shape, hits of another scene, a scene of instances, or an array on another device.
     """
     from wrt.kernels.query.hit_gradients import make_kernel
 
     if scene.instances:
         raise ValueError(
-            "gradients go with scenes without instances; ask wrt.Scene(scene.flattened()), which numbers triangles through all "
+            "gradients need a scene without instances; use wrt.Scene(scene.flattened()), which numbers the triangles of all "
             "instances, for hits and gradients"
         )
     device, count, shape = scene.device, len(hits.batch.t), hits.shape or (1,)
     if hits.batch.t.device != device:
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
     if not hits.is_of(scene.state):
-        raise ValueError("hits are of another scene; pass hits of this scene")
+        raise ValueError("hits belong to another scene; pass hits of this scene")
     points = scene.exact_vertices if vertices is None else _on_device(vertices, "vertices", device)
     if points.shape != scene.exact_vertices.shape:
         raise ValueError(
-            f"vertices have the shape {points.shape}, those of the scene {scene.exact_vertices.shape}; pass all of them"
+            f"vertices have the shape {points.shape}, those of the scene {scene.exact_vertices.shape}; pass all vertices"
         )
     start, origin_stride = _ray_vectors(origins, "origins", shape, device)
     toward, direction_stride = _ray_vectors(directions, "directions", shape, device)

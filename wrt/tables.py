@@ -1,4 +1,4 @@
-"""Names resolve through tables and fail loudly."""
+"""Lookup of names in tables, with errors that list the valid names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def lookup(table: Mapping[str, Entry], name: str, argument: str) -> Entry:
 
     Raises:
         TypeError: the name is not a string.
-        ValueError: there is no such entry; the message lists those there are.
+        ValueError: there is no such entry; the message lists the existing ones.
     """
     if not isinstance(name, str):
         raise TypeError(f"{argument} must be a name, not {type(name).__name__}; choose from {', '.join(table)}")

@@ -1,4 +1,4 @@
-"""Descriptions of acceleration structures: what to build, not the built thing."""
+"""Descriptions of acceleration structures: what to build, not the built tree."""
 
 from __future__ import annotations
 
@@ -21,28 +21,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class KdTree:
-    """A kd-tree by the surface area heuristic.
+    """A kd-tree built with the surface area heuristic (SAH).
 
     Attributes:
         builder: key in `wrt.builders.kdtree.KDTREE_BUILDERS`.
-        width: triangles tested at once, 1, 2, 4, 8 or 16; None for what suits the device.
-        traversal_cost: cost of a step through an inner node.
+        width: triangles tested at once, 1, 2, 4, 8 or 16; None for the vector width of the device.
+        traversal_cost: cost of visiting an inner node.
         block_cost: cost of testing one block of `width` triangles.
         empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
-        max_depth: greatest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
-        bad_splits: splits that do not pay by themselves allowed on the way to a leaf.
-        termination: key in `wrt.builders.tree.TERMINATIONS`: "cost", "automatic" or "fixed": which splits do not pay.
-        leaf_triangles: a node of at most so many triangles is a leaf.
-        least_size: a node with no longer side is a leaf; a share of the scene's longest side, at least 0 and below 1.
-        mailbox: whether the cost is that of rays with a mailbox, which test what lies in several leaves once.
-        axis: "longest" or "round_robin": which axis the builders `spatial_median` and `object_median` split; the others
+        max_depth: largest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
+        bad_splits: how many splits on a path may increase the cost.
+        termination: when a split is bad, a key in `wrt.builders.tree.TERMINATIONS`: "cost", "automatic" or "fixed".
+        leaf_triangles: a node with at most this many triangles becomes a leaf.
+        least_size: a node whose longest side is at most this share of the scene's longest side becomes a leaf; in [0, 1).
+        mailbox: whether the cost assumes mailboxing, by which rays test a triangle in several leaves once.
+        axis: "longest" or "round_robin": the axis that the builders `spatial_median` and `object_median` split; the others
             try all three.
-        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides: mostly fewer references
-            and a cheaper tree, for a slower build; all builders can but `sorting_sweep`. Counts and inside tests are then exact
-            for rays that start within some 20 sizes of the scene from it.
+        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides. The tree usually has
+            fewer references and a lower cost, and takes longer to build. All builders but `sorting_sweep` support it.
+            Counts and inside tests are then exact for rays that start within about 20 scene sizes of the scene.
 
     Raises:
-        ValueError: unknown builder, axis or termination, a value out of its range, or a builder that does not clip.
+        ValueError: an unknown builder, axis or termination, a value out of its range, or a builder that does not support
+            clipping.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -66,7 +67,7 @@ class KdTree:
 
         if self.split_clipping and not lookup(KDTREE_BUILDERS, self.builder, "builder").clips:
             able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.clips)
-            raise ValueError(f"builder {self.builder!r} does not clip; choose from {able}, or leave split_clipping off")
+            raise ValueError(f"builder {self.builder!r} does not support split_clipping; choose from {able}, or leave it off")
         lookup(KDTREE_BUILDERS, self.builder, "builder")
         self.config(width=8)
 
@@ -94,13 +95,13 @@ class KdTree:
 
     @property
     def is_lazy(self) -> bool:
-        """Whether the tree grows as rays ask for it."""
+        """Whether the tree is built lazily, as rays visit it."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].start is not None
 
     def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
-        """Begins a tree over `triangles` that grows as rays ask for it, on `device`; width: as in `config`."""
+        """Starts a lazily built tree over `triangles` on `device`; width: as in `config`."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
         return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
@@ -108,22 +109,23 @@ class KdTree:
 
 @dataclass(frozen=True, kw_only=True)
 class Bvh:
-    """A wide bounding volume hierarchy by the surface area heuristic.
+    """A wide bounding volume hierarchy built with the surface area heuristic (SAH).
 
     Attributes:
         builder: key in `wrt.builders.bvh.BVH_BUILDERS`.
-        width: children a node and triangles tested at once, 2, 4, 8 or 16; None for what suits the device.
+        width: children of a node and triangles tested at once, 2, 4, 8 or 16; None for the vector width of the device.
         traversal_cost: cost of visiting a node.
-        block_cost: cost of testing one block of `width` triangles; None for what was best: 0.5 with 8 lanes or more, whose
-            blocks are mostly full, else 1.5.
+        block_cost: cost of testing one block of `width` triangles; None for 0.5 with 8 lanes or more, whose blocks are
+            mostly full, else 1.5.
         bins: bins along an axis, 2 to 32, for builders that bin.
-        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
-        reinsertion: rounds, from 0 to 1000, in which subtrees are put where they cost less; three gain most of what can be
-            gained. For scenes of very unequal triangles, such as buildings, which are traced up to 1.1 times as fast; scanned
-            meshes gain nothing, and their tree stays as it is. Builds take three to four times as long.
+        max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
+        reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
+            most of the gain. For scenes with triangles of very different sizes, such as buildings, traversal becomes up to
+            1.1 times as fast; scanned meshes gain nothing, and their tree stays as it is. Builds take three to four times
+            as long.
 
     Raises:
-        ValueError: unknown builder, or a value out of its range.
+        ValueError: an unknown builder, or a value out of its range.
     """
 
     kind: ClassVar[str] = "bvh"

@@ -1,4 +1,4 @@
-"""Description of a bounding volume hierarchy for rays whose directions are known."""
+"""Description of a bounding volume hierarchy for rays with known directions."""
 
 from __future__ import annotations
 
@@ -21,30 +21,35 @@ COSTS = ("pah", "sah")
 class ProjectedBvh:
     """A wide bounding volume hierarchy for the rays of influence areas (Falcone 2024).
 
-    It holds all triangles and gives every ray its hits; rays of the areas find theirs with the least work, so that is what to
-    shoot at it. `ProjectedBvh.published` has the prices and thresholds of the thesis.
+    It holds all triangles, so any ray gets its hits; rays of the areas get them with the least work.
+    `ProjectedBvh.published` has the costs and thresholds of the thesis.
 
     Attributes:
         areas: `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`, at least one.
-        shares: of the rays, one an area; None: all alike.
-        cost: "pah", boxes are weighed by projected area; "sah", by surface area, so that the areas count in `axes` alone.
-        others: share of rays in all directions, from 0 to 1, for "pah": it decides where projected areas are 0.
-        axes: "facing", "longest", "in_turn", "all", or a `wrt.builders.bvh.phases.split_axes.AxisChoice` with thresholds of its
-            own.
-        width: children a node and triangles tested at once, 2, 4, 8 or 16; None for what suits the device.
+        shares: share of the rays of each area; None: equal shares.
+        cost: "pah": boxes are weighted by projected area; "sah": by surface area, so that the areas affect only `axes`.
+        others: share of rays in all directions, in [0, 1], for "pah"; it decides where projected areas are 0.
+        axes: "facing", "longest", "in_turn", "all", or a `wrt.builders.bvh.phases.split_axes.AxisChoice` with its own
+            thresholds.
+        width: children of a node and triangles tested at once, 2, 4, 8 or 16; None for the vector width of the device.
         traversal_cost: cost of visiting a node.
-        block_cost: cost of testing one block of `width` triangles; None for what `wrt.Bvh` has.
+        block_cost: cost of testing one block of `width` triangles; None for the default of `wrt.Bvh`.
         triangle_cost: cost of testing one triangle, in place of blocks; None for blocks.
         bins: bins along an axis, 2 to 32.
-        max_leaf_triangles: most triangles in a leaf, 1 to 63; None for what suits the width.
-        leaf_cost, leaf_area, leaf_probability: a node that costs, covers or is hit at most that is a leaf, if it has no more
-            triangles than a leaf may have.
-        max_depth: greatest depth of the binary tree, if it can be held; None for what traversals have room for.
-        aware_depth: depth of the binary tree from which on nodes are split by surface area on the longest side; None for never.
+        max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
+        leaf_cost, leaf_area, leaf_probability: a node becomes a leaf if its cost, area or hit probability is at most this,
+            and it has no more triangles than a leaf may have.
+        max_depth: largest depth of the binary tree, if possible; None for the depth that traversals support.
+        aware_depth: depth of the binary tree from which nodes are split by surface area along the longest side; None for
+            never.
 
     Raises:
         TypeError: `areas` holds something else.
-        ValueError: an unknown cost or way to choose axes, or a value out of its range.
+        ValueError: an unknown cost or axis choice, or a value out of range.
+
+    References:
+        L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
+        Milano, 2024.
     """
 
     kind: ClassVar[str] = "bvh"
@@ -72,14 +77,15 @@ class ProjectedBvh:
         object.__setattr__(self, "areas", check_areas(self.areas))
         lookup(dict.fromkeys(COSTS), self.cost, "cost")
         if self.block_cost is not None and self.triangle_cost is not None:
-            raise ValueError("block_cost and triangle_cost are both given; leave one out: a leaf is paid for in one way")
+            raise ValueError("block_cost and triangle_cost are both given; leave one out: leaves have one cost")
         self.config(width=8)
 
     @classmethod
     def published(cls, areas: Any, **changes: Any) -> ProjectedBvh:
-        """Two children a node, 1 a box, 1.2 a triangle, two triangles a leaf, axes that face away from the rays, no other rays.
+        """The thesis' configuration: binary nodes, cost 1 for a box and 1.2 for a triangle, two triangles in a leaf, axes
+        that face away from the rays, no other rays.
 
-        Bins are 32 along an axis in place of 40. areas: as of the class; changes: other attributes, by name.
+        Bins are 32 along an axis instead of 40. areas: as in the class; changes: other attributes, by name.
         """
         prices = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
         return cls(areas=areas, **prices | {"axes": "facing", "bins": 32, "others": 0.0} | changes)

@@ -1,4 +1,4 @@
-"""Description of a scene's tree together with trees for its influence areas."""
+"""Description of a scene's tree together with the trees of its influence areas."""
 
 from __future__ import annotations
 
@@ -19,36 +19,44 @@ if TYPE_CHECKING:
 TOP_LEVELS = ("auto", "octree", "array")
 
 MOST_IN_ARRAY = 16
-"""Areas of an array. With 1, 3 and 20 areas of the atrium it took 9 to 30 ns a ray, an octree 20 to 90."""
+"""Largest number of areas that are searched as an array, which is then faster than an octree
+(notebooks/records/2026-11-21-influence-areas.md).
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RayAwareBvh:
-    """A bounding volume hierarchy for the whole scene and one for each influence area, made for the area's rays.
+    """A bounding volume hierarchy for the whole scene, and one for the rays of each influence area (Falcone 2024).
 
         light = wrt.PlaneInfluenceArea(position=..., direction=..., width=..., height=..., depth=...)
         scene = wrt.Scene(mesh, accelerator=wrt.RayAwareBvh(areas=[light]))
 
-    A ray that starts in an area and runs along its rays asks the area's tree first, over the triangles that touch the area, and
-    the whole scene's tree only if it leaves the area without a hit and has some way left. Hits are those of any other
-    accelerator, to the bit. Only closest hits and occlusion ask areas; counts and all hits take the whole scene's tree.
+    A ray that starts in an area and is aligned with the area's rays is first traced through the area's tree, which holds
+    the triangles that touch the area. It is traced through the whole scene's tree only if it leaves the area without a hit
+    before it ends. Hits are bit for bit those of any other accelerator. Only closest-hit and occlusion queries use areas;
+    counts and lists of all hits use the whole scene's tree.
 
     Attributes:
-        areas: 1 to 65,534 `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`; the first that fits a ray is asked. Those that
-            no triangle touches are left out. A point area takes rays from its apex on, not only from its near plane.
-        tolerance: greatest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
-        top_level: "octree", or "array": how the area of a ray is found; "auto" for an array of up to 16 areas.
-        depth: levels of the octree below its root at most, 1 to 8.
+        areas: 1 to 65,534 `wrt.PlaneInfluenceArea` and `wrt.PointInfluenceArea`; a ray belongs to the first that contains
+            it. Areas that no triangle touches are left out. A point area accepts rays that start at its apex, not only
+            beyond its near plane.
+        tolerance: largest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
+        top_level: how the area of a ray is found: "octree", "array", or "auto" for an array of up to 16 areas.
+        depth: largest number of octree levels below the root, 1 to 8.
         whole: the whole scene's tree, a `wrt.Bvh`; None for `wrt.Bvh()`.
-        local: the areas' trees: a `wrt.Bvh`, or a `wrt.ProjectedBvh` whose areas are replaced by the tree's own one; None for
-            `wrt.ProjectedBvh(areas=[area])`. They get the width of the whole scene's.
+        local: the areas' trees: a `wrt.Bvh`, or a `wrt.ProjectedBvh` whose areas are replaced by the tree's area; None for
+            `wrt.ProjectedBvh(areas=[area])`. They get the width of the whole scene's tree.
 
     Raises:
         TypeError: `areas`, `whole` or `local` holds something else.
-        ValueError: no area or too many, an unknown top level, or a value out of its range.
+        ValueError: no area or too many, an unknown top level, or a value out of range.
 
-    An octree that would take more than 1 GB (thousands of large areas at depth 8) is refused by `wrt.Scene`, with a ValueError;
-    fewer levels or an array take less.
+    `wrt.Scene` raises a ValueError for an octree of more than 1 GB (thousands of large areas at depth 8); use fewer levels
+    or an array.
+
+    References:
+        L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
+        Milano, 2024.
     """
 
     kind: ClassVar[str] = "bvh"
@@ -67,13 +75,13 @@ class RayAwareBvh:
 
         object.__setattr__(self, "areas", check_areas(self.areas))
         if len(self.areas) > MAX_AREAS:
-            raise ValueError(f"areas holds {len(self.areas)} areas; at most {MAX_AREAS} have numbers")
+            raise ValueError(f"areas holds {len(self.areas)} areas; at most {MAX_AREAS} are supported")
         if not isinstance(self.whole, Bvh | None):
             raise TypeError(f"whole must be a wrt.Bvh, not {type(self.whole).__name__}")
         if not isinstance(self.local, Bvh | ProjectedBvh | None):
             raise TypeError(f"local must be a wrt.Bvh or a wrt.ProjectedBvh, not {type(self.local).__name__}")
         if not 0.0 <= self.tolerance < 90.0:
-            raise ValueError(f"tolerance is {self.tolerance}; it must be from 0 up to, not including, 90 degrees")
+            raise ValueError(f"tolerance is {self.tolerance}; it must be in [0, 90), in degrees")
         lookup(dict.fromkeys(TOP_LEVELS), self.top_level, "top_level")
         if not 1 <= self.depth <= MAX_DEPTH:
             raise ValueError(f"depth is {self.depth}; it must be from 1 to {MAX_DEPTH}, or use top_level='array'")
@@ -81,7 +89,7 @@ class RayAwareBvh:
 
     @property
     def octree_depth(self) -> int:
-        """Levels of the octree below its root at most, 0 for an array."""
+        """Largest number of octree levels below the root; 0 for an array."""
         is_array = len(self.areas) <= MOST_IN_ARRAY if self.top_level == "auto" else self.top_level == "array"
         return 0 if is_array else self.depth
 

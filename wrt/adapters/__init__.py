@@ -1,7 +1,7 @@
-"""The shapes of other libraries' ray tracers, answered by `wrt`: code written for them runs on as it is.
+"""Drop-in replacements for the ray tracers of other libraries: code written for them runs unchanged on `wrt`.
 
     mesh.ray = wrt.RayMeshIntersector(mesh)         # trimesh's intersector
     scene = wrt.RaycastingScene()                   # Open3D's scene, on NumPy arrays
 
-An adapter translates arguments and answers and computes nothing about rays and triangles itself.
+An adapter translates arguments and results; all geometry is computed by `wrt.Scene`.
 """

@@ -1,11 +1,12 @@
-"""Open3D's `t.geometry.RaycastingScene`, method for method, on NumPy arrays and answered by a `wrt.Scene`.
+"""Open3D's `t.geometry.RaycastingScene`, method for method, on NumPy arrays and a `wrt.Scene`.
 
-Rays are one array (..., 6) of origin and direction; answers are dictionaries with Open3D's keys, shapes and types. What
-differs: arrays are NumPy's, so that there is no `.numpy()` to call on them; each crossing is counted exactly once, at edges and
-vertices too; coincident triangles are hit each; the lists of hits are sorted by t; float64 rays are taken as they are.
+Rays are one array (..., 6) of origin and direction; results are dictionaries with Open3D's keys, shapes and types.
+Differences: arrays are NumPy's, without a `.numpy()` method; each crossing is counted exactly once, also at edges and
+vertices; each of several coincident triangles is hit; lists of hits are sorted by t; float64 rays are not rounded to
+float32.
 
-Distances (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not here: for
-inside or outside there is `wrt.Scene.contains`.
+Distance queries (`compute_distance`, `compute_signed_distance`, `compute_closest_points`, `compute_occupancy`) are not
+implemented. Use `wrt.Scene.contains` for inside tests.
 
 References:
     Q.-Y. Zhou, J. Park, V. Koltun: Open3D: A modern library for 3D data processing. arXiv:1801.09847, 2018 (the interface).
@@ -28,13 +29,17 @@ if TYPE_CHECKING:
 class RaycastingScene:
     """Ray queries of several meshes, with the methods of Open3D's `t.geometry.RaycastingScene`.
 
-    `rays` is (..., 6), real: origin and direction, of any length; t counts in units of it. Any leading shape is kept. A ray
-    with a NaN or an infinity, or with a direction of zero, misses; so does every ray in an empty scene. The tree is built at
-    the first query after triangles were added. Open3D's distance queries are left out.
+    `rays` is a real array (..., 6) of origins and directions of any length; t is in units of that length. Any leading shape
+    is kept. A ray with a NaN or an infinity, or with a zero direction, misses, as does every ray in an empty scene. The
+    tree is built by the first query after triangles were added. Open3D's distance queries are not implemented.
 
     Args:
-        nthreads: threads on the CPU, 0 for `wrt.get_num_threads()`; every query may ask for its own number.
+        nthreads: CPU threads, 0 for `wrt.get_num_threads()`; every query may pass its own number.
         device: a Warp device or its name; None for Warp's default device.
+
+    Raises:
+        TypeError: `nthreads` is not an int.
+        ValueError: `nthreads` is negative.
     """
 
     INVALID_ID = 0xFFFFFFFF
@@ -85,13 +90,17 @@ class RaycastingScene:
     def cast_rays(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
         """Closest hits.
 
+        Args:
+            rays: (..., 6) real.
+            nthreads: CPU threads; 0 for the scene's number.
+
         Returns:
             `t_hit` (...) float32, inf for a miss; `geometry_ids` and `primitive_ids` (...) uint32, `INVALID_ID` for a miss;
-            `primitive_uvs` (..., 2) float32, weights of the triangle's second and third vertex; `primitive_normals`
-            (..., 3) float32, unit, by the triangle's winding. The last two are 0 for a miss.
+            `primitive_uvs` (..., 2) float32, weights of the triangle's second and third vertex; `primitive_normals` (...,
+            3) float32, unit vectors from the triangle's winding. The last two are 0 for a miss.
 
         Raises:
-            TypeError: rays are no array of real numbers, or nthreads is no int.
+            TypeError: rays are not an array of real numbers, or nthreads is not an int.
             ValueError: wrong shape, or a negative nthreads.
         """
         origins, directions = _split(rays)
@@ -115,7 +124,9 @@ class RaycastingScene:
             }
 
     def test_occlusions(self, rays: Any, tnear: float = 0.0, tfar: float = float("inf"), nthreads: int = 0) -> np.ndarray:
-        """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and a negative or NaN range."""
+        """Whether anything is hit at tnear <= t <= tfar: (...) bool. Errors as in `cast_rays`, and for a negative or NaN
+        range.
+        """
         origins, directions = _split(rays)
         with self._threads(nthreads):
             if self.scene is None:
@@ -131,10 +142,10 @@ class RaycastingScene:
             return self.scene.count(origins, directions)
 
     def list_intersections(self, rays: Any, nthreads: int = 0) -> dict[str, np.ndarray]:
-        """All M hits of N rays, ray after ray, each ray's sorted by t.
+        """All M hits of N rays, ray after ray, sorted by t for each ray.
 
         Returns:
-            `ray_splits` (N + 1,) uint32, where each ray's hits begin; `ray_ids` (M,) uint32, index of the ray in the
+            `ray_splits` (N + 1,) uint32, index of each ray's first hit; `ray_ids` (M,) uint32, index of the ray in the
             flattened batch; `t_hit` (M,) float32; `geometry_ids` and `primitive_ids` (M,) uint32; `primitive_uvs` (M, 2)
             float32. Errors as in `cast_rays`.
         """
@@ -158,22 +169,22 @@ class RaycastingScene:
 
     @staticmethod
     def create_rays_pinhole(*args: Any, **kwargs: Any) -> np.ndarray:
-        """Rays through the middles of a pinhole camera's pixels: (height_px, width_px, 6) float32.
+        """Rays through the pixel centres of a pinhole camera: (height_px, width_px, 6) float32.
 
         Either `create_rays_pinhole(intrinsic_matrix, extrinsic_matrix, width_px, height_px)` or
-        `create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)`, as in Open3D: directions have length 1 along the
-        optical axis, x grows from column to column, y from row to row. By the second form rows grow towards `up`.
+        `create_rays_pinhole(fov_deg, center, eye, up, width_px, height_px)`, as in Open3D. Directions have length 1 along
+        the optical axis; x grows from column to column, y from row to row. In the second form, rows grow towards `up`.
 
         Args:
             intrinsic_matrix: (3, 3), upper triangular, in pixels.
             extrinsic_matrix: (4, 4), rigid, from the world to the camera.
-            fov_deg: horizontal field of view in degrees, between 0 and 180, both excluded.
-            center, eye, up: (3,): the point in the picture's middle, the camera's position, the direction of growing rows.
-            width_px, height_px: pixels.
+            fov_deg: horizontal field of view in degrees, in (0, 180).
+            center, eye, up: (3,): the point at the image centre, the camera's position, the direction of growing rows.
+            width_px, height_px: size of the image in pixels.
 
         Raises:
             TypeError: other arguments than these.
-            ValueError: wrong shapes, matrices without an inverse, no view, no pixels.
+            ValueError: wrong shapes, singular matrices, a zero view direction or one parallel to `up`, or an empty image.
         """
         if len(args) + len(kwargs) == 4:
             return _rays_of_matrices(*args, **kwargs)
@@ -195,7 +206,7 @@ def _as_threads(nthreads: int) -> int:
 
 
 def _as_numpy(values: Any) -> Any:
-    """An Open3D tensor, or any other with a method `numpy`, as a NumPy array; everything else as it is."""
+    """An Open3D tensor, or any object with a method `numpy`, as a NumPy array; everything else unchanged."""
     return values.numpy() if callable(getattr(values, "numpy", None)) else values
 
 
@@ -227,7 +238,7 @@ def _split(rays: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _rays_of_matrices(intrinsic_matrix: Any, extrinsic_matrix: Any, width_px: int, height_px: int) -> np.ndarray:
-    """Rays R^-1 K^-1 (x, y, 1) from the point that the camera's matrix [R t] takes to 0."""
+    """Rays R^-1 K^-1 (x, y, 1) from the point that the camera matrix [R t] maps to 0."""
     inverses = []
     for name, matrix, size in (("intrinsic_matrix", intrinsic_matrix, 3), ("extrinsic_matrix", extrinsic_matrix, 4)):
         matrix = np.asarray(_as_numpy(matrix), dtype=np.float64)

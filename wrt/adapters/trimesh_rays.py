@@ -1,11 +1,11 @@
 """trimesh's ray queries, method for method, answered by a `wrt.Scene`.
 
-trimesh has two intersectors with the same methods: one in NumPy with an R-tree, one that asks Embree again from behind each
-hit. This one takes the arguments of both and returns arrays of the same types in the same order. What differs is what they
-leave open or get wrong: every crossing is listed exactly once, at edges and vertices too; there is no bound on the hits of a
-ray; rows come ray by ray, nearest first.
+trimesh has two intersectors with the same methods: one uses NumPy and an R-tree; the other calls Embree again from behind
+each hit. This one takes the arguments of both and returns arrays of the same types in the same order. It differs where they
+are undefined or wrong: every crossing is listed exactly once, also at edges and vertices; the number of hits of a ray is
+not limited; rows are sorted by ray, then by distance.
 
-The scene is built at the first query, and again at the first query after the mesh has changed: its hash says so.
+The scene is built by the first query, and rebuilt by the first query after the mesh has changed, as detected by its hash.
 
 References:
     M. Dawson-Haggerty et al.: trimesh, https://trimesh.org (the interface).
@@ -29,19 +29,23 @@ if TYPE_CHECKING:
 
 
 class RayMeshIntersector:
-    """Ray queries of one mesh, with the methods of `trimesh.ray.ray_triangle.RayMeshIntersector` and its Embree twin.
+    """Ray queries of one mesh, with the methods of `trimesh.ray.ray_triangle.RayMeshIntersector` and its Embree
+    counterpart.
 
-    `mesh.ray = wrt.RayMeshIntersector(mesh)` makes the mesh, and what trimesh computes with rays, use it. It follows changes of
-    the mesh, pickles without its tree, and a copy of it asks the same mesh, as trimesh's do. `mesh.copy()` makes a new mesh
-    with trimesh's own intersector. Where trimesh takes the class, as in `trimesh.ray.ray_pyembree.RayMeshIntersector`, this one
-    can take its place: then all meshes have it, primitives too.
+    `mesh.ray = wrt.RayMeshIntersector(mesh)` makes the mesh, and trimesh's functions that use its rays, use this one. As
+    with trimesh's intersectors, it follows changes of the mesh, pickles without its tree, and a copy of it refers to the
+    same mesh. `mesh.copy()` makes a new mesh with trimesh's own intersector. To give all meshes this intersector,
+    primitives included, replace the class that trimesh uses, such as `trimesh.ray.ray_pyembree.RayMeshIntersector`.
 
-    Rays: `ray_origins` and `ray_directions` are both (n, 3), directions of any length. Hits count from the origin on, that
-    included; a ray with a NaN or an infinity, or with a direction of zero, misses. A mesh without faces is never hit.
+    `ray_origins` and `ray_directions` are both (n, 3), directions of any length. Hits count if t >= 0. A ray with a NaN or
+    an infinity, or with a zero direction, misses. A mesh without faces is never hit.
 
     Args:
         mesh: a trimesh.Trimesh (or a `wrt.TriangleMesh`).
-        accelerator, device, num_threads: as for `wrt.Scene`.
+        accelerator, device, num_threads: as in `wrt.Scene`.
+
+    Raises:
+        TypeError: mesh has no vertices or faces.
     """
 
     def __init__(
@@ -52,9 +56,11 @@ class RayMeshIntersector:
         device: str | None = None,
         num_threads: int | None = None,
     ) -> None:
-        # of its class: trimesh makes a mesh's intersector before a primitive can compute its faces
+        # Tests the class: trimesh makes a mesh's intersector before a primitive can compute its faces.
         if not all(hasattr(type(mesh), name) or hasattr(mesh, name) for name in ("vertices", "faces")):
-            raise TypeError(f"mesh must be a trimesh.Trimesh, not {type(mesh).__name__}; make one of a scene with to_mesh()")
+            raise TypeError(
+                f"mesh must be a trimesh.Trimesh, not {type(mesh).__name__}; convert a trimesh.Scene with to_mesh()"
+            )
         self.mesh = mesh
         self._options = {"accelerator": accelerator, "device": device, "num_threads": num_threads}
         self._built: tuple[int, Scene | None] | None = None
@@ -73,7 +79,7 @@ class RayMeshIntersector:
 
     @property
     def scene(self) -> Scene | None:
-        """The `wrt.Scene` of the mesh as it is now; None if the mesh has no faces."""
+        """The `wrt.Scene` of the mesh in its present state; None if the mesh has no faces."""
         from wrt.meshes.mesh import TriangleMesh
         from wrt.scene.scene import Scene
 
@@ -98,17 +104,17 @@ class RayMeshIntersector:
 
         Args:
             ray_origins, ray_directions: (n, 3).
-            multiple_hits: all hits of a ray, or only the first.
-            max_hits: at most so many of the nearest hits of each ray, at least 1; None for all.
-            return_locations: whether to return where they lie.
+            multiple_hits: whether to return all hits of a ray, or only the first.
+            max_hits: largest number of hits of each ray, the nearest ones; at least 1, or None for all.
+            return_locations: whether to return the hit points.
 
         Returns:
-            index_tri: (h,) int64, indices of faces; ray by ray, nearest first.
+            index_tri: (h,) int64, indices of faces, sorted by ray, then by distance.
             index_ray: (h,) int64, indices of rays, ascending.
-            locations: (h, 3) float64, only if asked for.
+            locations: (h, 3) float64, only if requested.
 
         Raises:
-            TypeError: an argument is of a wrong type.
+            TypeError: an argument has a wrong type.
             ValueError: the rays' shapes are not (n, 3) and equal, or max_hits is below 1.
         """
         from wrt.query.all_hits import check_max_hits
@@ -158,10 +164,10 @@ class RayMeshIntersector:
         return scene.occluded(origins, directions)
 
     def contains_points(self, points: Any) -> np.ndarray:
-        """Which points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
+        """Whether points (n, 3) are inside the mesh: (n,) bool; see `wrt.Scene.contains`.
 
         Raises:
-            TypeError: points are no array of real numbers.
+            TypeError: points are not an array of real numbers.
             ValueError: points are not (n, 3).
         """
         points = _as_rows(points, "points")
@@ -172,7 +178,7 @@ class RayMeshIntersector:
 def locate(
     scene: Scene, origins: np.ndarray, directions: np.ndarray, ray: np.ndarray, primitive: np.ndarray, uv: np.ndarray
 ) -> np.ndarray:
-    """Points (h, 3) float64 where the rays with these numbers meet these triangles of a scene of one mesh."""
+    """Points (h, 3) float64 where rays meet triangles, both given by index, of a scene of one mesh."""
     from wrt.kernels.query.hit_attributes import meet_planes
 
     (mesh,), device = scene.meshes, scene.device
@@ -206,7 +212,7 @@ def _as_rows(values: Any, name: str) -> np.ndarray:
     except ValueError as error:
         raise ValueError(f"{name} must be an array of shape (n, 3): {error}") from error
     if array.ndim != 2 or array.shape[1] != 3:
-        raise ValueError(f"{name} must have shape (n, 3), not {array.shape}; reshape to one row for each")
+        raise ValueError(f"{name} must have shape (n, 3), not {array.shape}; reshape it to one row each")
     if array.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, not {array.dtype}; convert it to float64")
     return array if array.dtype in (np.float32, np.float64) else array.astype(np.float64)

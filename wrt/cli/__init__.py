@@ -1,4 +1,4 @@
-"""The command `wrt`: pictures, figures and lists without a line of Python.
+"""The command `wrt`: images, statistics and lists from the command line.
 
     wrt render -o teapot.png        the built-in teapot
     wrt render bunny.ply -o b.png   any mesh file
@@ -7,8 +7,8 @@
     wrt list                        every builder, traversal, triangle test and built-in scene
     wrt bench bunny.ply             against other ray tracers
 
-Errors are one line on stderr. Exit status: 0, or 2 for a wrong call, 1 for what went wrong on the way, 130 for Ctrl-C.
-Commands are imported when they are called: `wrt --help` answers at once.
+An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. Commands are
+imported when they are called, so that `wrt --help` answers at once.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ class LazyCommand(click.Command):
     """A command that is imported only when it is called.
 
     Args:
-        name: its name.
-        module: where it is defined.
-        attribute: its name there.
+        name: name of the command.
+        module: module that defines it.
+        attribute: its name in the module.
         help: its line in the list of commands.
     """
 
@@ -37,12 +37,12 @@ class LazyCommand(click.Command):
         self.module, self.attribute = module, attribute
 
     def make_context(self, *args: Any, **kwargs: Any) -> click.Context:
-        """The context of the real command, which click goes on with."""
+        """The context of the real command, which click continues with."""
         return getattr(import_module(self.module), self.attribute).make_context(*args, **kwargs)
 
 
 class CommandLine(click.Group):
-    """A group of commands whose errors are one line each."""
+    """A group of commands that print errors as one line."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Runs a command and ends the process with its exit status."""
@@ -58,7 +58,7 @@ class CommandLine(click.Group):
             print("interrupted", file=sys.stderr)
             sys.exit(130)
         except MemoryError:
-            _fail("out of memory; take a smaller mesh or picture", 1)
+            _fail("out of memory; use a smaller mesh or image", 1)
         except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
             _fail(str(error) or type(error).__name__, 1)
         sys.exit(status if isinstance(status, int) else 0)
@@ -77,8 +77,8 @@ def main() -> None:
 
 
 for command in (
-    LazyCommand("render", "wrt.cli.render", "render", "Renders a mesh file or a built-in scene to a picture."),
-    LazyCommand("info", "wrt.cli.figures", "info", "Shows figures of a mesh and of its tree."),
+    LazyCommand("render", "wrt.cli.render", "render", "Renders a mesh file or a built-in scene to an image."),
+    LazyCommand("info", "wrt.cli.figures", "info", "Shows statistics of a mesh and of its tree."),
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
     LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),

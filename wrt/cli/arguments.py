@@ -1,4 +1,4 @@
-"""What the commands have in common: their arguments, the mesh and the scene, Warp's start, the progress bar."""
+"""Parts shared by the commands: arguments, loading of meshes and scenes, Warp's initialisation, progress bars."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
 class Vector(click.ParamType):
-    """x,y,z"""
+    """A vector x,y,z."""
 
-    name = "x,y,z"
+    name = """A vector x,y,z."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):
@@ -39,7 +39,7 @@ class Vector(click.ParamType):
 
 
 class UpDirection(Vector):
-    """x, y, z, -x, -y, -z, or a vector"""
+    """x, y, z, -x, -y, -z, or a vector."""
 
     name = "axis"
 
@@ -60,26 +60,30 @@ def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 
 
 def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """What CPU kernels are compiled for (`wrt.kernels.runtime.target`): set while the arguments are read, before Warp
+    """Options for the target of CPU kernels (`wrt.kernels.runtime.target`); set while arguments are parsed, before Warp
     starts."""
     shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
-    lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or what suits the target]"
+    lanes = "Lanes of CPU kernels: 4, 8 or 16. [WRT_WIDTH, or the target's]"
     command = click.option("--lanes", type=int, help=lanes, **shared)(command)
     return click.option("--target", help=f"CPU to compile for: {name}", **shared)(command)
 
 
 def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """What is loaded, and the scene that is made of it."""
+    """Options for the mesh to load, and for the scene."""
     for option in reversed(
         (
             click.argument("model", required=False, type=click.Path(path_type=Path)),
-            click.option("--scene", help=f"Built-in scene, if there is no MODEL; see `wrt list`. [{DEFAULT_SCENE}]"),
-            click.option("--level", type=click.IntRange(1), help="Fineness of the teapot, the same as --option level=N."),
-            click.option("--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the scene; repeat."),
+            click.option("--scene", help=f"Built-in scene, if no MODEL is given; see `wrt list`. [{DEFAULT_SCENE}]"),
+            click.option(
+                "--level", type=click.IntRange(1), help="Tessellation level of the teapot, the same as --option level=N."
+            ),
+            click.option(
+                "--option", "options", multiple=True, metavar="KEY=VALUE", help="Option of the scene; may be repeated."
+            ),
             click.option("--accelerator", default="auto", show_default=True, help="auto, bvh or kdtree."),
             click.option("--device", help="cpu, cuda:0, ...  [Warp's default]"),
-            click.option("--threads", type=click.IntRange(1, 1024), help="Threads on the CPU. [all cores]"),
+            click.option("--threads", type=click.IntRange(1, 1024), help="CPU threads. [all cores]"),
             target_options,
         )
     ):
@@ -88,7 +92,7 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | None]:
-    """The mesh of the MODEL, or of the built-in scene, and in that case its entry in the table."""
+    """The mesh of MODEL, or that of the built-in scene and its entry in the table."""
     from wrt.meshes.mesh import TriangleMesh
     from wrt.scenes import BUILTIN_SCENES, build
 
@@ -108,7 +112,7 @@ def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | No
 
 
 def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
-    """Options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), true, false, or else strings."""
+    """Parses options KEY=VALUE; values are Python literals (16, 0.5, (6, 3)), true, false, or else strings."""
     options: dict[str, Any] = {} if level is None else {"level": level}
     for pair in pairs:
         key, equals, text = pair.partition("=")
@@ -122,7 +126,7 @@ def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
 
 
 def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "auto") -> Scene:
-    """The scene, with the accelerator, the device and the threads that were asked for."""
+    """The scene, with the requested accelerator, device and number of threads."""
     from wrt.accelerators.accelerator import resolve_accelerator
     from wrt.scene.scene import Scene
 
@@ -135,7 +139,7 @@ def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "au
 
 
 def check_name(argument: str, name: str) -> str:
-    """An entry of the table of that argument, or "auto"."""
+    """Checks that a name is "auto" or an entry of the argument's table."""
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -147,7 +151,7 @@ def check_name(argument: str, name: str) -> str:
 
 
 def start_warp(device: str | None) -> None:
-    """Starts Warp without its log lines, its native library's remark that there is no CUDA included; checks the device."""
+    """Initialises Warp without its log lines, including its native library's message about missing CUDA; checks the device."""
     import warp
 
     warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)
@@ -163,12 +167,12 @@ def start_warp(device: str | None) -> None:
         os.close(null)
     names = [known.alias for known in warp.get_devices()]
     if device is not None and device not in (*names, "cuda" if len(names) > 1 else "cpu"):
-        raise click.BadParameter(f"{device!r} is not there; choose from {', '.join(names)}", param_hint="--device")
+        raise click.BadParameter(f"{device!r} does not exist; choose from {', '.join(names)}", param_hint="--device")
 
 
 @contextmanager
 def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
-    """A bar on stderr, if that is a terminal."""
+    """A progress bar on stderr, if that is a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -182,7 +186,7 @@ def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
 
 @contextmanager
 def busy(title: str) -> Iterator[None]:
-    """A spinner on stderr, if that is a terminal, while something of unknown length is under way."""
+    """A spinner on stderr, if that is a terminal, for work of unknown length."""
     if not sys.stderr.isatty():
         yield
         return

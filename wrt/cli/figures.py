@@ -1,4 +1,4 @@
-"""`wrt info` and `wrt list`: figures and lists as tables, or as JSON."""
+"""`wrt info` and `wrt list`: statistics and lists as tables, or as JSON."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ HISTOGRAM_ROWS, HISTOGRAM_WIDTH = 24, 40
 
 @click.command()
 @model_options
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def info(as_json: bool, **given: Any) -> None:
-    """Shows what is in MODEL (or in a built-in scene), figures of its tree, and what its kernels are compiled for."""
+    """Shows statistics of MODEL (or of a built-in scene), of its tree, and what its kernels are compiled for."""
     start_warp(given["device"])
     mesh, _ = load_mesh(given)
     scene = make_scene(mesh, given)
@@ -33,7 +33,7 @@ def info(as_json: bool, **given: Any) -> None:
 
 
 def _cpu() -> dict[str, Any]:
-    """This CPU, and what kernels for it are compiled for."""
+    """This CPU, and the target of its kernels."""
     from wrt.kernels.runtime import pool
     from wrt.kernels.runtime.cores import available_cores
     from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
@@ -44,7 +44,7 @@ def _cpu() -> dict[str, Any]:
 
 
 @click.command("list")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def list_tables(as_json: bool) -> None:
     """Lists every builder, traversal and triangle test with its paper, and the built-in scenes."""
     tables = _all_tables()
@@ -89,7 +89,7 @@ def _rows(table: Mapping[str, Any], columns: tuple[str, ...]) -> list[dict[str, 
 
 
 def _figures(title: str, values: Any) -> Table:
-    """Names and values; dicts within dicts become names with a dot. A single value is a table of its own."""
+    """A table of names and values; keys of nested dicts are joined by dots. A single value becomes a table of its own."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
@@ -104,7 +104,7 @@ def _figures(title: str, values: Any) -> Table:
 
 
 def _histogram(title: str, counts: list[float]) -> Table:
-    """Counts of 0, 1, 2 ... with a bar each; neighbours are added up where there are too many."""
+    """A table of the counts of 0, 1, 2 ... with a bar each; neighbouring rows are added up where there are too many."""
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", title_style="bold", show_header=False)
@@ -119,7 +119,7 @@ def _histogram(title: str, counts: list[float]) -> Table:
 
 
 def _text(value: Any) -> str:
-    """A value as people read it."""
+    """A value, formatted for a table."""
     if value is None:
         return "-"
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""`wrt render`: a picture of a mesh file or of a built-in scene."""
+"""`wrt render`: an image of a mesh file or of a built-in scene."""
 
 from __future__ import annotations
 
@@ -29,34 +29,36 @@ if TYPE_CHECKING:
 
 Y_UP_FORMATS = {".glb", ".gltf", ".obj", ".off", ".ply"}
 GROUND_SIZE = 32.0
-"""Side of the ground under a model, in diagonals of the model."""
+"""Side of the ground under a model, in diagonals of the model's bounding box."""
 
 
 @click.command()
 @model_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Picture to write: .png, .jpg, .npy ...")
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Image to write: .png, .jpg, .npy ...")
 @click.option("--width", default=800, show_default=True, type=click.IntRange(1), help="Pixels.")
 @click.option("--height", default=600, show_default=True, type=click.IntRange(1), help="Pixels.")
-@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays a pixel.")
-@click.option("--ambient-samples", default=16, show_default=True, type=click.IntRange(0), help="For each camera ray; 0: none.")
+@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays per pixel.")
+@click.option(
+    "--ambient-samples", default=16, show_default=True, type=click.IntRange(0), help="Ambient rays per camera ray; 0: none."
+)
 @click.option(
     "--ambient-distance",
     type=click.FloatRange(0, min_open=True),
-    help="Reach of these rays.  [inside a scene a tenth of its size, else no limit]",
+    help="Length of ambient rays.  [inside a scene a tenth of its size, else no limit]",
 )
 @click.option("--camera", type=Vector(), help="Position.  [the scene's, or one that frames the MODEL]")
-@click.option("--look-at", type=Vector(), help="Middle of the picture.")
+@click.option("--look-at", type=Vector(), help="Point at the image centre.")
 @click.option("--up", type=UpDirection(), help="x, y, z, -x ... or x,y,z.  [MODEL: y for glTF, OBJ, PLY, OFF, else z]")
-@click.option("--fov", type=click.FloatRange(0, 180, min_open=True, max_open=True), help="Vertical, in degrees.")
+@click.option("--fov", type=click.FloatRange(0, 180, min_open=True, max_open=True), help="Vertical field of view in degrees.")
 @click.option("--light", type=Vector(), help="Position.  [the scene's, or over the camera's left shoulder]")
 @click.option("--shadows/--no-shadows", default=True, show_default=True)
-@click.option("--smooth/--flat", default=True, show_default=True, help="Smooth normals, or every facet.")
-@click.option("--ground/--no-ground", default=False, show_default=True, help="Puts a plane under the MODEL.")
+@click.option("--smooth/--flat", default=True, show_default=True, help="Interpolate normals, or show facets.")
+@click.option("--ground/--no-ground", default=False, show_default=True, help="Put a plane under the MODEL.")
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--traversal", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
-@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Of the samples' pattern.")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the sample pattern.")
 def render(output: Path, ground: bool, **given: Any) -> None:
-    """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to a picture."""
+    """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image."""
     start_warp(given["device"])
     from wrt.imaging.image_files import check_path, save_image
     from wrt.imaging.rendering import render as render_image
@@ -69,7 +71,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     mesh, builtin = load_mesh(given)
     up = given["up"] or (builtin.up if builtin else _up_of_file(given["model"]))
     if ground and builtin:
-        raise click.UsageError("--ground goes with a MODEL; built-in scenes bring their own")
+        raise click.UsageError("--ground needs a MODEL; built-in scenes have their own ground")
     scene = make_scene([mesh, _ground(mesh, up)] if ground else mesh, given)
     camera = _camera(mesh, builtin, up, given)
     start = time.perf_counter()
@@ -93,7 +95,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
 
 
 def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:
-    """The scene's camera, or one that frames the model, with what was given in place of its own."""
+    """The camera of the built-in scene, or one that frames the model, with the given options in place of its own."""
     from wrt.imaging.cameras import PinholeCamera
 
     width, height = given["width"], given["height"]
@@ -112,19 +114,19 @@ def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, .
 
 
 def _ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:
-    """No limit outdoors. Where the camera stands inside the scene's box all would be dark: a tenth of its diagonal."""
+    """None (no limit), but a tenth of the scene's diagonal if the camera is inside its box, where all would be dark."""
     low, high = scene.bounds
     inside = ((low < camera.position) & (camera.position < high)).all()
     return 0.1 * float(((high - low) ** 2).sum() ** 0.5) if inside else None
 
 
 def _up_of_file(path: Path) -> tuple[float, ...]:
-    """Model formats of computer graphics have y up by custom (glTF by its standard), those of engineering z."""
+    """Up axis by file format: y for formats of computer graphics (in glTF by standard), z for engineering formats."""
     return UP_NAMES["y" if path.suffix.lower() in Y_UP_FORMATS else "z"]
 
 
 def _ground(mesh: TriangleMesh, up: tuple[float, ...]) -> TriangleMesh:
-    """A square across `up` under the mesh."""
+    """A square under the mesh, orthogonal to `up`."""
     import numpy as np
 
     from wrt.meshes.mesh import TriangleMesh

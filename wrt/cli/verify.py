@@ -1,4 +1,4 @@
-"""`wrt verify`: a mesh file against brute force, on this machine."""
+"""`wrt verify`: compares hits on a mesh with brute force, on this machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from wrt.cli.arguments import busy, check_name, load_mesh, make_scene, model_opt
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--samples", default=1000, show_default=True, type=click.IntRange(4), help="Rays, a quarter of each kind.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Of the rays.")
-@click.option("--json", "as_json", is_flag=True, help="One JSON object instead of tables.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def verify(triangle_test: str, samples: int, seed: int, as_json: bool, **given: Any) -> int:
     """Checks hits on MODEL (or on a built-in scene) against brute force in float64.
 
@@ -38,7 +38,7 @@ def verify(triangle_test: str, samples: int, seed: int, as_json: bool, **given: 
 
 
 def check_test(name: str) -> None:
-    """Refuses a name that is in no table, and a test whose rays must share their origin: these have origins of their own."""
+    """Refuses an unknown name, and a test that needs a shared origin: the rays of this check have different origins."""
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     if check_name("triangle_test", name) != "auto" and TRIANGLE_TESTS[name].needs_shared_origin:

@@ -1,15 +1,16 @@
-"""Tracing by influence areas: each ray by the tree of its area as far as that answers, the rest by the whole scene's tree.
+"""Tracing with influence areas: each ray in the tree of its area as far as that is valid, then in the whole scene's tree.
 
-`wrt.kernels.influence.area_assignment` says why hits are those of any other tree, to the bit. Here is the way of a batch, which
-keeps the speed of the engine, as every part of it is a batch of its own, traced by the same plan:
+`wrt.kernels.influence.area_assignment` explains why hits are bit for bit those of any other tree. A batch is divided into parts
+that are traced as batches, with the same plan, so that packets and streams keep their speed:
 
     assign   each ray finds its area and where it leaves it
-    sort     rays are counted, scanned and listed area by area (the one round trip to the host: how many each area has)
-    local    each area's rays, cut where they leave, are gathered, traced through the area's tree and scattered back
+    sort     rays are counted, scanned and listed by area (one round trip to the host: the number of rays of each area)
+    local    each area's rays, limited to where they leave, are gathered, traced through the area's tree and scattered back
     rest     rays without an area, and those that left theirs without a hit, are gathered and traced through the scene's
+    tree
 
-A batch that is all of one area, or mostly of the only one, as the shadow rays of a light often are, or of none, is traced where
-it is: nothing is moved, and a picture stays one.
+If all rays belong to one area or to none, or most belong to the only area, as with the shadow rays of a light, the batch is
+traced in place. An image then keeps its rows and columns.
 """
 
 from __future__ import annotations
@@ -38,22 +39,23 @@ if TYPE_CHECKING:
 
 
 CHUNK, CUDA_CHUNK = 4096, 64
-"""Rays whose areas an item finds."""
+"""Rays per work item of the assignment, on the CPU and on CUDA."""
 
 MOST_ALONE = 0.3
-"""Share of rays without an area up to which a batch is not taken apart for the only area."""
+"""Largest share of rays without an area at which a batch is traced in place through the only area."""
 
 
 @dataclass(frozen=True)
 class AreaTrees:
-    """The influence areas of a scene that have triangles, and a tree for each.
+    """The influence areas of a scene that contain triangles, and a tree for each.
 
     Attributes:
-        areas: those of the accelerator's that some triangle touches.
-        scenes: for each, the scene with the area's tree.
-        triangles: for each, the triangles of its tree.
-        top: finds a ray's area.
-        low, high: corners, relative to the scene's centre, of the box that holds all hits of affine rays, rounding included.
+        areas: the accelerator's areas that some triangle touches.
+        scenes: for each area, the scene with the area's tree.
+        triangles: for each area, the number of triangles in its tree.
+        top: finds the area of a ray.
+        low, high: corners, relative to the scene's centre, of a box that contains all hits of rays with an area, including
+            rounding.
     """
 
     areas: tuple[InfluenceArea, ...]
@@ -69,7 +71,7 @@ class AreaTrees:
 
     @property
     def bytes(self) -> int:
-        """Memory of the areas' trees and of what finds them; the triangle records come on top (`Scene.record_bytes`)."""
+        """Bytes of the areas' trees and of the structure that finds them, without triangle records (`Scene.record_bytes`)."""
         return self.top.bytes + sum(scene.tree.bytes for scene in self.scenes)
 
 
@@ -77,8 +79,8 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
     """The trees of the accelerator's areas; None if no triangle touches any of them.
 
     Args:
-        scene: with the whole scene's tree.
-        triangles: on the CPU.
+        scene: the scene, with the tree over all triangles.
+        triangles: bounding boxes of the triangles, on the CPU.
     """
     accelerator, (low, high) = scene.accelerator, scene.bounds
     touch = touch_of(accelerator.areas, scene.center)
@@ -105,7 +107,7 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
 def trace_by_area(
     scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool
 ) -> tuple[DeviceHits, wp.array | None]:
-    """Closest hits or occlusion, and each ray's work if it is to be counted: that in its area and in the rest together."""
+    """Closest hits or occlusion, and each ray's work if it is counted, summed over the area's tree and the scene's."""
     local, cuts = scene.area_trees, assign(scene, rays)
     if cuts.alone == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
@@ -127,13 +129,14 @@ def trace_by_area(
 
 @dataclass
 class Cuts:
-    """For each ray of a batch: its area, where that ceases to answer, and where the rest begins (`assign_rays`).
+    """For each ray of a batch: its area, where that ceases to be valid, and where the rest of the ray begins
+    (`assign_rays`).
 
     Attributes:
         area, cut, rest: (rays,).
         left: number of rays that leave their areas before they end.
         alone: number of rays without an area.
-        least, greatest: area of all rays; the number of areas stands for none.
+        least, greatest: smallest and largest area index of all rays; the number of areas stands for none.
     """
 
     area: wp.array
@@ -145,9 +148,10 @@ class Cuts:
     greatest: int
 
     def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
-        """Rays area by area, those without one last, as `sort_buckets`; all as they are if most are of the only area.
+        """Sorts rays by area, those without one last, as `sort_buckets`. The order is None if most rays belong to the only
+        area.
 
-        Of the only area, rays without one are traced too: cut at -1, they miss.
+        Rays without an area are then traced with the others: limited to t <= -1, they miss.
         """
         count = len(self.area)
         if self.least == self.greatest or (areas == 1 and self.alone <= count * MOST_ALONE):
@@ -175,8 +179,8 @@ class Parts:
     Attributes:
         plan, query: how the batch is answered.
         counters: whether work is counted.
-        hits: of all rays; None before the first part.
-        work: (rays,) structured, of all parts; None before the first one, and if none is counted.
+        hits: hits of all rays; None before the first part.
+        work: (rays,) structured, summed over all parts; None before the first one, and if work is not counted.
     """
 
     plan: Plan
@@ -186,7 +190,7 @@ class Parts:
     work: np.ndarray | None = None
 
     def trace(self, scene: SceneState, rays: RayBatch, order: wp.array | None, begin: int, end: int) -> None:
-        """Traces rays order[begin] .. order[end - 1] through the scene's tree; those of them that miss have missed."""
+        """Traces the rays order[begin] .. order[end - 1] through the scene's tree. If they miss, they have no hit."""
         if begin == end:
             return
         if end - begin == rays.count:
@@ -208,7 +212,7 @@ class Parts:
 
 
 def with_range(rays: RayBatch, bound: str, values: wp.array) -> RayBatch:
-    """The same rays with a `t_min` or `t_max` of their own."""
+    """The same rays with a `t_min` or `t_max` for each ray."""
     other = RayBatch()
     for name in RayBatch.vars:
         setattr(other, name, getattr(rays, name))

@@ -135,7 +135,7 @@ def written(query: str) -> tuple[str, ...]:
 
 
 def shaped(values: wp.array, form: ResultForm) -> Any:
-    """Results (N,) in the leading shape of the rays, as NumPy array or, if the rays were, as Warp array."""
+    """Results (N,) in the leading shape of the rays, as a NumPy array or, if the rays were one, as a Warp array."""
     if form.is_warp:
         return values if values.shape == form.shape else values.reshape(form.shape or (1,))
     array = values.numpy()

@@ -79,7 +79,7 @@ def on_device(scene: SceneState, rays: Rays, mask: Any, staged: bool = False) ->
     if mask is None:
         return to_device(rays, scene.device, scene.center, FEW_RAYS if staged else 0)
     if not scene.instances:
-        raise ValueError("mask goes with instances, and this scene has none; give masks by wrt.Instance(mesh, mask=...)")
+        raise ValueError("mask needs instances, and this scene has none; give masks with wrt.Instance(mesh, mask=...)")
     buffers = to_device(rays, scene.device, scene.center)
     set_mask(buffers, mask, scene.device)
     return buffers

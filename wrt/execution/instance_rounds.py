@@ -1,18 +1,8 @@
-"""Many rays through a scene of instances: by packets (`wrt.kernels.traversal.two_level.instance_packets`), or by streams, round
+"""Many rays through a scene of instances: in packets (`wrt.kernels.traversal.two_level.instance_packets`), or in streams, round
 by round (`wrt.kernels.traversal.two_level.instance_streams`).
 
-**Measured** (one thread of a Zen 5 that others used too; bunnies of 69,630 triangles in rows, seen from afar and from among
-them, random rays from within, shadow rays of what is seen; nanoseconds a ray, the last three columns in a run of their own):
-
-                                  single    packets    streams       as chosen    flattened    flattened, Open3D
-    10, 1024 x 1024     far          116         59         95              58           42                   77
-                        near         143         65        137              64           44                   93
-                        random       269      1,306        253             200          291                  313
-                        shadows      369        407        255             242          183                  309
-    100, 512 x 512      far          152        229        169             159          564                  212
-                        near         201        175        252             221          275                  194
-                        random       265      5,806        344             331          805                  648
-                        shadows      396      1,419        316             314          309                  486
+A stream round lists the next instances of each ray, sorts the rays by instance, traces each group through its mesh, and
+merges the hits. notebooks/records/2026-11-21-instances.md compares both with single rays and with flattened scenes.
 """
 
 from __future__ import annotations
@@ -39,27 +29,27 @@ if TYPE_CHECKING:
 CHUNKS_PER_THREAD = 4
 
 LEAST_CHUNK = 1 << 12
-"""Rays that are worth a row of counts."""
+"""Smallest number of rays of a chunk, for which a row of counts pays."""
 
 BLOCK = 1 << 20
-"""Rays of a block, whose lists and copies take some 150 MB."""
+"""Rays of a block, whose lists and copies take about 150 MB."""
 
 FEW = 16
-"""A round of less than one ray in so many is not worth it: these rays go one by one, from their start."""
+"""If fewer than one ray in this many is left in a round, the rest is traced one ray at a time, from the ray's start."""
 
 SEGMENT = 1024
-"""Rays of a segment, the least that is shared out among threads."""
+"""Rays of a segment, the smallest unit that threads share out."""
 
 
 def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
     """Answers the query "closest", "any" or "count" for rays on the CPU.
 
     Args:
-        scene: of instances, on BVHs.
-        plan: of packets or streams.
+        scene: a scene of instances with BVHs.
+        plan: a plan for packets or streams.
         rays: the batch.
-        hits: where the answers go.
-        query: what is asked.
+        hits: receives the answers.
+        query: the query.
     """
     clear(hits, query)
     if plan.traversal == "packet":
@@ -73,7 +63,7 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
 
 
 def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
-    """The same by packets that go down both levels; `hits` are clear."""
+    """The same in packets that traverse both levels; `hits` must be cleared."""
     from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
     from wrt.kernels.traversal.two_level.instance_packets import make_kernel
 
@@ -90,7 +80,7 @@ def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHit
 
 
 def clear(hits: DeviceHits, query: str) -> None:
-    """Answers of rays that meet nothing."""
+    """Sets the answers of rays that miss."""
     if query == ANY:
         hits.occluded.zero_()
     elif query == COUNT:
@@ -102,7 +92,7 @@ def clear(hits: DeviceHits, query: str) -> None:
 
 
 class Rounds:
-    """The state of the rounds of one block of a batch, which begins at a ray."""
+    """The rounds of one block of a batch, from the ray `begin` on."""
 
     def __init__(self, scene: SceneState, plan: Plan, rays: RayBatch, query: str, begin: int) -> None:
         from wrt.kernels.traversal.two_level.instance_streams import ROOM, Search, make_stream_kernel
@@ -123,7 +113,7 @@ class Rounds:
         self.search.entry = empty(ROOM * self.count, wp.float32, self.device)
 
     def list_instances(self, again: bool) -> None:
-        """Lists the first instances before each ray, or, where a list was full, the next."""
+        """Lists the first instances on each ray, or the next ones of rays whose list was full."""
         from wrt.kernels.traversal.two_level.instance_streams import make_list_instances
 
         levels = 1 << (self.scene.tree.depth - 1).bit_length()  # few specialisations serve all trees
@@ -132,13 +122,13 @@ class Rounds:
         launch(kernel, self.count, inputs, device=self.device, chunk=1024)
 
     def trace_lists(self, hits: DeviceHits) -> bool:
-        """A round for each place of the lists; whether some may have been too short."""
+        """Traces a round for each place of the lists. Returns whether some lists may have been too short."""
         from wrt.kernels.traversal.two_level.instance_streams import ROOM
 
         return all(self.trace_round(turn, hits) for turn in range(ROOM))
 
     def trace_round(self, turn: int, hits: DeviceHits) -> bool:
-        """Traces the rays through their instances of this turn; whether there were any."""
+        """Traces the rays through their instances of this round. Returns whether there were any."""
         from wrt.kernels.query.ray_order import scan_counts
         from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
 
@@ -164,7 +154,7 @@ class Rounds:
         return True
 
     def trace_alone(self, order: wp.array, hits: DeviceHits) -> None:
-        """Answers the query for the rays of these numbers, whatever was found before."""
+        """Traces the rays with these numbers one at a time, ignoring what was found before."""
         from wrt.kernels.query.ray_order import sort_rays, unsort_hits
 
         rays, found = sort_rays(self.rays, order, empty), DeviceHits.new(self.query, len(order), self.device)
@@ -185,7 +175,9 @@ def new_sorted(count: int, device: wp.Device) -> Sorted:
 
 
 def cut(totals: np.ndarray, segment: int) -> np.ndarray:
-    """(S, 3) int32: instance, first ray and end of each segment; totals: rays of each instance, which lie one after another."""
+    """(S, 3) int32: instance, first ray and end of each segment; totals: number of rays of each instance, stored in that
+    order.
+    """
     ends = np.cumsum(totals)
     pieces = -(-totals // segment)
     instance = np.repeat(np.arange(len(totals)), pieces)

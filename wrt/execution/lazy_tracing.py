@@ -1,8 +1,8 @@
-"""Tracing a tree that is built while rays ask for it (`wrt.builders.kdtree.lazy.lazy_kdtree`).
+"""Tracing a tree that is built lazily, as rays visit its cells (`wrt.builders.kdtree.lazy.lazy_kdtree`).
 
-Rays are traced through what is built by any traversal; each then names the cells that it reaches before its hit and that still
-wait (`wrt.kernels.traversal.single.lazy_requests`). Those are built, all at once, and the rays that named any are traced again.
-A query that needs every hit asks for all cells on its rays' way before it is traced.
+Any traversal traces the rays through the part that is built. Each ray then requests the unbuilt cells that it reaches
+before its hit (`wrt.kernels.traversal.single.lazy_requests`). These are built, all at once, and the rays that requested any are
+traced again. A query that needs every hit requests all cells along its rays before it is traced.
 """
 
 from __future__ import annotations
@@ -24,23 +24,24 @@ if TYPE_CHECKING:
     from wrt.kernels.layout.ray_batch import RayBatch
 
 AHEAD = 2
-"""Waiting cells that a ray asks for at a time: more of them build what is hidden behind the first, fewer take more rounds."""
+"""Unbuilt cells that a ray requests at a time: more of them build cells hidden behind the first, fewer take more rounds."""
 
 RUN = 64
-"""Neighbouring rays that go ahead together, a few packets."""
+"""Neighbouring rays of a sampled run: a few packets."""
 
 SAMPLE = 33
-"""Of so many runs one goes ahead: it asks for most of what the others would, in rounds that cost little. (Not a power of two:
-runs of a picture's rows are not to lie below one another.)"""
+"""One run in this many is traced first. It requests most of the cells that the others need, in rounds that cost little.
+(Not a power of two, so that runs in the rows of an image are not in the same columns.)
+"""
 
 LEAST = 1 << 14
-"""Rays of which some go ahead."""
+"""Smallest batch of which a sample is traced first."""
 
 MOST = 1 << 30
-"""More cells than a tree has."""
+"""More cells than any tree has."""
 
 Trace = Callable[["RayBatch", DeviceHits], None]
-"""Traces rays through the tree as it stands, and writes their hits."""
+"""Traces rays through the present tree, and stores their hits."""
 
 
 @dataclass
@@ -62,7 +63,7 @@ class LazyQuery:
     query: str
 
     def settle(self, hits: DeviceHits) -> None:
-        """Traces all rays, and those that ask for cells again, until none does."""
+        """Traces all rays, and again those that request cells, until none does."""
         from wrt.kernels.query.ray_order import unsort_hits
 
         snapshot = self.tree.current  # from before the rays are traced: they have met whatever it says is built
@@ -74,12 +75,12 @@ class LazyQuery:
             numbers = numbers[asking]
 
     def explore(self, numbers: np.ndarray) -> None:
-        """Traces some of the rays, until none asks for cells: their hits are not wanted, only the cells."""
+        """Traces some rays until none requests cells. The hits are discarded; only the cells are needed."""
         while len(numbers):
             numbers = numbers[self.trace_some(numbers)[2]]
 
     def trace_some(self, numbers: np.ndarray) -> tuple[wp.array, DeviceHits, np.ndarray]:
-        """Traces some of the rays; returns their numbers, their hits, and which of them asked for cells."""
+        """Traces some rays; returns their order, their hits, and whether each requested cells."""
         from wrt.kernels.query.ray_order import sort_rays
 
         order = wp.array(numbers.astype(np.int32), dtype=int, device=self.tree.device)
@@ -113,7 +114,7 @@ def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str,
 
 
 def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, how: int, most: int) -> np.ndarray:
-    """Builds up to `most` waiting cells that each ray reaches first; returns the numbers of the rays that reach any."""
+    """Builds up to `most` unbuilt cells that each ray reaches first; returns the numbers of the rays that reach any."""
     from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
 
     if not snapshot.waiting:

@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What answers a query. `dataclasses.replace` makes another one of it, which goes where the name of a traversal goes.
+    """How a query is answered. `dataclasses.replace` makes variants, which queries take as their `traversal`.
 
     Attributes:
-        accelerator: kind of the scene's tree, "bvh" or "kdtree"; "none" where every triangle is tested.
+        accelerator: kind of the scene's tree, "bvh" or "kdtree"; "none" if every triangle is tested.
         traversal: key in `wrt.kernels.traversal.TRAVERSALS`.
         triangle_test: key in `wrt.kernels.triangle.TRIANGLE_TESTS`.
-        width: triangles tested at once, and children a node.
-        coherent: whether neighbouring rays were found to look alike.
+        width: triangles tested at once, and children of a node.
+        coherent: whether coherence detection found neighbouring rays to be similar.
         shared_origin: whether all rays start at the same point.
         reason: why the traversal was chosen.
-        packet: rays that go together; 1 if every ray goes alone.
+        packet: rays of a packet; 1 if every ray is traced on its own.
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`; empty without packets.
         stream: rays of a stream; 1 without streams.
-        mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`; "none" on trees in which no triangle is in two leaves.
-        reorder: order in which rays are traced (`wrt.kernels.query.ray_order`): "none", their own; "cells", by cell of the
-            origin and octant of the direction; "tiles", the rows and columns of a picture tile by tile, in packets.
-        cull_backfaces: whether triangles are hit only by rays that come from their front.
-        one_by_one: whether a single ray meets the triangles of a leaf one after the other, by the triangle test's scalar form,
-            in place of a block of them at once: for measurements.
+        mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`; "none" for trees that store each triangle in one leaf.
+        reorder: the order in which rays are traced (`wrt.kernels.query.ray_order`): "none", as given; "cells", by cell of the
+            origin and octant of the direction; "tiles", the pixels of an image tile by tile, in packets.
+        cull_backfaces: whether rays hit only the front of triangles.
+        one_by_one: whether a single ray tests the triangles of a leaf one after the other, with the scalar form of the
+            triangle test, in place of a block at once. For measurements.
     """
 
     accelerator: str
@@ -60,7 +60,7 @@ class Plan:
 
     @property
     def is_wide(self) -> bool:
-        """Whether the scene's kd-tree is walked in its wide form."""
+        """Whether the wide form of the scene's kd-tree is traversed."""
         return way_of(self).wide
 
     def __str__(self) -> str:
@@ -114,7 +114,7 @@ class ChosenPlan:
 
 
 def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) -> TraversalConfig:
-    """The specialisation that carries out a plan."""
+    """The specialisation of the traversal that carries out a plan."""
     from wrt.kernels.traversal.traversal_config import TraversalConfig
 
     way, options = way_of(plan), {}
@@ -132,12 +132,14 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
 
 
 def stack_levels(depth: int) -> int:
-    """Room for the tree's depth in steps of 8 levels, so that few specialisations serve all trees."""
+    """Levels of the traversal stack: the tree's depth rounded up to a multiple of 8, so that few specialisations serve all
+    trees.
+    """
     return -(-depth // 8) * 8
 
 
 def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig], wp.Kernel]:
-    """What makes the kernel that carries out a plan on the scene's tree."""
+    """The factory of the kernel that carries out a plan on the scene's tree."""
     if scene.only_single and plan.accelerator != "none":
         from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
 
@@ -153,7 +155,7 @@ def way_of(plan: Plan) -> Traversal:
 
 
 def plan_for(plan: Plan, query: str) -> Plan:
-    """The plan as a query carries it out: a triangle test may leave the search for any hit to another one."""
+    """The plan as a query runs it: a triangle test may name another test for any-hit queries."""
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     other = TRIANGLE_TESTS[plan.triangle_test].any_hit
@@ -161,5 +163,5 @@ def plan_for(plan: Plan, query: str) -> Plan:
 
 
 def walked_tree(plan: Plan, scene: SceneState) -> KdTree | Bvh:
-    """What a plan's kernel walks: the scene's tree, or its wide form."""
+    """The tree that a plan's kernel walks: the scene's tree, or its wide form."""
     return wide_tree(scene) if plan.is_wide else scene.tree

@@ -1,4 +1,4 @@
-"""Plans that do not fit are refused before any kernel runs, with a message that names what would."""
+"""Checks of plans. A plan that does not fit is refused before any kernel runs, with a message that names what would fit."""
 
 from __future__ import annotations
 
@@ -19,25 +19,27 @@ if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
 
 MAX_PACKET = 256
-"""Rays of a packet at most: 16 x 16."""
+"""Largest number of rays of a packet: 16 x 16."""
 
 MAX_CUDA_STREAM = 256
-"""Rays of a stream on CUDA at most: they lie in the local memory of a thread, and so many threads are there at a time."""
+"""Largest number of rays of a stream on CUDA: each thread holds a stream in local memory, which limits how many threads run
+at a time.
+"""
 
 MAX_STREAM = 4096
-"""Rays of a stream at most: 64 x 64."""
+"""Largest number of rays of a stream on the CPU: 64 x 64."""
 
 ORDERS = ("none", "cells", "tiles")
 
 TILED = ("packet", "wide_packet")
-"""Traversals that take the pixels of a picture tile by tile."""
+"""Traversals that can trace the pixels of an image tile by tile."""
 
 
 def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> Plan:
-    """Returns a plan that suits the scene and the rays.
+    """Returns a plan that fits the scene and the rays.
 
     Raises:
-        ValueError: it does not; the message names the field.
+        ValueError: the plan does not fit; the message names the field.
     """
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -62,25 +64,25 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {width}")
     if plan.shared_origin and (rays.laid_out.origin_stride != 0 or scene.instances):
         raise ValueError(
-            "plan.shared_origin is true, but rays have origins of their own; broadcast a single one, without instances"
+            "plan.shared_origin is true, but each ray has its own origin; broadcast one origin, in a scene without instances"
         )
     lookup(MAILBOXES, plan.mailbox, "plan.mailbox")
     if plan.mailbox != "none" and not (way.mailbox and plan.accelerator == "kdtree"):
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.mailbox)
-        raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes go with a kdtree and one of {able}")
+        raise ValueError(f"plan.mailbox is {plan.mailbox!r}; mailboxes need a kdtree and one of {able}")
     if plan.mailbox != "none" and query in (COUNT, ALL):
         raise ValueError(
-            f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to meet a triangle in every leaf; use 'none'"
+            f"plan.mailbox is {plan.mailbox!r}, but the query {query!r} has to test a triangle in every leaf; use 'none'"
         )
     lookup(dict.fromkeys(ORDERS), plan.reorder, "plan.reorder")
     if plan.reorder == "tiles" and plan.traversal not in TILED:
-        raise ValueError(f"plan.reorder is 'tiles', which goes with {' and '.join(TILED)}, not {plan.traversal!r}")
+        raise ValueError(f"plan.reorder is 'tiles', which needs {' or '.join(TILED)}, not {plan.traversal!r}")
     if plan.reorder == "cells" and way.packets:
-        raise ValueError("plan.reorder is 'cells', which goes with rays that do not go in packets")
+        raise ValueError("plan.reorder is 'cells', which needs a traversal without packets")
     if plan.reorder == "tiles" and rays.columns == 0:
-        raise ValueError(f"plan.reorder is 'tiles', but the rays' shape {rays.shape} has no rows and columns to speak of")
+        raise ValueError(f"plan.reorder is 'tiles', but rays of shape {rays.shape} are not the pixels of an image")
     if plan.one_by_one and plan.traversal != "single":
-        raise ValueError(f"plan.one_by_one goes with the traversal 'single', not {plan.traversal!r}")
+        raise ValueError(f"plan.one_by_one needs the traversal 'single', not {plan.traversal!r}")
     most = MAX_CUDA_STREAM if scene.device.is_cuda else MAX_STREAM
     if way.streams and not 1 <= plan.stream <= most:
         raise ValueError(f"plan.stream is {plan.stream}; it must be from 1 to {most}")
@@ -92,37 +94,39 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     if lookup(CULLINGS, plan.culling, "plan.culling").name not in fitting:
         able = ", ".join(fitting)
         raise ValueError(
-            f"plan.culling {plan.culling!r} does not hold for {test.name} on a {plan.accelerator}; choose from {able}"
+            f"plan.culling {plan.culling!r} does not support {test.name} on a {plan.accelerator}; choose from {able}"
         )
     return plan
 
 
 def fits(culling: Culling, way: Traversal, tree: str) -> bool:
-    """Whether a culling has what it needs in a kind of tree, as the traversal walks it."""
+    """Whether the traversal's kind of tree has the data that a culling needs."""
     return way.wide or tree == "bvh" or not culling.needs_boxes
 
 
 def check_wide(scene: SceneState, way: Traversal) -> None:
-    """Refuses a traversal of wide forms where there is none.
+    """Refuses a traversal of wide trees if the scene has none.
 
     Raises:
-        ValueError: the scene's kd-tree is built while rays ask for it.
+        ValueError: the scene's kd-tree is built lazily.
     """
     if way.wide and not can_be_wide(scene):
         raise ValueError(
-            f"traversal {way.name!r} walks the wide form of a finished kd-tree, and this one is lazy; "
+            f"traversal {way.name!r} walks the wide form of a complete kd-tree, and this one is lazy; "
             "choose from auto, lockstep, packet, or another builder"
         )
 
 
 def check_spaces(scene: SceneState, way: Traversal) -> None:
-    """Refuses a traversal that does not walk trees in spaces of their own.
+    """Refuses a traversal that does not support trees with their own coordinate spaces.
 
     Raises:
         ValueError: the scene has such trees (`wrt.FuzzyScene`).
     """
     if scene.only_single and way.name not in ("single", "brute"):
-        raise ValueError(f"traversal {way.name!r} does not walk trees in spaces of their own; choose from auto, single, brute")
+        raise ValueError(
+            f"traversal {way.name!r} does not support trees with their own spaces; choose from auto, single, brute"
+        )
 
 
 def check_query(query: str, way: Traversal, tree: str, test: TriangleTest) -> None:
@@ -145,12 +149,12 @@ def check_query(query: str, way: Traversal, tree: str, test: TriangleTest) -> No
     if query in (COUNT, ALL) and test.crossing is None:
         able = ", ".join(name for name, entry in TRIANGLE_TESTS.items() if entry.crossing is not None)
         raise ValueError(
-            f"triangle_test {test.name!r} may count a crossing at an edge twice or never; choose from auto, {able}"
+            f"triangle_test {test.name!r} may count a crossing at an edge twice or not at all; choose from auto, {able}"
         )
 
 
 def check_culling(cull_backfaces: bool, way: Traversal, tree: str) -> None:
-    """Refuses a traversal that cannot tell the sides of triangles.
+    """Refuses a traversal that cannot cull back faces.
 
     Raises:
         ValueError: it cannot; the message names those that can.
@@ -165,7 +169,7 @@ def check_culling(cull_backfaces: bool, way: Traversal, tree: str) -> None:
 
 
 def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
-    """Refuses rays that a test does not take.
+    """Refuses rays that a triangle test does not support.
 
     Raises:
         ValueError: the test needs a shared origin, and each ray has its own.

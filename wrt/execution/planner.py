@@ -20,35 +20,37 @@ if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
 
 DEFAULT_TEST = "woop"
-"""The triangle test of "auto". Of all tests that `wrt bench triangle-tests` compares it is the only watertight one. With a tree
-it is the fastest for views, and costs 2 to 6 % against Moeller and Trumbore's for single and for random rays; Komatsu's, at
-half the operations, is no faster, and its records are made again for each origin."""
+"""The triangle test of "auto": the only watertight one. It costs a few per cent over Moeller and Trumbore's test at most
+(notebooks/records/2026-11-21-plans.md).
+"""
 
 PACKET_VECTORS = 2
-"""Rays of a packet, in vectors of the tree's width. Of 1, 2, 4 and 8, measured with 16 lanes, 2 was best or within 5 % of
-it for views and shadow rays of the bunny, the dragon (two sizes) and the atrium."""
+"""Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8
+(notebooks/records/2026-11-21-plans.md).
+"""
 
 RAYS_PER_TRIANGLE = 0.125
-"""Rays a triangle of the scene from which on coherent rays go in packets: where triangles are smaller than the gaps between
-rays, streams lose less on rays that part company. (Time of packets against streams, shadow rays: 0.6 at 3 rays a triangle, 0.8
-at 0.25, 1.3 at 0.06; views: 0.6 at 1.3, 0.9 at 0.24, 1.3 at 0.08.)"""
+"""Rays per triangle of the scene from which coherent rays are traced in packets. With fewer, triangles are smaller than the
+distance between rays, the rays of a packet diverge, and streams are faster (notebooks/records/2026-11-21-plans.md).
+"""
 
 ROUGH_RAYS_PER_TRIANGLE = 2.0
-"""Rays a triangle of the scene up to which views, too, are culled anew at each leaf, which a packet then meets with few of its
-rays. (Views of four scenes from afar and from near by, 128 x 128 to 1024 x 1024 pixels, time against vertex culling: 0.5 to 0.8
-at a quarter of a ray a triangle, 0.85 to 1.05 at 1.3, 0.7 to 1.1 at 3, 0.9 to 1.13 from 5 on.)"""
+"""Rays per triangle of the scene up to which camera rays use a transient frustum at each leaf in place of vertex culling: a
+packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md).
+"""
 
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
-"""Rays of a stream: the longer, the better its lanes are used, as long as each thread has several. On CUDA, where a stream
-is a thread's, they lie in its local memory."""
+"""Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
+streams. On CUDA, a thread traces a stream and holds its rays in local memory.
+"""
 
 STREAMS_PER_THREAD = 4
 
 LEAST_TO_REORDER = 1 << 16
-"""Rays from which on sorting them pays."""
+"""Smallest batch whose rays are sorted before tracing."""
 
 CACHED_BYTES = 1 << 24
-"""Triangle records that are in reach of a core: rays that meet no more of them need no order."""
+"""Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
 
 
 def make_plan(
@@ -59,11 +61,11 @@ def make_plan(
     query: str = CLOSEST,
     cull_backfaces: bool = False,
 ) -> Plan:
-    """Chooses what the caller left on "auto"; a plan that is given is checked.
+    """Chooses what the caller left on "auto". A given plan is checked.
 
     Raises:
-        ValueError: an unknown name, a traversal that does not walk the scene's tree or answer the query, or a plan that does
-            not fit.
+        ValueError: an unknown name, a traversal that does not support the scene's tree or the query, or a plan that does
+            not fit the scene and the rays.
     """
     return find_plan(scene, rays, Query(query, traversal, triangle_test, cull_backfaces)).plan
 
@@ -119,7 +121,7 @@ def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
 def choose_plan(
     scene: SceneState, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool
 ) -> Plan:
-    """A plan for these rays; arguments and errors as of `make_plan`."""
+    """A new plan for these rays; arguments and errors as in `make_plan`."""
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -157,7 +159,9 @@ def choose_plan(
 
 
 def default_test(scene: SceneState, query: str) -> str:
-    """Name of the triangle test of a query that asks for none: the scene's; counts are left to one that can count."""
+    """Name of the triangle test for queries that name none: the scene's, or the default test if the query counts and the
+    scene's test cannot.
+    """
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
     if scene.triangle_test == AUTO or (query in (COUNT, ALL) and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
@@ -166,11 +170,11 @@ def default_test(scene: SceneState, query: str) -> str:
 
 
 def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> tuple[str, str]:
-    """Name of the traversal, and the reason."""
+    """Name of the traversal, and the reason for it."""
     if scene.device.is_cuda:
-        return "single", "a CUDA thread is a ray"
+        return "single", "one CUDA thread per ray"
     if scene.only_single:
-        return "single", "trees in spaces of their own"
+        return "single", "each tree has its own coordinate space"
     if rays.count <= FEW_RAYS:
         return "single", "few rays"
     if scene.instances:
@@ -178,7 +182,7 @@ def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backf
     if query in (COUNT, ALL) or cull_backfaces:
         what = "all hits" if query in (COUNT, ALL) else "front faces"
         is_bvh = scene.accelerator.kind == "bvh"
-        return ("stream", f"{what} of many rays") if is_bvh else ("single", f"what finds {what} on a kd-tree")
+        return ("stream", f"{what} of many rays") if is_bvh else ("single", f"the traversal that finds {what} on a kd-tree")
     is_bvh, is_wide = scene.accelerator.kind == "bvh", pays(scene, rays)
     if not (is_bvh or is_wide):
         return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
@@ -194,7 +198,7 @@ def tree_for(way: Traversal, scene: SceneState) -> str:
     """Kind of tree that a traversal walks in a scene.
 
     Raises:
-        ValueError: none that the scene has.
+        ValueError: the traversal does not walk the scene's kind of tree.
     """
     from wrt.kernels.traversal import TRAVERSALS
 
@@ -203,13 +207,13 @@ def tree_for(way: Traversal, scene: SceneState) -> str:
         return "none"
     if kind not in way.trees:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if kind in entry.trees)
-        other = f"build the scene with accelerator={way.trees[0]!r}"
+        other = f"make the scene with accelerator={way.trees[0]!r}"
         raise ValueError(f"traversal {way.name!r} does not walk a {kind}; {other}, or choose from auto, {able}")
     return kind
 
 
 def stream_size(scene: SceneState, rays: RayBuffers) -> int:
-    """Rays of a stream: fewer where a batch would not give each thread several streams."""
+    """Rays of a stream: fewer if the batch would not give each thread several streams."""
     if scene.device.is_cuda:
         return CUDA_STREAM
     share = rays.count / max(STREAMS_PER_THREAD * get_num_threads(), len(scene.instances))
@@ -217,7 +221,9 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
 
 
 def choose_culling(scene: SceneState, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
-    """Name of the culling: the rays that meet a leaf are worth a look of their own where packets are wide, or leaves small."""
+    """Name of the culling. A transient frustum around the active rays at a leaf pays where packets are wide or leaves are
+    small.
+    """
     if not test.accurate:
         return "interval"
     if not (way.wide or scene.accelerator.kind == "bvh"):
@@ -228,12 +234,12 @@ def choose_culling(scene: SceneState, rays: RayBuffers, way: Traversal, test: Tr
 
 
 def choose_order(scene: SceneState, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
-    """Order of tracing."""
+    """The order in which rays are traced."""
     if way.name in TILED:
         return "tiles" if rays.columns > 0 else "none"
     return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
 
 
 def is_large(scene: SceneState, rays: RayBuffers, test: TriangleTest) -> bool:
-    """Whether so many rays meet so many triangles that it pays to sort the rays first."""
+    """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
     return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES

@@ -23,7 +23,7 @@ Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
 
 KnownRecords = dict[tuple[str, "Record"], tuple["Origin | None", "TriangleBlocks"]]
-"""The blocks of a kind of tree and of record, and the origin that they were made for, where they depend on one."""
+"""Blocks by kind of tree and of record, with the origin that they were made for, if they depend on one."""
 
 _caches: WeakSet[QueryCache] = WeakSet()
 

@@ -8,7 +8,7 @@ AUTO = "auto"
 
 CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
 
-ALIKE, DIFFERENT = "neighbouring rays look alike", "neighbouring rays look different"
+ALIKE, DIFFERENT = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 """Reasons for a traversal."""
 
 FEW_RAYS = 1024

@@ -104,12 +104,12 @@ class SceneState:
 
     @property
     def tree(self) -> KdTree | Bvh:
-        """The tree; of one that is built lazily, what there is by now."""
+        """The tree; if it is built lazily, the part that exists so far."""
         return self.built_tree if self.lazy_tree is None else self.lazy_tree.current.tree
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of all meshes."""
+        """Number of triangles of all meshes."""
         return self.device_mesh.faces.shape[0]
 
     @property
@@ -119,17 +119,17 @@ class SceneState:
 
     @property
     def width(self) -> int:
-        """Triangles tested at once."""
+        """Number of triangles tested at once."""
         return self.tree.width
 
     @property
     def depth(self) -> int:
-        """Most inner nodes on a path of a BVH."""
+        """Largest number of inner nodes on a path from the root of a BVH to a leaf."""
         return self.tree.depth
 
     @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) float64: lower and upper corner of the box of all triangles."""
+        """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
 
     @cached_property
@@ -150,7 +150,7 @@ class SceneState:
 
     @property
     def record_bytes(self) -> int:
-        """Memory of the triangle records made so far: queries make those that their triangle test needs."""
+        """Bytes of the triangle records made so far. Queries make the records that their triangle test needs."""
         wide = self.cache.wide
         known = [self.cache.records, *([] if wide is None else [wide.records])]
         return sum(blocks.records.capacity for records in known for _, blocks in records.values())
@@ -175,13 +175,13 @@ class SceneState:
             raise ValueError(self.refused[feature])
 
     def complete(self) -> None:
-        """Builds what is left to build of a tree that is built lazily, before it is walked by what does not ask for more."""
+        """Builds the missing part of a lazily built tree, for code that cannot extend the tree while it walks it."""
         if self.lazy_tree is not None:
             with use_threads(self.num_threads):
                 self.lazy_tree.finish()
 
     def over(self, tree: Bvh) -> SceneState:
-        """The same scene with another tree on its device, over some of its triangles; it has no areas."""
+        """A copy of the scene whose tree, on the same device, holds some of its triangles; it has no influence areas."""
         return replace(self, built_tree=tree, lazy_tree=None, area_trees=None, cache=QueryCache())
 
     def with_threads(self, num_threads: int | None) -> SceneState:
@@ -189,5 +189,5 @@ class SceneState:
         return replace(self, settings=replace(self.settings, num_threads=num_threads))
 
     def flattened(self) -> TriangleMesh:
-        """All meshes as one, triangles in the order in which the scene numbers them."""
+        """All meshes as one, with triangles in the order in which the scene numbers them."""
         return TriangleMesh.concatenate(self.meshes)

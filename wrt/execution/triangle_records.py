@@ -1,4 +1,4 @@
-"""The triangle records of a scene: made by the first query that needs them, and kept with it."""
+"""The triangle records of a scene: made by the first query that needs them, and cached."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> Triangle
 
 
 def in_order(count: int, width: int, device: wp.Device) -> wp.array:
-    """Ids of so many triangles in blocks of `width`, -1 in lanes that are left over."""
+    """Ids 0 .. count - 1 in blocks of `width`, with -1 in the unused lanes."""
     ids = np.full(-(-count // width) * width, -1, dtype=np.int32)
     ids[:count] = np.arange(count)
     return wp.array(ids, dtype=int, device=device)

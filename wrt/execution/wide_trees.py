@@ -1,7 +1,9 @@
-"""The wide form of a scene's kd-tree (`wrt.builders.convert.wide_kdtree`): made once rays have paid for it, and kept.
+"""The wide form of a scene's kd-tree (`wrt.builders.convert.wide_kdtree`): made once it pays for the rays traced so far, and
+kept.
 
-Nobody knows whether more rays will come: a tree of an animation may live for a picture. So the form is made when as much time
-would have been saved as that takes. Whatever comes then, rays and form have not taken twice the time of the better choice.
+The number of future rays is unknown: the tree of an animation may serve a single image. So the wide form is made when it
+would have saved as much time as it takes to make. For any later rays, the total time is then at most twice that of the
+better choice.
 """
 
 from __future__ import annotations
@@ -20,11 +22,12 @@ if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
 
 LEAST_WIDTH = 2
-"""Children of a wide node at least, whatever the width of the kd-tree's blocks."""
+"""Smallest number of children of a wide node, whatever the width of the kd-tree's blocks."""
 
 SAVED_ALONE, SAVED_TOGETHER = 1.0, 1.0 / 16.0
-"""What the form saves a ray, of what it takes to make it, by the triangle: rays that look different, and neighbours that look
-alike. (Bunny, one thread: 0.19 us a triangle; random rays 0.20 us, ambient occlusion 0.23, a view 0.005 to 0.015.)"""
+"""Time that the wide form saves per ray, over the time to make it per triangle: for incoherent rays, and for coherent ones
+(notebooks/records/2026-11-21-plans.md).
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ def wide_width(scene: SceneState) -> int:
 
 
 def wide_tree(scene: SceneState) -> Bvh:
-    """The wide form of a scene's kd-tree, which does not grow; made on the CPU if the scene has none of this tree."""
+    """The wide form of a scene's kd-tree, which must not be lazy; built on the CPU unless the scene has it already."""
     cache = scene.cache
     if cache.wide is None:
         with use_threads(scene.num_threads):
@@ -61,17 +64,17 @@ def _make(scene: SceneState) -> Bvh:
 
 
 def can_be_wide(scene: SceneState) -> bool:
-    """Whether the scene has one kd-tree, all of it."""
+    """Whether the scene has a single, complete kd-tree."""
     return scene.accelerator.kind == "kdtree" and scene.lazy_tree is None and not scene.instances and not scene.only_single
 
 
 def pays(scene: SceneState, rays: RayBuffers) -> bool:
-    """Whether rays are traced through the wide form: it is there, or they and those before them pay for it."""
+    """Whether rays are traced through the wide form: it exists, or it pays for these rays and those before them."""
     if not can_be_wide(scene):
         return False
     return scene.cache.wide is not None or scene.cache.missed + saved(rays.count, rays.coherent) >= scene.triangle_count
 
 
 def saved(count: int, coherent: bool) -> float:
-    """What the form would save rays, in triangles that it could be made of."""
+    """Time that the wide form saves for these rays, in units of the time to make it for one triangle."""
     return count * (SAVED_TOGETHER if coherent else SAVED_ALONE)

@@ -1,16 +1,16 @@
-"""Cameras: pictures of so many pixels, and the ray through each.
+"""Cameras: images of given size, and the ray through each pixel.
 
-A camera stands at `position`, looks at `look_at` (the middle of the picture) and holds `up` upward. Pictures have the shape
-(height, width); row 0 is at the top, column 0 at the left, pixels are square. With one sample a pixel its ray goes through
-its centre. With more, ray number s of S takes point s of the Hammersley set: all S columns and, for powers of two, all S rows
-of a pixel are used once, the same in each pixel, which keeps edges smooth; another seed shifts the pattern (Cranley and
-Patterson), so that pictures with different seeds can be averaged.
+A camera is placed at `position`, points at `look_at` (the image centre), and `up` points upward in the image. Images have
+the shape (height, width); row 0 is at the top, column 0 at the left, and pixels are square. With one sample per pixel, its
+ray passes through the pixel centre. With S samples, ray s takes point s of the Hammersley set, the same in each pixel:
+samples cover all S columns and, for powers of two, all S rows of a pixel once, which keeps edges smooth. Another seed
+shifts the pattern (Cranley and Patterson), so that images with different seeds can be averaged.
 
 References:
     J. M. Hammersley: Monte Carlo methods for solving multivariable problems. Annals of the New York Academy of Sciences
-        86(3), 1960.
+    86(3), 1960.
     R. Cranley, T. N. L. Patterson: Randomization of number theoretic methods for multiple integration. SIAM Journal on
-        Numerical Analysis 13(6), 1976.
+    Numerical Analysis 13(6), 1976.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _SINE_OF_PARALLEL = 1e-6
 
 
 class _Camera:
-    """What both cameras share: where the picture is, and which ray belongs to which pixel.
+    """Base class of cameras: the image frame, and the mapping from pixels to rays.
 
     Attributes:
-        width, height: pixels.
+        width, height: size of the image in pixels.
         position, look_at: (3,) float64.
         forward, right, up: (3,) float64, orthogonal unit vectors.
     """
@@ -43,22 +43,22 @@ class _Camera:
         self.width = check_whole("width", width, 1)
         self.height = check_whole("height", height, 1)
         if self.width * self.height > _MAX_PIXELS:
-            raise ValueError(f"width x height is {self.width * self.height}; at most {_MAX_PIXELS} pixels make a picture")
+            raise ValueError(f"width x height is {self.width * self.height}; an image has at most {_MAX_PIXELS} pixels")
         self.position = check_point("position", position)
         self.look_at = check_point("look_at", look_at)
         self.forward, self.right, self.up = _frame(self.look_at - self.position, check_point("up", up))
 
     def rays(self, sample: int = 0, samples: int = 1, seed: int = 0) -> Rays:
-        """One ray a pixel, on the CPU: a `wrt.Rays` of shape (height, width).
+        """One ray per pixel, on the CPU: a `wrt.Rays` of shape (height, width).
 
         Args:
-            sample: which of the pixel's rays, 0 <= sample < samples.
-            samples: rays a pixel in all; with 1 the ray goes through the pixel's centre, whatever the seed.
+            sample: index of the pixel's ray, 0 <= sample < samples.
+            samples: number of rays per pixel; with 1, the ray passes through the pixel centre, whatever the seed.
             seed: another seed shifts all rays within their pixels; the same arguments always give the same rays.
 
         Raises:
-            TypeError: an argument is no whole number.
-            ValueError: a value out of its range.
+            TypeError: an argument is not a whole number.
+            ValueError: a value out of range.
         """
         device = wp.get_device("cpu")
         rays = self.rays_on(device, 0, self.width * self.height, pixel_offset(sample, samples, seed))
@@ -70,15 +70,19 @@ class _Camera:
         """Rays of `count` pixels, row by row from `first_pixel`, as Warp arrays on a device.
 
         Args:
-            offset: where in a pixel its ray passes, in [0, 1)^2 from its top left corner (`pixel_offset`).
+            device: device of the rays.
+            first_pixel: index of the first pixel, row by row.
+            count: number of pixels.
+            offset: position of the ray within its pixel, in [0, 1)^2 from the top left corner (`pixel_offset`).
 
         Returns:
-            Rays of shape (count,), unit directions in float32, origins in float64; what all rays share has shape (1,).
+            Rays of shape (count,), unit directions in float32, origins in float64; an array that all rays share has shape
+            (1,).
         """
         raise NotImplementedError
 
     def _half_extent(self) -> tuple[float, float]:
-        """From the picture's centre to its right and upper edge, in the units of `View`."""
+        """Half width and half height of the image, in the units of `View`."""
         raise NotImplementedError
 
     def _view(self, offset: tuple[float, float]) -> View:
@@ -94,18 +98,18 @@ class _Camera:
 
 
 class PinholeCamera(_Camera):
-    """A camera whose rays leave one point.
+    """A perspective camera: all rays start at one point.
 
     Args:
-        width, height: pixels, >= 1.
-        fov: vertical field of view between the upper and the lower edge of the picture, in degrees, in (0, 180).
-        position: (3,) where the camera stands; kept in float64.
-        look_at: (3,) the point in the middle of the picture.
-        up: (3,) what is upward in the picture, of any length, not along the line of sight.
+        width, height: size of the image in pixels, >= 1.
+        fov: vertical field of view, from the lower to the upper edge of the image, in degrees, in (0, 180).
+        position: (3,) the camera's position; kept in float64.
+        look_at: (3,) the point at the image centre.
+        up: (3,) upward direction of the image, of any length, not parallel to the viewing direction.
 
     Raises:
-        TypeError: an argument is of a wrong type.
-        ValueError: a value out of its range, NaN or infinite; position and look_at the same; up along the line of sight.
+        TypeError: an argument has a wrong type.
+        ValueError: a value out of range, NaN or infinite; position equals look_at; up is parallel to the viewing direction.
     """
 
     def __init__(
@@ -132,21 +136,21 @@ class PinholeCamera(_Camera):
         up: Any = (0.0, 0.0, 1.0),
         margin: float = 0.05,
     ) -> PinholeCamera:
-        """A camera that shows the whole of a mesh or scene, as large as the picture allows.
+        """A camera that shows all of a mesh or scene, as large as the image allows.
 
         Args:
             geometry: a `wrt.TriangleMesh` or `wrt.Scene`.
             width, height, fov, up: as in the constructor.
-            towards: (3,) line of sight, from the camera to the geometry; None for a view from the front, from a little to
-                the right and above. The front is -y if z is up, and +z if y is up.
-            margin: what stays free along the tightest edges, as a share of the picture, in [0, 1).
+            towards: (3,) viewing direction; None for a view from the front, slightly from the right and above. The front is
+                -y if z is up, and +z if y is up.
+            margin: free share of the image along the tightest edges, in [0, 1).
 
         Raises:
             TypeError: `geometry` is neither a mesh nor a scene.
-            ValueError: as in the constructor, and for a `margin` out of its range.
+            ValueError: as in the constructor, and for a `margin` out of range.
         """
         if not 0.0 <= margin < 1.0:
-            raise ValueError(f"margin is {margin}; it must be from 0 up to, not including, 1")
+            raise ValueError(f"margin is {margin}; it must be in [0, 1)")
         up = check_point("up", up)
         towards = _default_view(up) if towards is None else check_point("towards", towards)
         forward, right, upward = _frame(towards, up)
@@ -165,7 +169,7 @@ class PinholeCamera(_Camera):
         )
 
     def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
-        """Rays of some pixels, as in any camera: origins of shape (1,), directions of shape (count,)."""
+        """Rays of some pixels, as in the base class: origins of shape (1,), directions of shape (count,)."""
         directions = wp.empty(count, dtype=wp.vec3, device=device)
         launch(pinhole_directions, count, [self._view(offset), first_pixel, directions], device=device, chunk=4096)
         return Rays(wp.array([self.position], dtype=wp.vec3d, device=device), directions)
@@ -176,11 +180,12 @@ class PinholeCamera(_Camera):
 
 
 class OrthographicCamera(_Camera):
-    """A camera whose rays are parallel, from the plane through its position: what lies behind that is not seen.
+    """A camera with parallel rays, which start in the plane through its position; geometry behind that plane is not
+    visible.
 
     Args:
-        width, height: pixels, >= 1.
-        view_height: distance between the upper and the lower edge of the picture, in units of the scene.
+        width, height: size of the image in pixels, >= 1.
+        view_height: distance between the lower and the upper edge of the image, in units of the scene.
         position, look_at, up: as in `PinholeCamera`.
 
     Raises:
@@ -193,7 +198,9 @@ class OrthographicCamera(_Camera):
         super().__init__(width, height, position, look_at, up)
         self.view_height = _check_number("view_height", view_height)
         if self.view_height <= 0.0:
-            raise ValueError(f"view_height is {self.view_height}; it is the height of the picture in scene units, above 0")
+            raise ValueError(
+                f"view_height is {self.view_height}; it is the height of the image in scene units, and must be above 0"
+            )
 
     def __repr__(self) -> str:
         return (
@@ -202,7 +209,7 @@ class OrthographicCamera(_Camera):
         )
 
     def rays_on(self, device: wp.Device, first_pixel: int, count: int, offset: tuple[float, float] = (0.5, 0.5)) -> Rays:
-        """Rays of some pixels, as in any camera: origins of shape (count,), directions of shape (1,)."""
+        """Rays of some pixels, as in the base class: origins of shape (count,), directions of shape (1,)."""
         origins = wp.empty(count, dtype=wp.vec3d, device=device)
         launch(orthographic_origins, count, [self._view(offset), first_pixel, origins], device=device, chunk=4096)
         return Rays(origins, wp.array([self.forward], dtype=wp.vec3, device=device))
@@ -212,7 +219,7 @@ class OrthographicCamera(_Camera):
 
 
 def pixel_offset(sample: int, samples: int, seed: int) -> tuple[float, float]:
-    """Where ray `sample` of `samples` passes within every pixel: x, y in [0, 1) from its top left corner."""
+    """Position of ray `sample` of `samples` within every pixel: x, y in [0, 1) from the top left corner."""
     samples = check_whole("samples", samples, 1)
     sample = check_whole("sample", sample, 0)
     seed = check_whole("seed", seed, 0)
@@ -233,16 +240,18 @@ def pixel_offset(sample: int, samples: int, seed: int) -> tuple[float, float]:
 
 
 def _frame(sight: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Unit vectors forward, right and up of a camera with that line of sight."""
+    """Unit vectors forward, right and up of a camera with this viewing direction."""
     length = np.linalg.norm(sight)
     if length == 0.0:
-        raise ValueError("there is no line of sight: position and look_at are the same point, or towards is zero; change one")
+        raise ValueError(
+            "there is no viewing direction: position and look_at are the same point, or towards is zero; change one"
+        )
     forward = sight / length
     right = np.cross(forward, _unit_up(up))
     sine = np.linalg.norm(right)
     if sine < _SINE_OF_PARALLEL:
         other = "(0, 1, 0)" if abs(forward[1]) < 0.9 else "(0, 0, 1)"
-        raise ValueError(f"up is parallel to the line of sight; choose another direction, such as {other}")
+        raise ValueError(f"up is parallel to the viewing direction; choose another direction, such as {other}")
     right /= sine
     return forward, right, np.cross(right, forward)
 
@@ -255,7 +264,7 @@ def _unit_up(up: np.ndarray) -> np.ndarray:
 
 
 def _default_view(up: np.ndarray) -> np.ndarray:
-    """Line of sight from the front, a little from the right and above."""
+    """Viewing direction from the front, slightly from the right and above."""
     upward = _unit_up(up)
     front = np.array([0.0, -1.0, 0.0]) if abs(upward[1]) < 0.9 else np.array([0.0, 0.0, np.sign(upward[1])])
     front = front - (front @ upward) * upward
@@ -265,7 +274,7 @@ def _default_view(up: np.ndarray) -> np.ndarray:
 
 
 def _corners(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of all triangles, relative to the centre of their box, and that centre."""
+    """Vertices of all triangles, relative to the centre of their bounding box, and that centre."""
     meshes = getattr(geometry, "meshes", (geometry,))
     if not all(hasattr(mesh, "vertices") and hasattr(mesh, "faces") for mesh in meshes):
         raise TypeError(f"geometry must be a wrt.TriangleMesh or a wrt.Scene, not {type(geometry).__name__}")
@@ -280,10 +289,10 @@ def _corners(geometry: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fit(points: np.ndarray, axes: tuple[np.ndarray, ...], tangents: tuple[float, float]) -> np.ndarray:
-    """Position from which all points lie within the picture, as near as possible and with equal room on opposite sides.
+    """The nearest position from which all points are inside the image, with equal margins on opposite sides.
 
-    A point at (x, y, depth z) is within the right edge of a camera at (x0, y0, z0) if x - x0 <= tangent (z - z0), and so
-    on: each edge bounds x0 or y0 and z0 by the extreme of x -+ tangent z over the points.
+    A point at (x, y, depth z) is inside the right edge of a camera at (x0, y0, z0) if x - x0 <= tangent (z - z0), and so
+    on: each edge bounds x0 or y0, and z0, by the extreme of x -+ tangent z over the points.
     """
     depth = points @ axes[2]
     across, back = [], []
@@ -322,7 +331,7 @@ def check_point(name: str, value: Any) -> np.ndarray:
 
 
 def check_fov(fov: Any) -> float:
-    """Returns a field of view in degrees; raises an error if it is none."""
+    """Returns a field of view in degrees; raises an error if it is not in (0, 180)."""
     value = _check_number("fov", fov)
     if not 0.0 < value < 180.0:
         raise ValueError(f"fov is {value:g}; it is the vertical field of view in degrees, between 0 and 180")

@@ -1,4 +1,4 @@
-"""Pictures to files."""
+"""Image files."""
 
 from __future__ import annotations
 
@@ -13,23 +13,24 @@ _WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
 
 
 def save_image(path: str | Path, image: Any) -> None:
-    """Writes a picture in the format that its file's extension names.
+    """Writes an image in the format given by the file's extension.
 
     Args:
         path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is.
-        image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as `wrt.render` gives
-            them) in [0, 1], which are clipped and rounded to 8 bits. Integers and booleans, such as ids, go to ".npy" only.
+        image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as returned by
+            `wrt.render`) in [0, 1], which are clipped and rounded to 8 bits. Integers and booleans, such as ids, can only
+            be saved as ".npy".
 
     Raises:
         TypeError: neither uint8 nor floats.
-        ValueError: wrong shape, NaN or infinity, an unknown extension, alpha in a format that has none.
+        ValueError: wrong shape, NaN or infinity, an unknown extension, or alpha in a format that has none.
         FileNotFoundError: the folder does not exist.
     """
     path = check_path(path)
     suffix = path.suffix.lower()
     array = _checked(image, any_number=suffix == ".npy")
     if suffix == ".npy":
-        with open(path, "wb") as file:  # by name, NumPy would add the extension to one in capitals
+        with open(path, "wb") as file:  # given a path, NumPy would add the extension to one in capitals
             np.save(file, array)
         return
     from PIL import Image
@@ -39,12 +40,12 @@ def save_image(path: str | Path, image: Any) -> None:
     options = {"quality": 95, "subsampling": 0} if suffix in (".jpg", ".jpeg") else {}
     try:
         Image.fromarray(to_bytes(array)).save(path, **options)
-    except (KeyError, ValueError) as error:  # a Pillow format without this kind of picture
+    except (KeyError, ValueError) as error:  # a Pillow format that does not support this kind of image
         raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
 
 
 def check_path(path: str | Path) -> Path:
-    """Returns the path if a picture can be written there; errors as in `save_image`."""
+    """Returns the path if an image can be written there; errors as in `save_image`."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix != ".npy":
@@ -53,12 +54,12 @@ def check_path(path: str | Path) -> Path:
         if suffix not in {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}:
             raise ValueError(f"cannot write '{path}': unknown extension '{suffix}'; use .png, .jpg, .npy or another")
     if not path.parent.is_dir():
-        raise FileNotFoundError(f"no folder '{path.parent}' to write '{path.name}' to; make it first")
+        raise FileNotFoundError(f"there is no folder '{path.parent}' to write '{path.name}' to; create it first")
     return path
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
-    """(...) uint8 of display floats in [0, 1], rounded to the nearest; uint8 as it is."""
+    """(...) uint8 of display floats in [0, 1], rounded to the nearest; uint8 unchanged."""
     if image.dtype == np.uint8:
         return image
     return np.rint(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
@@ -70,12 +71,12 @@ def _checked(image: Any, any_number: bool) -> np.ndarray:
     try:
         array = np.asarray(image)
     except ValueError as error:
-        raise TypeError(f"image is no array: {error}") from error
+        raise TypeError(f"image is not an array: {error}") from error
     if array.dtype != np.uint8 and array.dtype.kind not in ("fiub" if any_number else "f"):
         remedies = {
             "b": "multiply by np.uint8(255)",
-            "i": "ids are no brightness: give each a colour, for example np.random.default_rng(0).random((n, 3))[ids], or keep "
-            "the numbers in a .npy file",
+            "i": "ids are not brightness: give each a colour, for example np.random.default_rng(0).random((n, 3))[ids], or "
+            "save the numbers in a .npy file",
         }
         remedy = remedies.get(array.dtype.kind.replace("u", "i"), "convert it first")
         raise TypeError(f"image must be uint8, or floats in [0, 1], not {array.dtype}; {remedy}")

@@ -1,11 +1,11 @@
-"""Shaded pictures: a point light with hard shadows, and the light of an even sky with ambient occlusion.
+"""Shaded images: a point light with hard shadows, and uniform sky light with ambient occlusion.
 
 The colour of a point is `albedo * (light_color * cosine, if it sees the light + ambient_color * openness)`, all linear; the
-light does not fade with distance. Both sides of every surface are lit alike. Openness is the share of the sky that reaches
-the point (`wrt.kernels.shading.ambient`). A pixel's samples are averaged, then encoded for display (sRGB).
+light does not fall off with distance. Both sides of every surface are shaded alike. Openness is the share of the sky that
+is visible from the point (`wrt.kernels.shading.ambient`). A pixel's samples are averaged, then encoded for display (sRGB).
 
-A picture is made in passes: one camera ray a pixel, tile by tile, then the next sample of all pixels. Everything between
-the camera and the film stays on the scene's device; the steps are the kernels of `wrt.kernels.shading`.
+An image is made in passes: one camera ray per pixel, tile by tile, then the next sample of all pixels. All intermediate
+data stays on the scene's device; the steps are the kernels of `wrt.kernels.shading`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["corner_normals", "default_light", "render"]
 Camera = PinholeCamera | OrthographicCamera
 
 TILE_PIXELS = 1 << 16
-"""Camera rays traced at once: bounds the memory, and the time between two calls of `progress`."""
+"""Camera rays traced at once; bounds the memory, and the time between two calls of `progress`."""
 
 BACKGROUND = ((0.90, 0.91, 0.92), (0.72, 0.79, 0.87))
 LIGHT_COLOR = (0.80, 0.77, 0.71)
@@ -60,35 +60,37 @@ def render(
     triangle_test: str = AUTO,
     progress: Callable[[int, int], Any] | None = None,
 ) -> np.ndarray:
-    """Makes a picture.
+    """Renders an image.
 
-    The same arguments give the same picture to the bit, whatever the number of threads.
+    The same arguments give the same image bit for bit, whatever the number of threads.
 
     Args:
-        scene: what to look at.
+        scene: the scene.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
-        samples: camera rays a pixel, >= 1.
-        light: (3,) position of the light; None for over the camera's left shoulder (`default_light`).
-        light_color, ambient_color: strength of light and sky, linear: a number or (3,), each >= 0.
+        samples: camera rays per pixel, >= 1.
+        light: (3,) position of the light; None for a position above and to the left of the camera (`default_light`).
+        light_color, ambient_color: radiance of the light and the sky, linear: a number or (3,), each >= 0.
         shadows: whether the light casts shadows.
-        ambient_samples: rays into the hemisphere for each camera ray; 0 for no ambient occlusion.
-        ambient_distance: length of these rays in scene units: farther geometry does not darken; None for no limit.
-        albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the scene,
-            mesh after mesh of `scene.meshes`; instances of a mesh look alike.
-        background: colour where nothing is hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of those for the lower
-            and the upper edge of the picture.
-        smooth: whether to interpolate normals between triangles; False shows every facet.
-        crease_angle: triangles whose planes differ by more than that many degrees keep a sharp edge, in (0, 90).
-        seed: changes the pattern of the samples.
+        ambient_samples: ambient rays per camera ray; 0 for no ambient occlusion.
+        ambient_distance: length of ambient rays in scene units: geometry beyond it does not occlude; None for no limit.
+        albedo: share of light that is reflected, linear, in [0, 1]: a number, (3,), or (F, 3) for all triangles of the
+            scene in the order of `scene.meshes`; instances of a mesh share its albedo.
+        background: colour of pixels without a hit, as displayed (sRGB, [0, 1]): a number, (3,), or a pair of these for the
+            lower and the upper edge of the image.
+        smooth: whether to interpolate normals between triangles; False shows facets.
+        crease_angle: edges between triangles whose planes differ by more than this angle stay sharp; in degrees, in (0,
+            90).
+        seed: seed of the sample pattern.
         traversal, triangle_test: as in `Scene.intersect`.
-        progress: called as progress(done, total) in camera rays, after each tile; what it raises ends the rendering.
+        progress: called as progress(done, total) in camera rays, after each tile; an exception that it raises ends the
+            rendering.
 
     Returns:
-        (height, width, 3) float32 in [0, 1], encoded for display (sRGB): `wrt.save_image` writes it as it is.
+        (height, width, 3) float32 in [0, 1], encoded for display (sRGB), as `wrt.save_image` takes it.
 
     Raises:
-        TypeError: `scene` or `camera` is of a wrong type.
-        ValueError: a value out of its range; unknown names.
+        TypeError: `scene` or `camera` has a wrong type.
+        ValueError: a value out of range, or an unknown name.
     """
     _check_types(scene, camera)
     if not 0.0 < crease_angle < 90.0:
@@ -122,15 +124,16 @@ def render(
 
 
 def default_light(camera: Camera) -> np.ndarray:
-    """(3,) a position over the camera's left shoulder, as far away from it as what it looks at, or nearly so."""
+    """(3,) a position above and to the left of the camera, at about the distance between the camera and its target."""
     distance = float(np.linalg.norm(camera.look_at - camera.position))
     return camera.position + 0.75 * distance * (camera.up - camera.right)
 
 
 def corner_normals(scene: Scene, crease_angle: float) -> wp.array:
-    """(3 F,) vec3 on the scene's device: smooth unit normals of all corners, of what instances share once, in its own space.
+    """(3 F,) vec3 on the scene's device: smooth unit normals of all triangle corners; shared meshes once, in their own
+    space.
 
-    Made once for each angle, in degrees, and again when the scene has been changed.
+    Cached for each crease angle, in degrees, until the scene changes.
     """
     mesh, made = _corner_normals.get(scene, (None, {}))
     if mesh is not scene.device_mesh:
@@ -165,7 +168,7 @@ def _joined(parts: list[wp.array]) -> wp.array:
 
 @dataclass(frozen=True)
 class _Settings:
-    """What all tiles share."""
+    """Settings that all tiles share."""
 
     light: np.ndarray
     lighting: film.Lighting
@@ -177,7 +180,7 @@ class _Settings:
 
 
 class _Tile:
-    """A run of pixels: one camera ray each, and all that follows from it."""
+    """A range of pixels: one camera ray each, and its secondary rays."""
 
     def __init__(self, scene: Scene, look: surface.Appearance, settings: _Settings, first: int, count: int) -> None:
         self.scene, self.look, self.settings = scene, look, settings
@@ -190,7 +193,7 @@ class _Tile:
         self.surface.cosine = self._empty(float)
 
     def expose(self, rays: Rays, sample: int, picture: wp.array) -> None:
-        """Adds the light that these rays bring to the picture."""
+        """Adds the light of these rays to the image."""
         hits = self.scene.intersect(rays, **self.settings.query)
         stride = 0 if rays.directions.size == 1 else 1
         light = wp.vec3d(*self.settings.light)
@@ -262,7 +265,7 @@ def _lighting(light_color: Any, ambient_color: Any, background: Any) -> film.Lig
 
 
 def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> np.ndarray:
-    """(N, 3) float32 for one of the allowed counts N; a number is a grey."""
+    """(N, 3) float32 for one of the allowed counts N; a number becomes a grey."""
     try:
         colors = np.array(value, dtype=np.float32)
     except (TypeError, ValueError):
@@ -280,7 +283,7 @@ def _colors(name: str, value: Any, counts: tuple[int, ...], maximum: float) -> n
 
 
 def _vertex_corners(scene: Scene) -> normals.VertexCorners:
-    """Which corners meet at each point; meshes of a scene are not joined with each other."""
+    """The triangle corners that meet at each point; different meshes of a scene share no points."""
     vertex, vertices = [], 0
     for mesh in scene.meshes:
         welded = mesh.welded()

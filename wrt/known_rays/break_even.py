@@ -1,22 +1,22 @@
-"""Whether the trees of influence areas pay for a batch of rays, by counted work, and from which share of settled rays on.
+"""Break-even analysis of influence areas: whether their trees pay for a batch of rays, by counted work.
 
     print(wrt.break_even(scene, rays.origins, rays.directions))
 
-A ray of an area costs C_local in the area's tree. Of the share that this does not settle (no hit before the ray leaves the
-area, and some way left) each ray costs another C_miss in the whole scene's tree, where without areas every ray costs C_global.
-So the area pays if it settles a share s of its rays with
+A ray of an area costs C_local in the area's tree. The area settles a share s of its rays: those that hit before they leave
+the area, or end there. Each of the others costs another C_miss in the whole scene's tree. Without areas, each ray costs
+C_global. So the area pays if
 
     C_local + (1 - s) C_miss < C_global,   that is   s > (C_local + C_miss - C_global) / C_miss
 
-(Falcone 2024, section 6.2.5; the last line there has a plus before C_global.) Rays that miss are often of a kind, so C_miss is
-not C_global: all three are counted, on a sample of the batch.
+(Falcone 2024, section 6.2.5; the last line there has a plus before C_global.) Rays that an area does not settle differ from
+the others, so C_miss is not C_global: all three costs are counted, on a sample of the batch.
 
-**Cost** of a ray is what the scene's cost model says of the work counted for it: nodes visited, and triangles met in blocks of
-the tree's width, as single rays do. Finding the area of a ray comes on top (`FIND`).
+**Cost** of a ray is the scene's cost model applied to its counted work: nodes visited, and triangles tested in blocks of
+the tree's width, by single rays. Finding the area of a ray is added (`FIND`).
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    2024.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ if TYPE_CHECKING:
     from wrt.scene.scene import Scene
 
 FIND = 2.0
-"""Finding the area of a ray, in visits of a node: some 15 ns where packets take 7 ns a visit. (Single rays take 30.)"""
+"""Cost of finding the area of a ray, in node visits (notebooks/records/2026-11-21-influence-areas.md)."""
 
 SAMPLES = 1 << 14
-"""Rays whose work is counted."""
+"""Default number of rays whose work is counted."""
 
 
 def break_even_share(cost_local: float, cost_global: float, cost_miss: float) -> float:
-    """Share of its rays that an area's tree has to settle to pay; 0 or less: it always pays, above 1: never.
+    """Share of its rays that an area's tree must settle to pay; 0 or less: it always pays, above 1: never.
 
     Args:
         cost_local: mean cost of a ray in the area's tree.
         cost_global: mean cost of the same rays in the whole scene's tree.
-        cost_miss: mean cost of the rest of the rays that the area does not settle; 0 if it settles all.
+        cost_miss: mean cost in the whole scene's tree of the rays that the area does not settle; 0 if it settles all.
 
     Raises:
         ValueError: a cost is negative or not finite.
@@ -75,13 +75,14 @@ def break_even_share(cost_local: float, cost_global: float, cost_miss: float) ->
 
 @dataclass(frozen=True)
 class AreaBalance:
-    """What an area's tree costs and saves.
+    """Costs and savings of an area's tree.
 
     Attributes:
         area: the influence area.
-        share: of the batch, rays that belong to it.
-        settled: of those, rays that need no other tree.
-        cost_local, cost_global, cost_miss: mean costs of a ray, as in `break_even_share`; finding the area is in the first.
+        share: share of the batch's rays that belong to it.
+        settled: share of those that need no other tree.
+        cost_local, cost_global, cost_miss: mean costs of a ray, as in `break_even_share`; cost_local includes finding the
+            area.
     """
 
     area: InfluenceArea
@@ -93,22 +94,22 @@ class AreaBalance:
 
     @property
     def break_even(self) -> float:
-        """Share of its rays that the area has to settle."""
+        """Share of its rays that the area must settle to pay."""
         return break_even_share(self.cost_local, self.cost_global, self.cost_miss)
 
     @property
     def cost(self) -> float:
-        """Mean cost of a ray with areas."""
+        """Mean cost of a ray of the area with influence areas."""
         return self.cost_local + (1.0 - self.settled) * self.cost_miss
 
     @property
     def ratio(self) -> float:
-        """Cost of the area's rays without areas, over that with: above 1 it pays."""
+        """Cost of the area's rays without influence areas, over the cost with them: the area pays if this is above 1."""
         return self.cost_global / self.cost
 
     @property
     def pays(self) -> bool:
-        """Whether it settles more."""
+        """Whether the area settles more than the break-even share."""
         return self.settled > self.break_even
 
     def __str__(self) -> str:
@@ -116,19 +117,19 @@ class AreaBalance:
         verdict = "pays" if self.pays else "does not pay"
         return (
             f"{type(self.area).__name__} with {self.share:.1%} of the rays {verdict}: it settles {self.settled:.0%} of them, "
-            f"{needed} is enough; a ray costs {self.cost_local:.1f} here and {self.cost_miss:.1f} for the rest, "
-            f"{self.cost_global:.1f} without: {self.ratio:.2f} times"
+            f"break-even at {needed}; a ray costs {self.cost_local:.1f} here, {self.cost_miss:.1f} if not settled, and "
+            f"{self.cost_global:.1f} without areas: {self.ratio:.2f} times"
         )
 
 
 @dataclass(frozen=True)
 class BreakEven:
-    """The balance of all areas of a scene, for a batch of rays.
+    """The break-even analysis of all areas of a scene for a batch of rays.
 
     Attributes:
-        areas: those that have rays in the batch.
+        areas: the areas with rays in the batch.
         alone: share of the rays that belong to no area.
-        rays: number of rays that were looked at.
+        rays: number of rays whose work was counted.
     """
 
     areas: tuple[AreaBalance, ...]
@@ -137,14 +138,14 @@ class BreakEven:
 
     @property
     def ratio(self) -> float:
-        """Cost of the rays of all areas without areas, over that with; 1 if there are none."""
+        """Cost of all rays with an area without influence areas, over the cost with them; 1 if there are none."""
         if not self.areas:
             return 1.0
         return sum(area.share * area.cost_global for area in self.areas) / sum(area.share * area.cost for area in self.areas)
 
     @property
     def pays(self) -> bool:
-        """Whether areas pay for the rays that have one."""
+        """Whether influence areas pay for the rays that have one."""
         return self.ratio > 1.0
 
     def __str__(self) -> str:
@@ -162,22 +163,20 @@ def break_even(
     query: str = CLOSEST,
     samples: int = SAMPLES,
 ) -> BreakEven:
-    """Whether the influence areas of a scene pay for such rays, by counting the work of evenly picked ones.
+    """Whether the influence areas of a scene pay for such rays, by the counted work of evenly spaced samples.
 
     Args:
         scene: built with a `wrt.RayAwareBvh`.
         origins, directions, t_min, t_max: as in `Scene.intersect`.
         query: "closest" or "any".
-        samples: rays that are traced, at most.
+        samples: largest number of rays traced.
 
     Raises:
         TypeError: as `Scene.intersect`.
         ValueError: as `Scene.intersect`; the scene has no influence areas; an unknown query.
     """
     if scene.area_trees is None:
-        raise ValueError(
-            "the scene has no influence areas with triangles; build it with accelerator=wrt.RayAwareBvh(areas=...)"
-        )
+        raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
     lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
@@ -188,7 +187,7 @@ def break_even(
 
 
 def balance(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
-    """Counts the work of all rays, area by area."""
+    """Counts the work of all rays, by area."""
     local, cuts = scene.area_trees, assign(scene, rays)
     area, rest, count = cuts.area.numpy(), cuts.rest.numpy(), max(rays.count, 1)
     cut, left = with_range(rays, "t_max", cuts.cut), with_range(rays, "t_min", cuts.rest)
@@ -207,7 +206,7 @@ def balance(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakE
 
 
 def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, query: str) -> tuple[np.ndarray, np.ndarray]:
-    """What some rays cost in a scene's tree, and which hit anything."""
+    """Cost of the chosen rays in a scene's tree, and whether each hits anything."""
     hits, work = trace_batch(scene, plan, chosen_of(rays, chosen, scene.device), query, True)
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
     price = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
@@ -215,5 +214,5 @@ def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, que
 
 
 def chosen_of(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:
-    """Some rays of a batch."""
+    """The rays of a batch with these indices."""
     return sort_rays(rays, wp.array(chosen.astype(np.int32), dtype=int, device=device), empty)

@@ -1,33 +1,33 @@
-"""Influence areas found in rays: which share of a batch runs in parallel, or through common points, and where.
+"""Detection of influence areas: which share of a batch of rays is parallel, or passes through common points, and where.
 
     rays = ...                                    # of a renderer, a sensor, a simulation
     found = wrt.InfluenceAreas.from_rays(rays.origins, rays.directions, bounds=scene.bounds)
-    print(found)                                  # what explains how many of the rays
+    print(found)                                  # each distribution and its share of the rays
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=found))
 
-**Problem.** The thesis expects influence areas to be given. A batch of rays often comes without a word on where it is from.
+**Problem.** Falcone's method expects the influence areas as input, but the source of a batch of rays is often unknown.
 
 **Method**, on a sample of the rays, taken as lines, since shadow rays run towards their light:
 
-    parallel   directions are clustered by the angle between them (DBSCAN: a cluster is where many are near each other, what is
-               alone is noise, and nobody says how many clusters there are); a cluster's axis is the median of its directions
-    radial     the lines of random pairs of rays nearly meet, if both go through one point, and seldom if not; the places where
-               they do are clustered likewise, and a cluster's point is fitted to the lines near it by least squares
-    choose     the distribution that explains most rays is taken, its rays are put aside, and the search goes on with the others
+    parallel   directions are clustered by the angle between them with DBSCAN, which finds dense groups, ignores outliers and
+               needs no number of clusters; the axis of a cluster is the median of its directions
+    radial     the lines of random pairs of rays nearly meet if both pass through one point, and rarely otherwise; the meeting
+               points are clustered in the same way, and a point is fitted to the lines near each cluster by least squares
+    choose     the distribution that explains most rays is chosen, its rays are removed, and the search continues
 
-A distribution explains a ray if its line through the ray's origin is within the tolerance of the ray. Parallel rays are
-explained by any point far enough away too, so a point has to explain more.
+A distribution explains a ray if the angle between the ray and the distribution's line through its origin is within the
+tolerance. Since a point far away also explains parallel rays, a point has to explain more.
 
-**Regions.** Around the origins of the rays that are explained, and as far along them as `bounds` reaches: a cuboid of parallel
-rays; a frustum of radial ones, or one for each side of a cube around the point where they spread wider.
+**Regions** enclose the origins of the explained rays and extend along the rays as far as `bounds`: a cuboid for parallel
+rays; for radial rays a frustum, or, for wide bundles, one for each side of a cube around the point.
 
 References:
     M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters in large spatial databases
-        with noise. KDD 1996.
+    with noise. KDD 1996.
     M. A. Fischler, R. C. Bolles: Random sample consensus: a paradigm for model fitting with applications to image analysis
-        and automated cartography. Communications of the ACM 24(6), 1981.
+    and automated cartography. Communications of the ACM 24(6), 1981.
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024.
+    2024.
 """
 
 from __future__ import annotations
@@ -43,40 +43,41 @@ from wrt.imaging.cameras import check_whole
 from wrt.rays.rays import Rays
 
 SAMPLES = 2000
-"""Rays that are looked at: 5 % of them are enough to be found."""
+"""Default number of sampled rays: a distribution with 5 % of the rays is found."""
 
 PAIRS = 20_000
-"""Pairs of rays whose lines may meet."""
+"""Random pairs of rays whose meeting points are searched."""
 
 PLACES = 2000
-"""Places where lines meet that are clustered, at most: all of them may be one point, and the time grows with the square."""
+"""Largest number of meeting points that are clustered; the time of clustering grows with its square."""
 
 LEAST_MEMBERS = 5
-"""Of a cluster."""
+"""Smallest number of members of a cluster."""
 
 LEAST_SINE = 1e-3
-"""Of the angle between two lines whose meeting says something."""
+"""Smallest sine of the angle between two lines whose meeting point is used."""
 
 MORE = 1.1
-"""Times as many rays a point has to explain as a direction does."""
+"""Ratio by which a point must explain more rays than a direction."""
 
 FITS = 4
-"""Rounds of fitting a point, each to the lines near the last one."""
+"""Rounds of fitting a point, each to the lines near the previous one."""
 
 PAD = 1.05
-"""By how much regions are larger than what is around the sample."""
+"""Factor by which regions are larger than the bounds of the sample."""
 
 WIDE = np.tan(np.radians(70.0))
-"""Half a window at depth 1 from which on rays are told by the sides of a cube."""
+"""Tangent of half the opening angle of a bundle from which its rays are divided among the sides of a cube."""
 
 
 @dataclass(frozen=True)
 class InfluenceAreas(Sequence):
-    """Influence areas and what they explain; a sequence of them.
+    """Detected influence areas and their shares of the rays; a sequence of areas.
 
     Attributes:
-        areas: the most explaining distribution first.
-        shares: of the sampled rays, one an area: those whose line is the area's, within the tolerance, and that start in it.
+        areas: the areas, by decreasing share of their distribution.
+        shares: for each area, the share of the sampled rays that start in it and match its distribution within the
+            tolerance.
     """
 
     areas: tuple[InfluenceArea, ...]
@@ -116,22 +117,23 @@ class InfluenceAreas(Sequence):
         """Finds the parallel and radial distributions in a batch of rays; needs scikit-learn, `pip install scikit-learn`.
 
         Args:
-            origins: (..., 3), or a `wrt.Rays` (then leave directions out); NumPy or what becomes it.
-            directions: (..., 3), of any length; leading shapes broadcast. Rays with NaN, infinity or no direction are left out.
-            bounds: (2, 3) lower and upper corner of what the rays may meet, such as `scene.bounds`; None for the box of the
-                origins.
-            tolerance: greatest angle between a ray and its distribution's line, in degrees, in (0, 45).
-            least_share: of the rays, that a distribution must explain, in (0, 1].
-            samples: rays that are looked at, at least 20; the time grows with its square.
-            seed: of the sample and the pairs.
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first two arguments; NumPy or convertible to it.
+            directions: (..., 3), of any length; leading shapes broadcast. Rays with a NaN, an infinity or a zero direction
+                are ignored.
+            bounds: (2, 3) lower and upper corner of what the rays may hit, such as `scene.bounds`; None for the bounding
+                box of the origins.
+            tolerance: largest angle between a ray and its distribution's line, in degrees, in (0, 45).
+            least_share: smallest share of the rays that a distribution must explain, in (0, 1].
+            samples: number of sampled rays, at least 20; the time grows with its square.
+            seed: seed of the sample and of the pairs.
 
         Returns:
-            The areas found; none, if the rays have no such order.
+            The areas found; empty if the rays have no such distribution.
 
         Raises:
-            ImportError: scikit-learn is not there; the message says how to install it.
-            TypeError: an argument is of a wrong type.
-            ValueError: wrong shapes, a value out of its range, or no valid ray.
+            ImportError: scikit-learn is not installed; the message says how to install it.
+            TypeError: an argument has a wrong type.
+            ValueError: wrong shapes, a value out of range, or no valid ray.
         """
         if not 0.0 < tolerance < 45.0:
             raise ValueError(f"tolerance is {tolerance}; it must be above 0 and below 45 degrees")
@@ -152,7 +154,7 @@ class InfluenceAreas(Sequence):
 
 @dataclass(frozen=True)
 class Lines:
-    """Rays of the sample, as lines: (N, 3) origins and unit directions, float64."""
+    """Sampled rays as lines: (N, 3) origins and unit directions, float64."""
 
     origins: np.ndarray
     directions: np.ndarray
@@ -171,17 +173,17 @@ class Parallel:
     axis: np.ndarray
 
     def explains(self, lines: Lines, sine: float) -> np.ndarray:
-        """(N,) bool: which lines run along it."""
+        """(N,) bool: whether each line is parallel to the axis."""
         return np.linalg.norm(np.cross(lines.directions, self.axis), axis=1) <= sine
 
     def areas(self, origins: np.ndarray, directions: np.ndarray, box: np.ndarray) -> list[tuple[InfluenceArea, int]]:
-        """The area of such rays, and how many they are."""
+        """The area of such rays, and the number of rays."""
         forward = self.axis if (directions @ self.axis).sum() >= 0.0 else -self.axis
         frame = frame_of(tuple(forward), None)
         places, ends = origins @ frame.T, corners_of(box) @ frame.T
         low = np.append(places[:, :2].min(axis=0), min(places[:, 2].min(), ends[:, 2].min()))
         high = np.append(places[:, :2].max(axis=0), max(places[:, 2].max(), ends[:, 2].max()))
-        least = 1e-3 * np.linalg.norm(box[1] - box[0])  # of a single ray, too
+        least = 1e-3 * np.linalg.norm(box[1] - box[0])  # the region of a single ray must have a volume, too
         size = np.maximum(PAD * (high - low), least).tolist()
         middle = (low + high) / 2
         position = np.array([middle[0], middle[1], middle[2] - size[2] / 2]) @ frame
@@ -193,19 +195,19 @@ class Parallel:
 
 @dataclass(frozen=True)
 class Radial:
-    """Lines through a point (3,); `near` is what counts as being at it."""
+    """Lines through a point (3,); origins within the distance `near` count as being at the point."""
 
     point: np.ndarray
     near: float
 
     def explains(self, lines: Lines, sine: float) -> np.ndarray:
-        """(N,) bool: which lines go through it, as seen from their origins."""
+        """(N,) bool: whether each line passes through the point, as seen from its origin."""
         ways = self.point - lines.origins
         off = np.linalg.norm(np.cross(ways, lines.directions), axis=1)
         return off <= sine * np.linalg.norm(ways, axis=1) + self.near
 
     def areas(self, origins: np.ndarray, directions: np.ndarray, box: np.ndarray) -> list[tuple[InfluenceArea, int]]:
-        """The areas of such rays, and how many each has: one, or those of the sides of a cube."""
+        """The areas of such rays and their numbers of rays: one, or one for each side of a cube."""
         ways = origins - self.point
         distance = np.linalg.norm(ways, axis=1, keepdims=True)
         at_point = distance <= self.near
@@ -237,7 +239,7 @@ Distribution = Parallel | Radial
 
 
 def tangents_of(seen: np.ndarray) -> np.ndarray | None:
-    """(2,) half sizes of the window at depth 1 that shows all of (N, 3) vectors; None if some are not ahead."""
+    """(2,) half sizes of the window at depth 1 that contains all (N, 3) vectors; None if some point backwards."""
     if seen[:, 2].min() <= 1e-3:
         return None
     return np.abs(seen[:, :2] / seen[:, 2:]).max(axis=0)
@@ -246,7 +248,7 @@ def tangents_of(seen: np.ndarray) -> np.ndarray | None:
 def find_distributions(
     lines: Lines, sine: float, least: int, rng: np.random.Generator
 ) -> list[tuple[Distribution, np.ndarray]]:
-    """Distributions that explain at least so many lines each, with the indices of those lines; no line twice."""
+    """Distributions that explain at least `least` lines each, with the indices of those lines; no line is used twice."""
     rest = np.arange(len(lines))
     found: list[tuple[Distribution, np.ndarray]] = []
     while len(rest) >= least:
@@ -272,13 +274,13 @@ def parallel_candidates(lines: Lines, sine: float, least: int) -> list[Parallel]
     axes = []
     for label in range(labels.max() + 1):
         members = lines.directions[labels == label]
-        axis = np.median(members * np.sign(members @ members[0])[:, None], axis=0)  # lines have no sign
+        axis = np.median(members * np.sign(members @ members[0])[:, None], axis=0)  # lines have no orientation
         axes.append(Parallel(axis / np.linalg.norm(axis)))
     return axes
 
 
 def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Generator) -> list[Radial]:
-    """A point for each cluster of places where lines meet."""
+    """A point for each cluster of meeting points of lines."""
     one, other = rng.integers(0, len(lines), (2, PAIRS))
     a, b = lines[one], lines[other]
     between = b.origins - a.origins
@@ -295,7 +297,7 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
     meeting &= gap <= sine * np.minimum(np.abs(s), np.abs(t)) + near
     if meeting.sum() < LEAST_MEMBERS:
         return []
-    kept = np.flatnonzero(meeting)[:PLACES]  # of random pairs, the first are as good as any
+    kept = np.flatnonzero(meeting)[:PLACES]  # pairs are random: any subset will do
     places = (p[kept] + q[kept]) / 2
     expected = PAIRS * len(kept) / meeting.sum() * (least / len(lines)) ** 2
     labels = cluster(places, 2.0 * sine * size + near, max(LEAST_MEMBERS, int(expected / 4)))
@@ -304,7 +306,7 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
 
 
 def fit_point(start: Radial, lines: Lines, sine: float) -> Radial:
-    """The point nearest to the lines near it, in the sense of least squares."""
+    """The least-squares meeting point of the lines near `start`."""
     best = start
     for width in np.geomspace(4.0 * sine, sine, FITS):
         near = lines[best.explains(lines, width)]
@@ -317,10 +319,10 @@ def fit_point(start: Radial, lines: Lines, sine: float) -> Radial:
 
 
 def cluster(points: np.ndarray, distance: float, least: int, metric: str = "euclidean") -> np.ndarray:
-    """(N,) number of each point's cluster, -1 for none, by DBSCAN.
+    """(N,) cluster number of each point, -1 for none, by DBSCAN.
 
     Raises:
-        ImportError: scikit-learn is not there.
+        ImportError: scikit-learn is not installed.
     """
     try:
         from sklearn.cluster import DBSCAN
@@ -354,7 +356,7 @@ def sample_lines(origins: Any, directions: Any, count: int, rng: np.random.Gener
     except ValueError:
         raise ValueError(f"origins {o.shape} and directions {d.shape} do not broadcast") from None
     total = o.size // 3
-    # of millions of rays, few are looked at; more than asked for, as some may be bad
+    # only a few of millions of rays are converted; more than requested, because some may be invalid
     chosen = np.unique(rng.integers(0, total, 4 * count)) if total > 4 * count else np.arange(total)
     places = np.unravel_index(chosen, o.shape[:-1]) if o.ndim > 1 else ()
     o, d = (np.atleast_2d(a[places].astype(np.float64)) for a in (o, d))
@@ -362,7 +364,7 @@ def sample_lines(origins: Any, directions: Any, count: int, rng: np.random.Gener
     with np.errstate(invalid="ignore"):
         valid = np.flatnonzero(np.isfinite(o).all(axis=1) & np.isfinite(length) & (length > 0.0))
     if not len(valid):
-        raise ValueError("no ray has a finite origin and a finite direction other than zero; pass some that do")
+        raise ValueError("no ray has a finite origin and a finite direction other than zero; pass at least one")
     valid = rng.permutation(valid)[:count]
     return Lines(o[valid], d[valid] / length[valid, None])
 
@@ -380,5 +382,5 @@ def _check_bounds(bounds: Any, origins: np.ndarray) -> np.ndarray:
         return box
     box = np.array(bounds, dtype=np.float64)
     if box.shape != (2, 3) or not np.isfinite(box).all() or (box[0] > box[1]).any():
-        raise ValueError(f"bounds must be a lower and an upper corner, (2, 3), not {bounds!r}")
+        raise ValueError(f"bounds must be (2, 3), a lower and an upper corner, not {bounds!r}")
     return box

@@ -1,4 +1,4 @@
-"""Ray casters: batches of rays of a known distribution, for measurements, and the shadow rays of what a camera sees.
+"""Ray casters: batches of rays with a known distribution, for measurements, and shadow rays from visible points.
 
     rays = wrt.PlaneCaster(position=(0, 0, 9), direction=(0, 0, -1), width=4, height=3).rays(1 << 20)
     rays = wrt.CircularCapCaster(position=(0, 0, 9), direction=(0, 0, -1), angle=20).rays(1 << 20, seed=7)
@@ -7,12 +7,12 @@
     dark = scene.occluded(wrt.point_shadow_rays(seen, (0, 0, 9)))
     dark = scene.occluded(wrt.directional_shadow_rays(seen, (0.3, 0.2, -1)))
 
-The same seed gives the same rays, whatever the count, and they are evenly spread (`wrt.kernels.influence.ray_casting`). Cameras
-cast rays evenly over a picture, square caps evenly over the sphere.
+The same seed gives the same rays, whatever the count, in a low-discrepancy pattern (`wrt.kernels.influence.ray_casting`).
+Cameras sample the image plane uniformly, square caps the sphere.
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
-        2024: section 5.6.2, appendix B.
+    2024: section 5.6.2, appendix B.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class _Caster:
-    """What all casters share: a place and a direction.
+    """Base class of casters: a position and a direction.
 
     Attributes:
-        position: (3,) where rays start, or the middle of it.
-        direction: (3,) of their middle, of any length.
-        up: (3,) what is up across it, of any length; None for the axis that is most across.
+        position: (3,) origin of the rays, or the centre of their origins.
+        direction: (3,) central direction of the rays, of any length.
+        up: (3,) upward direction across the rays, of any length; None for the coordinate axis most perpendicular to them.
     """
 
     position: Point
@@ -64,7 +64,7 @@ class _Caster:
         return aim
 
     def _directions(self, kernel: wp.Kernel, aim: Aim, count: int, seed: int) -> Rays:
-        """Rays from the position."""
+        """Rays that start at the position."""
         directions = wp.empty(count, dtype=wp.vec3, device="cpu")
         launch(kernel, count, [aim, wp.uint32(seed), directions], device=directions.device, chunk=4096)
         return Rays(np.array([self.position]), directions.numpy())
@@ -72,16 +72,16 @@ class _Caster:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneCaster(_Caster):
-    """Parallel rays, evenly from a rectangle across them.
+    """Parallel rays, distributed uniformly over a rectangle perpendicular to them.
 
     Attributes:
-        position, direction, up: the middle of the rectangle, the rays' direction, and what is up in the rectangle.
-        width, height: sides of the rectangle, in the scene's units.
-        tolerance: greatest angle of a ray to the direction, in degrees, in [0, 90]; rays are spread evenly over that cap.
+        position, direction, up: centre of the rectangle, direction of the rays, and upward direction in the rectangle.
+        width, height: sides of the rectangle, in units of the scene.
+        tolerance: largest angle between a ray and the direction, in degrees, in [0, 90]; rays are uniform over that cap.
 
     Raises:
-        TypeError: a size or an angle is no number.
-        ValueError: a value is not finite or out of its range, the direction is 0, or `up` is parallel to it.
+        TypeError: a size or an angle is not a number.
+        ValueError: a value is not finite or out of range, the direction is 0, or `up` is parallel to it.
     """
 
     width: float
@@ -97,7 +97,7 @@ class PlaneCaster(_Caster):
 
     @classmethod
     def of(cls, area: PlaneInfluenceArea, tolerance: float = 0.0) -> PlaneCaster:
-        """The caster of an influence area's rays; tolerance: as of the class."""
+        """The caster of an influence area's rays; tolerance: as in the class."""
         sizes = {"width": area.width, "height": area.height, "up": area.up}
         return cls(position=area.position, direction=area.direction, tolerance=tolerance, **sizes)
 
@@ -105,12 +105,12 @@ class PlaneCaster(_Caster):
         """`count` rays on the CPU: origins float64, unit directions float32.
 
         Args:
-            count: at least 0; the first rays of a longer batch are the same.
-            seed: 0 to 2^32 - 1; another one gives other rays.
+            count: number of rays, at least 0; longer batches begin with the same rays.
+            seed: 0 to 2^32 - 1; another seed gives other rays.
 
         Raises:
-            TypeError: an argument is no whole number.
-            ValueError: a value out of its range.
+            TypeError: an argument is not a whole number.
+            ValueError: a value out of range.
         """
         from wrt.kernels.influence.ray_casting import cast_plane
 
@@ -125,14 +125,14 @@ class PlaneCaster(_Caster):
 
 @dataclass(frozen=True, kw_only=True)
 class CircularCapCaster(_Caster):
-    """Rays from a point, evenly over a circular cap of the sphere around it.
+    """Rays from a point, distributed uniformly over a circular cap of the sphere around it.
 
     Attributes:
-        position, direction, up: the point, the middle of the cap; `up` turns the pattern.
-        angle: greatest angle of a ray to the direction, in degrees, in [0, 180]; 180 is the whole sphere.
+        position, direction, up: the point, the centre of the cap; `up` rotates the pattern.
+        angle: largest angle between a ray and the direction, in degrees, in [0, 180]; 180 is the whole sphere.
 
     Raises:
-        ValueError: a value is not finite or out of its range, the direction is 0, or `up` is parallel to it.
+        ValueError: a value is not finite or out of range, the direction is 0, or `up` is parallel to it.
     """
 
     angle: float
@@ -153,14 +153,14 @@ class CircularCapCaster(_Caster):
 
 @dataclass(frozen=True, kw_only=True)
 class SquareCapCaster(_Caster):
-    """Rays from a point, evenly over what a rectangular window shows of the sphere around it.
+    """Rays from a point, distributed uniformly over the part of the sphere seen through a rectangular window.
 
     Attributes:
-        position, direction, up: the point, the middle of the window, and what is up in it.
-        fov: horizontal and vertical angle between the window's edges, in degrees, each above 0 and below 180.
+        position, direction, up: the point, the centre of the window, and its upward direction.
+        fov: horizontal and vertical angle of the window, in degrees, each in (0, 180).
 
     Raises:
-        ValueError: a value is not finite or out of its range, the direction is 0, or `up` is parallel to it.
+        ValueError: a value is not finite or out of range, the direction is 0, or `up` is parallel to it.
     """
 
     fov: tuple[float, float]
@@ -173,7 +173,7 @@ class SquareCapCaster(_Caster):
 
     @classmethod
     def of(cls, area: PointInfluenceArea) -> SquareCapCaster:
-        """The caster of an influence area's rays, from its point."""
+        """The caster of an influence area's rays, from its apex."""
         return cls(position=area.position, direction=area.direction, fov=area.fov, up=area.up)
 
     def rays(self, count: int, seed: int = 0) -> Rays:
@@ -186,18 +186,18 @@ class SquareCapCaster(_Caster):
 
 
 def point_shadow_rays(hits: Hits, position: Any) -> Rays:
-    """Rays from hits to a point light, off the surface on the light's side (`Hits.spawn`), as far as the light.
+    """Rays from hits to a point light; they start off the surface on the light's side (`Hits.spawn`) and end at the light.
 
     Args:
-        hits: what is seen, on the CPU.
-        position: (3,) of the light.
+        hits: the visible points, on the CPU.
+        position: (3,) position of the light.
 
     Returns:
-        Rays of the hits' shape, t = 1 at the light; those of misses start at NaN, and so miss.
+        Rays of the hits' shape, with t = 1 at the light. Rays of misses start at NaN, and so miss.
 
     Raises:
         TypeError: the hits are Warp arrays.
-        ValueError: the position is no finite point.
+        ValueError: the position is not a finite point.
     """
     light = np.array(check_numbers("position", position, 3))
     with np.errstate(invalid="ignore"):
@@ -206,11 +206,14 @@ def point_shadow_rays(hits: Hits, position: Any) -> Rays:
 
 
 def directional_shadow_rays(hits: Hits, direction: Any) -> Rays:
-    """Rays from hits against the direction of a light that is infinitely far; arguments and errors as `point_shadow_rays`.
+    """Rays from hits towards a light at infinity; errors as in `point_shadow_rays`.
 
     Args:
-        hits: what is seen, on the CPU.
-        direction: (3,) in which the light shines, of any length but 0.
+        hits: the visible points, on the CPU.
+        direction: (3,) direction in which the light shines, of any length but 0.
+
+    Returns:
+        Rays of the hits' shape. Rays of misses start at NaN, and so miss.
     """
     against = -frame_of(check_numbers("direction", direction, 3), None)[2]
     directions = np.broadcast_to(against, _positions(hits).shape)
@@ -219,12 +222,12 @@ def directional_shadow_rays(hits: Hits, direction: Any) -> Rays:
 
 def _positions(hits: Hits) -> np.ndarray:
     if isinstance(hits.position, wp.array):
-        raise TypeError("hits are Warp arrays; shadow rays are made of hits of NumPy rays")
+        raise TypeError("hits are Warp arrays; shadow rays need hits of NumPy rays")
     return hits.position
 
 
 def _rise(angle: float) -> float:
-    """1 - cos of an angle in degrees, exact for small ones too."""
+    """1 - cos of an angle in degrees, accurate for small angles, too."""
     return 2.0 * sin(radians(angle) / 2) ** 2
 
 

@@ -1,4 +1,4 @@
-"""What a tree is worth to given rays: expected by the boxes' areas, and counted by tracing; as tables, JSON and CSV."""
+"""Quality of a BVH for given rays: expected from the areas of boxes, and counted by tracing; as tables, JSON and CSV."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ __all__ = ["CountedWork", "TreeAnalysis", "analyse"]
 
 BOX_COST = 1.0
 TRIANGLE_COST = 1.2
-"""Of one test, as published."""
+"""Costs of one ray-box and one ray-triangle test, after Falcone (see `wrt.known_rays.influence_areas`)."""
 
 
 @dataclass(frozen=True)
 class CountedWork:
-    """What rays did, on average over those that meet the root's box.
+    """Work of rays, on average over those that meet the root's box.
 
     Attributes:
-        rays: rays that meet the root's box.
-        share: of all rays.
-        boxes, triangles: tests a ray. A node of W children is W box tests.
-        cost: of these tests.
+        rays: number of rays that meet the root's box.
+        share: their share of all rays.
+        boxes, triangles: tests per ray. Visiting a node of W children counts as W box tests.
+        cost: cost of these tests.
     """
 
     rays: int
@@ -54,15 +54,15 @@ class TreeAnalysis:
     """Measures of a scene's bounding volume hierarchy.
 
     Attributes:
-        boxes: a row a box: place, level, hit probability, cost, overlap of its children
+        boxes: one row per box: place, level, hit probability, cost, overlap of its children
             (`wrt.builders.bvh.bvh_analysis.BoxMeasures`).
-        expected_cost: of a ray that meets the root's box and passes through all that it meets.
-        expected_boxes, expected_triangles: tests of such a ray.
-        passing: work counted for the rays given, each followed through all that it meets; None without rays.
-        stopping: work counted for them, each followed to its closest hit.
-        hit_share: share of the rays given that hit a triangle; None without rays.
+        expected_cost: expected cost of a ray that meets the root's box and does not stop at hits.
+        expected_boxes, expected_triangles: expected tests of such a ray.
+        passing: work counted for the given rays, without stopping at hits; None without rays.
+        stopping: work counted for the given rays, each up to its closest hit; None without rays.
+        hit_share: share of the given rays that hit a triangle; None without rays.
         build_seconds: wall time of the build by phase.
-        bytes: memory of nodes and leaf lists.
+        bytes: bytes of nodes and leaf lists.
     """
 
     boxes: BoxMeasures
@@ -77,12 +77,14 @@ class TreeAnalysis:
 
     @property
     def error(self) -> float | None:
-        """|counted - expected| / expected cost of rays that pass through; None without rays."""
+        """|counted - expected| / expected cost of rays that do not stop at hits; None without rays."""
         return None if self.passing is None else abs(self.passing.cost - self.expected_cost) / self.expected_cost
 
     @cached_property
     def levels(self) -> list[dict[str, Any]]:
-        """Figures by level: nodes, leaves, triangles, cost, and the overlap of siblings, None where none has an area."""
+        """Figures by level: nodes, leaves, triangles, expected boxes met, cost, and the overlap of siblings (None if no
+        siblings have an area).
+        """
         boxes, overlap = self.boxes, self.boxes.overlap_by_level()
         rows = []
         for level in range(int(boxes.level.max()) + 1):
@@ -101,7 +103,7 @@ class TreeAnalysis:
         return rows
 
     def summary(self) -> dict[str, Any]:
-        """Figures of the whole tree, nested plain dicts and numbers."""
+        """Figures of the whole tree: nested dicts of plain numbers."""
         boxes = self.boxes
         total = boxes.smaller_area.sum()
         result: dict[str, Any] = {
@@ -125,7 +127,7 @@ class TreeAnalysis:
         return result
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row a box, of plain numbers; the overlap of children is None where no two have an area."""
+        """One row per box, of plain numbers; the overlap of children is None if fewer than two have an area."""
         boxes, overlap = self.boxes, self.boxes.overlap
         return [
             {
@@ -145,7 +147,7 @@ class TreeAnalysis:
         ]
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything, as JSON takes it: "tree" (`summary`), "levels", "boxes" (`rows`)."""
+        """All figures as JSON types: "tree" (`summary`), "levels", "boxes" (`rows`)."""
         return {"tree": self.summary(), "levels": self.levels, "boxes": self.rows()}
 
     def save_json(self, path: str | Path) -> None:
@@ -153,7 +155,7 @@ class TreeAnalysis:
         Path(path).write_text(json.dumps(self.to_dict(), indent=1) + "\n")
 
     def save_csv(self, path: str | Path) -> None:
-        """Writes `rows` to a file at `path`, a line a box under a line of names; what is None is empty."""
+        """Writes `rows` to a CSV file at `path`, with a header; None becomes an empty field."""
         rows = self.rows()
         with Path(path).open("w", newline="") as file:
             writer = csv.DictWriter(file, rows[0])
@@ -176,14 +178,14 @@ def analyse(
 
     Args:
         scene: a scene whose tree is a bounding volume hierarchy.
-        area: whose rays are expected: boxes are met in proportion to their projected areas. None: in proportion to their
+        area: the expected rays: they meet boxes in proportion to their projected areas. None: in proportion to their
             surface areas.
-        rays: rays to count work for; None to trace none.
-        box_cost, triangle_cost: of testing a ray against a box, and against a triangle; finite and not negative.
+        rays: rays whose work is counted; None to trace none.
+        box_cost, triangle_cost: cost of testing a ray against a box, and against a triangle; in [0, inf).
 
     Raises:
-        TypeError: an argument is of a wrong type.
-        ValueError: the scene has another tree, there is no ray in `rays`, or a cost is out of its range.
+        TypeError: an argument has a wrong type.
+        ValueError: the scene has another kind of tree, `rays` is empty, or a cost is out of range.
     """
     from wrt.builders.bvh.bvh_analysis import measure_boxes
     from wrt.builders.influence.influence_area import InfluenceArea
@@ -197,7 +199,7 @@ def analyse(
     if rays is not None and not isinstance(rays, Rays):
         raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
     if rays is not None and not len(rays):
-        raise ValueError("rays holds none, whose work has no average; leave it out to trace none")
+        raise ValueError("rays is empty and has no average work; pass None to trace no rays")
     for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
         if not 0.0 <= cost < float("inf"):
             raise ValueError(f"{name} is {cost}; it must be finite and not negative")
@@ -224,7 +226,7 @@ def analyse(
 def _count(
     scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]
 ) -> tuple[CountedWork, DeviceHits]:
-    """Work of the rays that meet the root's box, and the hits of all; the others' work is one look at the root."""
+    """Work of the rays that meet the root's box, and the hits of all rays."""
     with use_threads(scene.num_threads):
         buffers = to_device(rays, scene.device, scene.center)
         hits, work = trace(scene.state, make_plan(scene.state, buffers, "single", "auto", query), buffers, query, counters=True)
@@ -236,7 +238,7 @@ def _count(
 
 
 def _meets_root(scene: Scene, rays: Rays) -> np.ndarray:
-    """(rays,) whether each meets the box of all triangles between its ends, in float64."""
+    """(rays,) whether each meets the box of all triangles between t_min and t_max, in float64."""
     origins, directions, t_min, t_max = (
         np.asarray(a.numpy() if hasattr(a, "numpy") else a, dtype=np.float64)
         for a in (rays.origins, rays.directions, rays.t_min, rays.t_max)

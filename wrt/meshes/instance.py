@@ -1,4 +1,4 @@
-"""Instances: a mesh and where it stands. What `wrt.Scene` is given, and what a trimesh scene's graph turns into."""
+"""Instances: a mesh with a transform and a mask, and their construction from the graph of a trimesh scene."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
 
 MOST_STRETCH = 1e12
-"""Condition number of a map from which on it counts as singular: its inverse has no digits left to rely on."""
+"""Condition number from which a map counts as singular: its inverse has no reliable digits."""
 
 MAX_SCALE = 2.0**100
-"""By how much a map may enlarge or shrink: the directions of rays, taken into the mesh's space, stay within float32."""
+"""Largest factor by which a map may enlarge or shrink, so that ray directions in the mesh's space stay within float32."""
 
 MAX_MASK = (1 << 32) - 1
 
 FINEST = 2.0**-40
-"""Size of an instance, as a share of its distance from the scene's centre, at which float64 has 13 bits left for it."""
+"""Smallest size of an instance as a share of its distance from the scene's centre: float64 positions within it have 13 bits."""
 
 
 class Instance:
-    """A mesh in a place of its own: instances of one mesh share its tree.
+    """A mesh with a transform. Instances of one mesh share its tree.
 
         tree = wrt.TriangleMesh.load("tree.ply")
         scene = wrt.Scene([wrt.Instance(tree, matrix) for matrix in matrices])
 
-    Two instances share if their meshes are the same object.
+    Two instances share a tree if their meshes are the same object.
 
     Args:
         mesh: a `TriangleMesh` or a trimesh.Trimesh.
-        transform: (4, 4) affine map from the mesh's space to the scene's, p -> (transform @ [p, 1])[:3], last row
-            (0, 0, 0, 1); None for where it is. It may scale, shear and mirror; normals then stay on the outer side.
+        transform: (4, 4) affine map from the mesh's space to the scene's, p -> (transform @ [p, 1])[:3], last row (0, 0, 0,
+            1); None for the identity. It may scale, shear and mirror; normals keep pointing outward.
         mask: 0 to 2^32 - 1; a ray sees the instance if its own mask has a bit in common with this one.
 
     Attributes:
-        mesh: the mesh as it was given.
+        mesh: the mesh as given.
         transform: (4, 4) float64, read-only.
         mask: int.
 
     Raises:
-        TypeError: the mesh or the mask is of a wrong type.
-        ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100; a
-            mask out of its range.
+        TypeError: the mesh or the mask has a wrong type.
+        ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100;
+            a mask out of range.
     """
 
     def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK) -> None:
         if not (isinstance(mesh, TriangleMesh) or (hasattr(mesh, "faces") and hasattr(mesh, "vertices"))):
             raise TypeError(
-                f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; a trimesh.Scene goes to "
-                "wrt.Scene as it is"
+                f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; pass a trimesh.Scene to "
+                "wrt.Scene directly"
             )
         self.mesh = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Arrays come out of a pickle writable; made anew, the transform is read-only."""
+        """Arrays in a pickle are writable; the constructor makes the transform read-only again."""
         return partial(Instance, mask=self.mask), (self.mesh, self.transform)
 
     def __repr__(self) -> str:
@@ -83,24 +83,24 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if sizes[2] > 0.0 and not (sizes[0] <= MAX_SCALE and sizes[2] >= 1.0 / MAX_SCALE):
         raise ValueError(
-            f"{name} stretches by {sizes[2]:.3g} to {sizes[0]:.3g}; float32 holds rays in the mesh's space from "
+            f"{name} scales by {sizes[2]:.3g} to {sizes[0]:.3g}; float32 represents rays in the mesh's space for factors from "
             f"{1.0 / MAX_SCALE:.3g} to {MAX_SCALE:.3g}; choose another unit of length for the mesh, or for the scene"
         )
     if not np.linalg.cond(matrix[:3, :3]) < MOST_STRETCH:
         raise ValueError(
-            f"{name} is singular, it has no inverse to take rays through: {matrix[:3, :3].tolist()}; flatten the mesh by it "
-            "instead, mesh.transformed(transform), and give that to the scene"
+            f"{name} is singular and has no inverse to transform rays with: {matrix[:3, :3].tolist()}; transform the mesh "
+            "instead, and pass mesh.transformed(transform) to the scene"
         )
     matrix.flags.writeable = False
     return matrix
 
 
 def check_mask(mask: Any, name: str = "mask") -> int:
-    """An int from 0 to 2^32 - 1.
+    """Checks that a mask is an int from 0 to 2^32 - 1.
 
     Raises:
         TypeError: not an int.
-        ValueError: out of its range.
+        ValueError: out of range.
     """
     if isinstance(mask, (bool, np.bool_)) or not isinstance(mask, (int, np.integer)):
         raise TypeError(f"{name} must be an int, not {type(mask).__name__}; combine bits as 1 << 0 | 1 << 3")
@@ -110,12 +110,12 @@ def check_mask(mask: Any, name: str = "mask") -> int:
 
 
 def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
-    """Refuses a scene beyond float32, or so wide that float64 does not tell where in one of its instances a ray is.
+    """Refuses a scene beyond float32, or so large that float64 does not resolve positions within one of its instances.
 
     Args:
-        instances: those that no ray sees, with mask 0, may be lost to float64.
-        geometry_ids: the mesh of each.
-        meshes: each once.
+        instances: those with mask 0, which no ray sees, are not checked for resolution.
+        geometry_ids: the mesh of each instance.
+        meshes: each mesh once.
 
     Raises:
         ValueError: there is such an instance.
@@ -129,7 +129,7 @@ def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
     if not far.max() <= MAX_COORDINATE:
         worst = int(far.argmax())
         raise ValueError(
-            f"instance {worst} reaches out to {far[worst]:.3g}, and coordinates of a scene go up to {MAX_COORDINATE:.3g}; "
+            f"instance {worst} has coordinates up to {far[worst]:.3g}, and those of a scene go up to {MAX_COORDINATE:.3g}; "
             "correct its transform, or choose another unit of length"
         )
     center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
@@ -139,20 +139,20 @@ def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         worst = int(np.flatnonzero(lost)[0])
         raise ValueError(
             f"instance {worst} is {size[worst]:.3g} large and {distance[worst]:.3g} from the scene's centre, where float64 "
-            "loses it; make a scene of its own of what is so far away, or hide the instance with mask=0"
+            "does not resolve it; put distant instances into another scene, or hide this one with mask=0"
         )
 
 
 def has_instances(geometry: Any) -> bool:
-    """Whether a scene of it has two levels: an `Instance`, a trimesh.Scene, or a sequence with one of them in it."""
+    """Whether the geometry needs two levels: it is or contains an `Instance` or a trimesh.Scene."""
     return any(isinstance(member, Instance) or is_graph(member) for member in members_of(geometry))
 
 
 def as_instances(geometry: Any) -> tuple[Instance, ...]:
-    """What a scene of two levels is made of: a trimesh.Scene becomes an instance for each node that holds triangles.
+    """The instances of a two-level scene: a trimesh.Scene becomes an instance for each node that holds triangles.
 
     Raises:
-        TypeError: something that is neither an instance nor a mesh.
+        TypeError: an object that is neither an instance nor a mesh.
         ValueError: a trimesh.Scene without triangles.
     """
     instances: list[Instance] = []
@@ -165,7 +165,7 @@ def as_instances(geometry: Any) -> tuple[Instance, ...]:
 
 
 def is_graph(geometry: Any) -> bool:
-    """Whether it is a trimesh.Scene, told without importing trimesh."""
+    """Whether this is a trimesh.Scene, without importing trimesh."""
     return hasattr(geometry, "graph") and hasattr(geometry, "geometry")
 
 

@@ -1,13 +1,13 @@
-"""Triangle meshes: what every scene is made of, checked once at the door.
+"""Triangle meshes, from which every scene is made; checked once, by the constructor.
 
-A mesh here is an indexed face set: an array of points and an array of vertex index triples, nothing else (no
-materials, no texture coordinates). All checking of geometry happens in the constructor, so that builders and kernels
-further down may trust what they get: finite points, valid indices, at least one triangle. Degenerate triangles (zero
-area) and duplicate ones are legal, since real models are full of them; `TriangleMesh.summary` counts them.
+A mesh is an indexed face set: an array of points and an array of vertex index triples, without materials or texture
+coordinates. The constructor checks all geometry, so that builders and kernels can rely on finite points, valid indices and
+at least one triangle. Degenerate triangles (zero area) and duplicates are allowed, since real models have many;
+`TriangleMesh.summary` counts them.
 
-The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are copies
-that nobody can write to: kernels follow the indices in `faces` unchecked, and a tree answers for the vertices that it was built
-over. Meshes, scenes and, on the CPU, kernels share the one copy.
+The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are
+read-only copies: kernels follow the indices in `faces` without checks, and a tree is valid only for the vertices that it
+was built over. Meshes, scenes and, on the CPU, kernels share the one copy.
 """
 
 from __future__ import annotations
@@ -35,19 +35,20 @@ _SINE_OF_DEGENERATE = 4.0 * np.finfo(np.float64).eps
 class TriangleMesh:
     """An immutable indexed triangle mesh.
 
-    Triangle i has the corners `vertices[faces[i]]`, counter-clockwise when seen from the side its normal points to.
+    Triangle i has the corners `vertices[faces[i]]`, in counter-clockwise order seen from the side that its normal points
+    to.
 
     Args:
-        vertices: (V, 3) points, in any unit of length. float32 and float64 are kept, other real types become float64.
+        vertices: (V, 3) points, in any unit of length. float32 and float64 are kept; other real types become float64.
         faces: (F, 3) integer vertex indices, zero-based, F >= 1; stored as int32.
         name: a label for messages and tables.
 
-    Both arrays are copied, and the copies cannot be written to: what a caller writes to its own arrays afterwards changes
-    neither the mesh nor a scene made of it. To move vertices, call `wrt.Scene.update`. Arrays of another mesh are shared.
+    Both arrays are copied, and the copies are read-only: later changes to the caller's arrays affect neither the mesh nor a
+    scene made from it. To move vertices, call `wrt.Scene.update`. Arrays of another mesh are shared, not copied.
 
     Raises:
         TypeError: `vertices` is not real-valued, or `faces` is not an integer array.
-        ValueError: wrong shape, no triangle, NaN or infinite vertices (also unreferenced ones), index out of range.
+        ValueError: wrong shape, no triangle, NaN or infinite vertices (also unreferenced ones), or an index out of range.
     """
 
     def __init__(self, vertices: Any, faces: Any, *, name: str | None = None) -> None:
@@ -55,7 +56,7 @@ class TriangleMesh:
         self._faces = checked_faces(faces, len(self._vertices))
         self.name = name
 
-    # -- in and out ----------------------------------------------------------------------------------------------------
+    # -- input and output --------------------------------------------------------------------------------------------------
 
     @classmethod
     def load(cls, path: str | Path) -> TriangleMesh:
@@ -86,11 +87,11 @@ class TriangleMesh:
                 loaded = trimesh.load(path, process=False)
         except (PermissionError, MemoryError):
             raise
-        except Exception as error:  # readers of thirty formats fail in as many ways
+        except Exception as error:  # the readers of thirty formats raise many types of error
             reason = f"{type(error).__name__}: {error}"
             raise ValueError(f"cannot read '{path}' as .{suffix} ({reason}); is the file complete?") from error
         if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
-            raise ValueError(f"'{path}' holds a {type(loaded).__name__} and no triangles; save it as a triangle mesh")
+            raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
         try:
             return cls.from_trimesh(loaded, name=path.stem)
         except ValueError as error:
@@ -98,10 +99,10 @@ class TriangleMesh:
 
     @classmethod
     def from_trimesh(cls, source: trimesh.Trimesh | trimesh.Scene, *, name: str | None = None) -> TriangleMesh:
-        """Takes over a trimesh mesh, or a trimesh scene flattened into world coordinates.
+        """Converts a trimesh mesh, or a trimesh scene flattened into world coordinates.
 
-        Every node of the scene's graph that holds a mesh is transformed and appended, instances included; point
-        clouds and paths are left out.
+        Every node of the scene's graph that holds a mesh is transformed and appended, instances included. Point clouds and
+        paths are left out.
 
         Raises:
             TypeError: `source` is neither a trimesh.Trimesh nor a trimesh.Scene.
@@ -127,13 +128,13 @@ class TriangleMesh:
         return cls.concatenate(parts, name=name)
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """Returns a trimesh.Trimesh with copies of the arrays, nothing merged."""
+        """Returns a trimesh.Trimesh with copies of the arrays; no vertices are merged."""
         import trimesh
 
         return trimesh.Trimesh(self._vertices.copy(), self._faces.copy(), process=False)
 
     def save(self, path: str | Path) -> None:
-        """Writes a file whose format follows from the extension of `path` (.ply .obj .stl .glb .off ...).
+        """Writes a file in the format of the extension of `path` (.ply .obj .stl .glb .off ...).
 
         Raises:
             ValueError: trimesh cannot write that format.
@@ -144,7 +145,7 @@ class TriangleMesh:
         except ValueError as error:
             raise ValueError(f"cannot write '{path}' as '.{suffix}' ({error}); use .ply, .obj, .stl or .glb") from error
 
-    # -- what is in it -------------------------------------------------------------------------------------------------
+    # -- properties --------------------------------------------------------------------------------------------------------
 
     @property
     def vertices(self) -> np.ndarray:
@@ -158,22 +159,22 @@ class TriangleMesh:
 
     @property
     def vertex_count(self) -> int:
-        """V, those that no triangle uses included."""
+        """V, including vertices that no triangle uses."""
         return len(self._vertices)
 
     @property
     def triangle_count(self) -> int:
-        """F."""
+        """F, the number of triangles."""
         return len(self._faces)
 
     @cached_property
     def referenced(self) -> np.ndarray:
-        """(V,) bool, read-only: the vertices that some triangle uses. Others may be anywhere: nothing is measured by them."""
+        """(V,) bool, read-only: whether a triangle uses the vertex. Unused vertices do not affect bounds, centre or extent."""
         return frozen(np.bincount(self._faces.ravel(), minlength=self.vertex_count) > 0)
 
     @cached_property
     def bounds(self) -> np.ndarray:
-        """(2, 3) float64, the lowest and the highest corner of the box around all triangles.
+        """(2, 3) float64: lower and upper corner of the bounding box of all triangles.
 
         Vertices that no triangle uses do not count.
         """
@@ -187,7 +188,7 @@ class TriangleMesh:
 
     @property
     def extent(self) -> float:
-        """Length of the diagonal of `bounds`."""
+        """Length of the diagonal of `bounds`, in units of the vertices."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0]))
 
     @property
@@ -201,14 +202,14 @@ class TriangleMesh:
         return float(_normals_and_areas(self._vertices, self._faces)[1].sum())
 
     def summary(self) -> dict[str, Any]:
-        """Counts and measures of the mesh, plain Python values that print and serialise well.
+        """Counts and measures of the mesh as plain Python values.
 
         Returns:
             A dict with the keys `name`, `triangles`, `vertices`, `bounds` ([[x, y, z], [x, y, z]]), `surface_area`,
-            `degenerate_triangles` (zero area), `duplicate_triangles` (those whose three corners an earlier triangle
-            has too, in any order), and `is_closed`: every edge belongs to exactly two triangles. The last two look at
-            positions, not indices: vertices that coincide exactly count as one; triangles that collapse to a line or
-            a point by it have no part in `is_closed`.
+            `degenerate_triangles` (zero area), `duplicate_triangles` (triangles with the same three corners as an earlier
+            one, in any order), and `is_closed`: every edge belongs to exactly two triangles. The last two compare
+            positions, not indices: vertices that coincide exactly count as one, and triangles that thereby collapse to a
+            line or a point are ignored by `is_closed`.
         """
         normals, areas = _normals_and_areas(self._vertices, self._faces)
         corners = self._sorted_corners
@@ -227,7 +228,7 @@ class TriangleMesh:
 
     @cached_property
     def is_closed(self) -> bool:
-        """Whether every edge belongs to exactly two triangles, by positions as in `summary`."""
+        """Whether every edge belongs to exactly two triangles, comparing positions as in `summary`."""
         corners = self._sorted_corners
         proper = corners[(corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2])]
         edges = np.concatenate([proper[:, [0, 1]], proper[:, [1, 2]], proper[:, [0, 2]]])
@@ -237,11 +238,11 @@ class TriangleMesh:
 
     @property
     def _sorted_corners(self) -> np.ndarray:
-        """(F, 3) int64 corners of every triangle in ascending order; coincident vertices count as the first of them."""
+        """(F, 3) int64, the corners of each triangle in ascending order; coincident vertices count as the first of them."""
         return np.sort(_first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles hold what the constructor takes: what comes out is checked, and read-only."""
+        """Pickles hold the constructor's arguments, so that unpickled meshes are checked and read-only."""
         return partial(TriangleMesh, name=self.name), (self._vertices, self._faces)
 
     def __repr__(self) -> str:
@@ -252,7 +253,7 @@ class TriangleMesh:
             f"bounds ({low}) to ({high}))"
         )
 
-    # -- new meshes from old -------------------------------------------------------------------------------------------
+    # -- derived meshes ----------------------------------------------------------------------------------------------------
 
     def transformed(self, matrix: Any) -> TriangleMesh:
         """Applies an affine map: p -> (matrix @ [p, 1])[:3].
@@ -262,6 +263,9 @@ class TriangleMesh:
 
         Args:
             matrix: (4, 4) real, last row (0, 0, 0, 1).
+
+        Returns:
+            A new mesh with the same name.
 
         Raises:
             ValueError: wrong shape, not finite, or a perspective last row.
@@ -278,7 +282,7 @@ class TriangleMesh:
 
     @staticmethod
     def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
-        """Joins meshes into one called `name`, triangles in the order given; float64 if any of them is.
+        """Joins meshes into one called `name`, with triangles in the given order; float64 if any mesh is.
 
         Raises:
             ValueError: `meshes` is empty.
@@ -292,7 +296,7 @@ class TriangleMesh:
         return TriangleMesh(vertices, faces, name=name)
 
     def welded(self) -> TriangleMesh:
-        """Makes one vertex of all that coincide exactly and drops unused vertices; triangles and their order stay."""
+        """Merges vertices that coincide exactly and drops unused ones; triangles and their order stay the same."""
         faces = _first_of_equal_points(self._vertices)[self._faces]
         kept, faces = np.unique(faces, return_inverse=True)
         return TriangleMesh(self._vertices[kept], faces.reshape(-1, 3), name=self.name)
@@ -302,7 +306,7 @@ class TriangleMesh:
 
 
 def extremes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least and the greatest of each column of an (N, 3) array: column by column, NumPy takes a twentieth of the time."""
+    """Smallest and largest value of each column of an (N, 3) array. By column, NumPy takes a twentieth of the time."""
     columns = points.T
     return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
 
@@ -310,7 +314,7 @@ def extremes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (F, 3), zero where degenerate, and areas (F,).
 
-    Both edges are scaled to about unit length first, so that no product under- or overflows.
+    Both edges are first scaled to about unit length, so that products neither underflow nor overflow.
     """
     corner = vertices[faces[:, 0]].astype(np.float64)
     edge1 = vertices[faces[:, 1]] - corner
@@ -321,13 +325,13 @@ def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndar
     edge2 /= np.where(scale2 > 0.0, scale2, 1.0)[:, None]
     normals = np.cross(edge1, edge2)
     lengths = np.linalg.norm(normals, axis=1)
-    lengths[lengths <= _SINE_OF_DEGENERATE] = 0.0  # both edges are of length 1 to sqrt(3), or zero
+    lengths[lengths <= _SINE_OF_DEGENERATE] = 0.0  # both edges have lengths from 1 to sqrt(3), or zero
     normals *= np.where(lengths > 0.0, 1.0 / np.where(lengths > 0.0, lengths, 1.0), 0.0)[:, None]
     return normals, 0.5 * lengths * scale1 * scale2
 
 
 def _first_of_equal_points(points: np.ndarray) -> np.ndarray:
-    """(V,) for every point the smallest index of a point with exactly the same coordinates (-0.0 equals 0.0)."""
+    """(V,) for every point, the smallest index of a point with exactly the same coordinates (-0.0 equals 0.0)."""
     order = np.lexsort(points.T)  # stable: equal points stay in the order of their indices
     ranked = points[order]
     starts = np.concatenate([[True], (ranked[1:] != ranked[:-1]).any(axis=1)])
@@ -337,9 +341,9 @@ def _first_of_equal_points(points: np.ndarray) -> np.ndarray:
 
 
 def _positions_only(text: bytes) -> bytes:
-    """Strips an .obj of groups, materials, texture coordinates and normals.
+    """Strips an .obj file of groups, materials, texture coordinates and normals.
 
-    Readers group triangles by material and split vertices by texture coordinate; without them the file's order stays.
+    Readers group triangles by material and split vertices by texture coordinate; without these, the file's order is kept.
     """
     text = re.sub(rb"(?m)^[ \t]*(?:o|g|s|usemtl|mtllib|vt|vn)\b[^\r\n]*", b"", text)
     return re.sub(rb"(?m)(?<=\d)/[-\d/]*", b"", text)

@@ -1,6 +1,6 @@
-"""The arrays of a mesh: checked once, and copied so that nobody can change them afterwards.
+"""The arrays of a mesh: checked once, and copied so that nothing can change them afterwards.
 
-Kernels follow the indices in `faces` unchecked, so what is checked must be what stays.
+Kernels follow the indices in `faces` without checks, so the checked values must not change.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ def as_array(values: Any, argument: str) -> np.ndarray:
     """
     try:
         array = np.asarray(values)
-    except ValueError as error:  # NumPy's word for rows of different lengths
+    except ValueError as error:  # NumPy raises this for rows of different lengths
         raise ValueError(f"{argument} must be an array of shape (N, 3), three numbers in every row: {error}") from error
     return array
 
@@ -65,7 +65,7 @@ def checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"faces must have shape (F, 3), got {array.shape}; reshape to one triangle a row")
     if array.dtype == np.int32:
-        array = frozen(array)  # checked is what nobody can change
+        array = frozen(array)  # copied before the check: the caller could change the original
     if array.min() < 0 or array.max() >= vertex_count:
         bad = (array < 0) | (array >= vertex_count)
         first = int(np.argmax(bad.any(axis=1)))
@@ -78,9 +78,11 @@ def checked_faces(faces: Any, vertex_count: int) -> np.ndarray:
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
-    """A copy, row by row, that cannot be made writable again, as its memory is that of `bytes`; itself if it is one."""
+    """A contiguous read-only copy in the memory of a `bytes` object, so that it cannot be made writable again. An array
+    that already is one is returned as it is.
+    """
     owner = array
-    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # those out of a pickle lie in bytes and are writable
+    while isinstance(owner, np.ndarray) and not owner.flags.writeable:  # arrays from a pickle may be writable views of bytes
         owner = owner.base
     if isinstance(owner, bytes) and array.flags.c_contiguous:
         return array.view(np.ndarray)

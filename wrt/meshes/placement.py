@@ -1,4 +1,4 @@
-"""What a scene is made of: meshes as they were given, and all of them in one."""
+"""The geometry of a scene: meshes as given, and their union as one set of triangles."""
 
 from __future__ import annotations
 
@@ -13,29 +13,31 @@ from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.meshes.mesh import TriangleMesh
 
 MAX_EXTENT = 2.0**36
-"""Longest side of the box around a scene's triangles, 6.9e10 units of length.
+"""Longest side of the bounding box of a scene's triangles, 6.9e10 units of length.
 
-Triangle tests multiply three lengths in float32: an area by a distance, or two distances by an edge. Seen by rays from a
-distance D, sheared vertices are up to 2 D from the ray, so the three areas of the watertight test add up to no more than
-3 (2 (2 D)^2), and with the depths D of the vertices to 24 D^3, which float32 holds up to 2^128: D < 2^41. So there is room for
-rays that start 30 sides away, or whose directions are as long. What builders form, areas times costs times 2^31 triangles,
-stays below 2^110."""
+Triangle tests multiply three lengths in float32: an area by a distance, or two distances by an edge. For rays at a distance
+D, sheared vertices are up to 2 D from the ray, so the three areas of the watertight test sum up to at most 3 (2 (2 D)^2),
+and with the depths D of the vertices to 24 D^3. float32 holds values up to 2^128, hence D < 2^41. This leaves room for rays
+that start 30 sides away, or whose directions are that long. Products in builders, areas times costs times 2^31 triangles,
+stay below 2^110.
+"""
 
 MAX_COORDINATE = 2.0**120
-"""Greatest coordinate of a triangle in any scene: positions of hits, and of instances, are finite in float32, and so are their
-sums and differences, with 2^8 to spare."""
+"""Largest coordinate of a triangle in any scene: positions of hits and instances, and their sums and differences, are
+finite in float32 with a margin of 2^8.
+"""
 
 
 @dataclass(frozen=True)
 class PlacedMeshes:
-    """All meshes of a scene in one, relative to their centre.
+    """All meshes of a scene as one, relative to its centre.
 
     Attributes:
-        first: (meshes + 1,) each mesh's first triangle, and their number.
+        first: (meshes + 1,) the first triangle of each mesh, and the number of all triangles.
         center: (3,) float64.
         vertices: (V,) vec3 on the CPU.
         faces: (F,) vec3i on the CPU.
-        mesh: the same on the scene's device; its box is still to be filled in.
+        mesh: the same on the scene's device; its box is set by `fill_in`.
     """
 
     first: np.ndarray
@@ -45,13 +47,13 @@ class PlacedMeshes:
     mesh: SceneMesh
 
     def fill_in(self, low: wp.vec3, high: wp.vec3) -> SceneMesh:
-        """The mesh with its box."""
+        """Sets the box of `mesh`, and returns it."""
         self.mesh.low, self.mesh.high = wp.vec3(*low), wp.vec3(*high)
         return self.mesh
 
 
 def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedMeshes:
-    """Joins meshes, moves them to their centre in float64, and takes them to a device in float32.
+    """Joins meshes, subtracts their centre in float64, and copies them to a device in float32.
 
     Raises:
         ValueError: they are too large, or too far away (`find_center`).
@@ -68,9 +70,9 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedM
 
 
 def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
-    """(3,) float64: the middle of the box around all triangles, which positions are relative to.
+    """(3,) float64: the centre of the bounding box of all triangles, which positions are relative to.
 
-    Vertices that no triangle uses do not count: one at the origin, far from all triangles, once took the digits of the others.
+    Vertices that no triangle uses do not count: one far from all triangles would cost the others precision.
 
     Raises:
         ValueError: the box has a side longer than MAX_EXTENT, or a coordinate is beyond MAX_COORDINATE.
@@ -91,12 +93,12 @@ _REMEDY = "a coordinate that is probably an error; repair or remove it, or scale
 
 
 def _outlier(meshes: Sequence[TriangleMesh], middle: np.ndarray | None = None) -> str:
-    """The vertex of a triangle that is farthest from a point, in words; None: from the median of all of them."""
+    """Describes the used vertex that is farthest from a point; None: from the median of all of them."""
     used = [np.flatnonzero(mesh.referenced) for mesh in meshes]
     points = [mesh.vertices[own].astype(np.float64) for mesh, own in zip(meshes, used, strict=True)]
     if middle is None:
         middle = np.median(np.concatenate(points), axis=0)
-    far = [np.abs(own * 0.5 - middle * 0.5).max(axis=1) for own in points]  # halves: a difference may overflow
+    far = [np.abs(own * 0.5 - middle * 0.5).max(axis=1) for own in points]  # halved: a difference may overflow
     number = int(np.argmax([own.max() for own in far]))
     vertex = int(used[number][far[number].argmax()])
     mesh = meshes[number]
@@ -105,17 +107,17 @@ def _outlier(meshes: Sequence[TriangleMesh], middle: np.ndarray | None = None) -
 
 
 def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(V, 3) float32: vertices relative to a point. Those that no triangle uses may come to be infinite."""
+    """(V, 3) float32: vertices relative to a point. Vertices that no triangle uses may become infinite."""
     with np.errstate(over="ignore"):
         return (vertices - center).astype(np.float32)
 
 
 def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
-    """The members of a sequence and of sequences in it, or the one thing that there is.
+    """The members of a sequence and of nested sequences, or the one object that is not a sequence.
 
     Args:
-        geometry: that thing.
-        above: identities of the sequences that it is a member of.
+        geometry: that object.
+        above: identities of the sequences that contain it.
 
     Raises:
         ValueError: a sequence contains itself.
@@ -129,10 +131,10 @@ def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
 
 
 def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
-    """The meshes of what a scene was given, in order.
+    """The meshes that a scene was given, in order.
 
     Raises:
-        TypeError: something that is no mesh.
+        TypeError: an object that is not a mesh.
         ValueError: an empty sequence, or one that contains itself.
     """
     if isinstance(geometry, TriangleMesh):
@@ -145,16 +147,16 @@ def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
         return (TriangleMesh.from_trimesh(geometry),)
     raise TypeError(
         f"geometry must be a wrt.TriangleMesh, a trimesh object or a sequence of them, not {type(geometry).__name__}; "
-        "make a mesh of a file with wrt.TriangleMesh.load(path)"
+        "load files with wrt.TriangleMesh.load(path)"
     )
 
 
 def check_index(index: Any, count: int, what: str) -> int:
-    """An index of a mesh or instance, 0 to count - 1.
+    """Checks an index of a mesh or instance, 0 to count - 1.
 
     Raises:
         TypeError: not an int.
-        ValueError: there is none of that index.
+        ValueError: out of range.
     """
     if isinstance(index, (bool, np.bool_)) or not isinstance(index, (int, np.integer)):
         raise TypeError(f"index must be an int, not {type(index).__name__}")
@@ -164,11 +166,11 @@ def check_index(index: Any, count: int, what: str) -> int:
 
 
 def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
-    """The mesh with its vertices elsewhere; its faces are shared.
+    """The mesh with new vertices; its faces are shared.
 
     Raises:
-        TypeError: vertices are missing, or no real numbers.
-        ValueError: another number of vertices, NaN or infinite ones.
+        TypeError: vertices are missing, or not real numbers.
+        ValueError: another number of vertices, or NaN or infinite ones.
     """
     if vertices is None:
         raise TypeError("vertices is missing; pass an array of as many points as the mesh has vertices")
@@ -178,12 +180,12 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
             f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"
         )
     moved = TriangleMesh(points, mesh.faces, name=mesh.name)
-    moved.__dict__["referenced"] = mesh.referenced  # the same triangles use the same vertices: not to be found again
+    moved.__dict__["referenced"] = mesh.referenced  # the same triangles use the same vertices
     return moved
 
 
 def join_meshes(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices, faces and each mesh's first triangle, of all meshes in one."""
+    """Vertices, faces and the first triangle of each mesh, for the union of all meshes."""
     counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
     if len(meshes) == 1:
         return meshes[0].vertices, meshes[0].faces, counts

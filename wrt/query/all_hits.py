@@ -1,20 +1,12 @@
-"""All hits: lists of different lengths, one a ray, in one array behind another (compressed sparse rows).
+"""All hits of each ray: lists of different lengths, concatenated in one array (compressed sparse rows).
 
-A traversal visits each ray once and leaves up to `ROOM` of its hits, and their number, in room of the ray's own, so that it
-depends on no other ray, thread or chunk where a hit goes. The numbers are summed up, and each ray's hits are sorted and
-copied to their places. Rays with more hits are traced once more, when their numbers are known: there is no bound on the hits
-of a ray. Batches go through this in blocks, whose room is used again.
+A traversal visits each ray once and stores up to `ROOM` of its hits, and their number, in slots of that ray. So the place
+of a hit depends on no other ray, thread or chunk. The numbers are summed up, and the hits of each ray are sorted and copied
+to their places. Rays with more hits are traced again once their numbers are known, so the number of hits is not limited.
+Large batches are processed in blocks that share this work space.
 
-**Measured** (one thread of a Zen 5, 1024 x 1024 rays in streams; nanoseconds a ray):
-
-                                   counts alone    two passes    room for 2    4    8    16 hits, then those with more again
-    bunny, near view (1.5 hits)             138           300           184  167  171   183
-    bunny, random (0.7)                     117           279           180  184  173   209
-    dragon, near view (1.6)                 161           351           237  208  198   209
-    dragon, random (0.9)                    171           393           337  289  249   304
-
-Two passes count the hits of all rays first and trace them again into lists of just that length. Blocks of a million rays
-instead of 262,144 are 5 % faster and take 128 MB instead of 32.
+One pass with a few slots is faster than counting all hits first and tracing all rays twice
+(notebooks/records/2026-11-21-queries.md).
 """
 
 from __future__ import annotations
@@ -42,33 +34,33 @@ if TYPE_CHECKING:
     from wrt.rays.rays import Rays, ResultForm
 
 ROOM = 8
-"""Hits of a ray for which there is room at first, 16 bytes each."""
+"""Slots for hits of each ray in the first pass, 16 bytes each; 4 to 8 are best (notebooks/records/2026-11-21-queries.md)."""
 
 BLOCK = 1 << 18
-"""Rays of a block."""
+"""Rays of a block: within 5 % of the speed of larger blocks, for 32 MB of slots (notebooks/records/2026-11-21-queries.md)."""
 
 MAX_TOTAL = (1 << 31) - 1
-"""Hits that one answer can hold: the longest array there is."""
+"""Largest number of hits in one result, the length of the longest array."""
 
 
 class AllHits:
     """All hits of a batch of rays, ray after ray and sorted by t, then geometry, then triangle.
 
-    The hits of ray i, counted through the flattened batch, are elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M
-    hits. NumPy arrays if the rays were, Warp arrays on the scene's device if the rays were. What is not stored by the
-    traversal is computed when it is first asked for.
+    The hits of ray i of the flattened batch are the elements offsets[i] .. offsets[i + 1] - 1 of the arrays of M hits. The
+    attributes are NumPy arrays if the rays were, else Warp arrays on the scene's device. What the traversal does not store
+    is computed on first access.
 
     Attributes:
-        offsets: (N + 1,) int64, where each ray's hits begin; the last is M.
+        offsets: (N + 1,) int64, index of each ray's first hit; the last is M.
         count: (...) int32, number of each ray's hits, in the rays' leading shape.
         t: (M,) float32, in units of the direction's length.
         primitive_id: (M,) int32, index of the triangle within its geometry.
         geometry_id: (M,) int32, index of the mesh within the scene.
-        instance_id: (M,) int32, index of the instance; of the mesh, in a scene without instances.
+        instance_id: (M,) int32, index of the instance, or of the mesh in a scene without instances.
         uv: (M, 2) float32, weights of the triangle's second and third vertex.
         ray_id: (M,) int32, index of the ray in the flattened batch.
         position: (M, 3), in the scene's coordinates, float64 if the rays were, else float32.
-        normal: (M, 3), unit, by the triangle's winding, in the same type; 0 for a triangle without area.
+        normal: (M, 3), unit vectors of the same type, from the triangle's winding; 0 for a triangle without area.
         plan: how the query was answered (`wrt.execution.plan.Plan`).
     """
 
@@ -150,7 +142,7 @@ class AllHits:
 
 
 def check_max_hits(max_hits: int | None) -> int:
-    """The bound on the hits of a ray, `MAX_TOTAL` for None.
+    """The limit on the hits of a ray; `MAX_TOTAL` for None.
 
     Raises:
         TypeError: not an int.
@@ -176,7 +168,7 @@ def list_hits(scene: SceneState, rays: Rays, query: Query, mask: Any, max_hits: 
 
 
 def find_all(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[DeviceHits, wp.array]:
-    """All hits of the rays, at most so many of the nearest of each: (hits, (N + 1,) int64 offsets).
+    """All hits of the rays, at most the `max_hits` nearest of each: (hits, (N + 1,) int64 offsets).
 
     Raises:
         ValueError: more than `MAX_TOTAL` hits.
@@ -225,13 +217,13 @@ def find_block(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> 
 
 
 def trace_lists(scene: SceneState, plan: Plan, rays: RayBatch, found: DeviceHits) -> None:
-    """Traces the rays in the order given; where there is neither room nor a place for lists, hits are counted."""
+    """Traces the rays in the given order. Without slots or places for lists, hits are only counted."""
     query = ALL if found.room or found.begins is not None else COUNT
     run(scene, plan, rays, found, query, no_work(way_of(plan).counters, scene.device.alias), False)
 
 
 def sum_up(counts: np.ndarray) -> np.ndarray:
-    """(N + 1,) int64: where each of N lists begins, and where the last ends.
+    """(N + 1,) int64: the first index of each of N lists, and the end of the last.
 
     Raises:
         ValueError: more than `MAX_TOTAL` elements.
@@ -240,14 +232,14 @@ def sum_up(counts: np.ndarray) -> np.ndarray:
     np.cumsum(counts, dtype=np.int64, out=offsets[1:])
     if offsets[-1] > MAX_TOTAL:
         raise ValueError(
-            f"these rays have {int(offsets[-1]):,} hits or more, and one answer holds {MAX_TOTAL:,}; pass fewer rays at a "
-            "time, or bound the hits of each by max_hits"
+            f"these rays have {int(offsets[-1]):,} hits or more, and one result holds {MAX_TOTAL:,}; pass fewer rays at a "
+            "time, or limit the hits of each ray with max_hits"
         )
     return offsets
 
 
 def join_blocks(blocks: list[tuple[DeviceHits, np.ndarray]], device: wp.Device) -> tuple[DeviceHits, wp.array]:
-    """The lists of several blocks as one."""
+    """Concatenates the lists of several blocks."""
     starts = sum_up(np.array([offsets[-1] for _, offsets in blocks]))
     hits = DeviceHits.lists(0, int(starts[-1]), 0, device)
     for (part, _), start in zip(blocks, starts[:-1], strict=True):
@@ -259,7 +251,7 @@ def join_blocks(blocks: list[tuple[DeviceHits, np.ndarray]], device: wp.Device) 
 
 
 def part_of(rays: RayBatch, begin: int, end: int) -> RayBatch:
-    """The rays begin .. end - 1 of a batch, where they are; all of them are the batch itself."""
+    """The rays begin .. end - 1 of a batch, without a copy; the batch itself if these are all."""
     if end - begin == rays.count:
         return rays
     part = RayBatch()

@@ -48,41 +48,43 @@ class Queries(BlockQueries):
     ) -> Hits:
         """Closest hits.
 
-        Among hits at the same t, the smaller geometry, then the smaller triangle wins: neither the tree, the traversal
-        nor the number of threads shows in the result. A ray with a NaN or an infinity, or with a direction of zero, misses.
+        Of hits at the same t, the one with the smallest geometry index, then the smallest triangle index, is returned. The
+        result depends neither on the tree, nor on the traversal, nor on the number of threads. A ray with a NaN or an
+        infinity, or with a zero direction, misses.
 
-        Directions need not be unit, and t counts in units of their length. In float32, components below 2^-126 (1.2e-38), or
-        below 2^-100 of the largest one, count as 0: a direction without any other is one of zero, and one that is shorter
-        than 2^-100 (7.9e-31) has fewer digits than float32. What is so far away that t is no finite float32 (3.4e38 and
-        less) is not hit: a hit's t is always finite.
+        Directions need not be unit vectors; t is in units of their length. In float32, components smaller than 2^-126
+        (1.2e-38), or smaller than 2^-100 times the largest component, are taken as 0. A direction with no other component
+        is a zero direction, and a direction shorter than 2^-100 (7.9e-31) has less precision than float32. Geometry so far
+        away that t exceeds the largest float32 (3.4e38) is not hit: t of a hit is always finite.
 
         Args:
-            origins: (..., 3) or a `wrt.Rays` (then leave the next three out).
-            directions: (..., 3), of any length from 2^-126 on; leading shapes broadcast.
-            t_min, t_max: scalars or (...) arrays; a hit counts if t_min <= t <= t_max. 0 <= t_min < inf.
-            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances that have a bit in
-                common with it (`wrt.Instance`); None for all bits.
-            cull_backfaces: whether triangles are hit only from their front, from which they are wound counter-clockwise. Not
-                all traversals can: of those that can, "auto" takes the fastest.
-            skip: each ray passes through one triangle as if it was not there: the one that it starts on. The `wrt.Hits` of this
-                scene at which the rays start (misses skip nothing), or, in a scene of one mesh, (...) primitive ids, -1 for
-                none; their leading shape broadcasts to that of the rays. Neighbours and coincident triangles stay. The rays go
-                one by one, and `Hits.spawn` is the way for those that others than their own triangle stop at once.
-            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a whole `Plan`, such as `explain` returns;
-                the plan's triangle test then counts.
-            triangle_test: "auto", the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
+            origins: (..., 3), or a `wrt.Rays`, which replaces the first four arguments.
+            directions: (..., 3), of any length from 2^-126 up; leading shapes broadcast.
+            t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
+            mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
+                bit in common with it (`wrt.Instance`); None for all bits.
+            cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
+                order. Not all traversals support this; "auto" chooses one that does.
+            skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
+                which the rays start (a miss skips nothing), or, in a scene of one mesh, (...) primitive ids, -1 for none;
+                the leading shape broadcasts to that of the rays. Neighbouring and coincident triangles are not skipped.
+                Rays are traced one at a time. To leave the surface instead of ignoring one triangle, start rays from
+                `Hits.spawn`.
+            traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `Plan`, such as `explain` returns. A plan
+                also determines the triangle test.
+            triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
             counters: whether to count each ray's work (`Hits.counters`).
-            precise: whether to answer as brute force in float64 would, on rays and vertices as they were given (float32 ones
-                are taken to be exact): which triangle is hit, t, uv, position and normal, the last four in float64. A direction
-                that is too short or infinite in float32 misses. It has a traversal and a triangle test of its own.
+            precise: whether to answer as brute force in float64 would, on rays and vertices as given, without rounding
+                them to float32: the triangle, t, uv, position and normal, the last four in float64. A direction that is zero
+                or infinite in float32 misses. Uses a traversal and a triangle test of its own.
 
         Raises:
-            TypeError: an argument is of a wrong type.
-            ValueError: wrong shapes, a range that is negative or NaN, unknown names, arrays on another device, or
-                `precise` together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip`
-                together with a traversal, a triangle test, counters or `precise`, in a scene of instances or of fuzzy boxes,
-                of numbers of no triangle, of hits of another scene, or of a shape that does not broadcast to that of the rays;
-                rays that take gradients inside a `wp.Tape` (`wrt.differentiable_hits` passes them on).
+            TypeError: an argument has a wrong type.
+            ValueError: wrong shapes, a range that is negative or NaN, an unknown name, arrays on another device; `precise`
+                together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip` together
+                with a traversal, a triangle test, counters or `precise`, in a scene of instances or a `wrt.FuzzyScene`,
+                with ids of no triangle, hits of another scene, or a shape that does not broadcast to that of the rays; rays
+                that require gradients inside a `wp.Tape` (call `wrt.differentiable_hits` for gradients).
         """
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect", (rays.origins, rays.directions))
@@ -102,9 +104,9 @@ class Queries(BlockQueries):
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Any:
-        """Whether anything is hit: (...) bool, a NumPy array if the rays were, else a Warp array.
+        """Whether each ray hits anything: (...) bool, a NumPy array if the rays were, else a Warp array.
 
-        Arguments and errors as in `intersect`; the search ends at the first hit that it finds.
+        Arguments and errors as in `intersect`. The search ends at the first hit found.
         """
         rays = as_rays(origins, directions, t_min, t_max)
         query = Query(ANY, traversal, triangle_test, cull_backfaces)
@@ -125,19 +127,20 @@ class Queries(BlockQueries):
     ) -> AllHits:
         """All hits of each ray, sorted by t, then geometry, then triangle.
 
-        Each crossing of a surface is one hit: a ray that meets an edge or a vertex hits exactly one of the triangles that it
-        passes into there, so that the line through a closed surface has an even number of hits. Coincident triangles are hit
-        each; a triangle that is seen edge-on is not. (`intersect` may name another of the triangles at an edge.)
+        Each crossing of a surface is one hit. A ray through an edge or a vertex hits exactly one of the triangles there
+        that it enters, so a line through a closed surface has an even number of hits. Of coincident triangles, each is hit.
+        A triangle seen edge-on is not hit. (At an edge, `intersect` may return another of the adjacent triangles.)
 
         Args:
             origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`; not every
-                traversal and triangle test answers this.
-            max_hits: keep only so many of the nearest hits of each ray, at least 1; None for all. That saves memory, not
-                time: all are found.
+                traversal and triangle test supports this query.
+            max_hits: largest number of hits kept for each ray, the nearest ones; at least 1, or None for all. This saves
+                memory, not time: all hits are found.
 
         Raises:
-            TypeError: an argument is of a wrong type.
-            ValueError: as `intersect`; a traversal or triangle test that does not answer this; more than 2^31 - 1 hits.
+            TypeError: an argument has a wrong type.
+            ValueError: as `intersect`; a traversal or triangle test that does not support this query; more than 2^31 - 1
+                hits.
         """
         from wrt.query.all_hits import list_hits
 
@@ -161,74 +164,75 @@ class Queries(BlockQueries):
     ) -> Any:
         """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
 
-        What `intersect_all` would list, counted; arguments and errors as there, and `skip` as in `intersect`.
+        Equal to the number of hits that `intersect_all` lists. Arguments and errors as there, and `skip` as in `intersect`.
         """
         rays = as_rays(origins, directions, t_min, t_max)
         query = Query(COUNT, traversal, triangle_test, cull_backfaces)
         return ray_values(self.state, rays, query, "counts", mask, skip)
 
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
-        """Which points are inside: (...) bool, a NumPy array if the points were, else a Warp array.
+        """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
 
-        By parity: inside are those from which a ray crosses the surface an odd number of times. If every mesh is closed
-        (`TriangleMesh.is_closed`), that does not depend on the ray's direction. If one is not, two of three directions
-        decide, which is a guess near its holes. Of several meshes, or shells within each other, a point is inside if it is
-        inside an odd number of them. Points nearer to the surface than float32 tells, relative to the scene's centre, may
-        count as either; a point with a NaN or an infinity is outside.
+        Decided by parity: a point is inside if a ray from it crosses the surface an odd number of times. If every mesh is
+        closed (`TriangleMesh.is_closed`), the direction of the ray does not matter. Otherwise the majority of three
+        directions decides, which is unreliable near holes. With several meshes, or shells within each other, a point is
+        inside if an odd number of them contain it. Points whose distance to the surface is within float32 rounding,
+        relative to the scene's centre, may count as inside or outside. A point with a NaN or an infinity is outside.
 
         Args:
             points: (..., 3).
             traversal: as in `count`.
 
         Raises:
-            TypeError: points are no array of real numbers.
-            ValueError: wrong shape, an array on another device, a traversal that does not count.
+            TypeError: points are not an array of real numbers.
+            ValueError: wrong shape, an array on another device, or a traversal that does not count.
         """
         from wrt.query.inside import contains
 
         return contains(self.state, points, traversal)
 
     def visible(self, points_a: Any, points_b: Any) -> Any:
-        """Which pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
+        """Whether pairs of points see each other: (...) bool, a NumPy array if both points were, else a Warp array.
 
             matrix = scene.visible(points[:, None], points[None, :])
 
-        A pair is visible if no triangle crosses the open segment between the two. The points may lie on surfaces: a triangle
-        whose plane passes through one of them within rounding (float32 relative to the scene's centre, float32 of the points
-        themselves if they are given so) does not hide it from the other. So two points in one flat wall see each other, and
-        what is on a wall is seen from both its sides. A point sees itself; one with a NaN or an infinity sees nothing.
-        The answer is symmetric: visible(a, b) and visible(b, a) are the same.
+        A pair is visible if no triangle crosses the open segment between its points. Points may lie on surfaces: a triangle
+        whose plane contains one of the points up to rounding does not block the segment (rounding of float32 relative to
+        the scene's centre, and of the points themselves if they are float32). So two points on one flat wall see each
+        other, and a point on a wall is visible from both sides. A point sees itself. A point with a NaN or an infinity sees
+        nothing. The relation is symmetric: visible(a, b) equals visible(b, a).
 
         Args:
-            points_a, points_b: (..., 3); leading shapes broadcast. Pairs go through memory in blocks.
+            points_a, points_b: (..., 3); leading shapes broadcast. Pairs are processed in blocks of bounded memory.
 
         Raises:
-            TypeError: points are no arrays of real numbers.
-            ValueError: wrong shapes, shapes that do not broadcast, an array on another device.
+            TypeError: points are not arrays of real numbers.
+            ValueError: wrong shapes, shapes that do not broadcast, or an array on another device.
         """
         from wrt.query.visibility import visible
 
         return visible(self.state, points_a, points_b)
 
     def verify(self, samples: int = 1000, seed: int = 0) -> Verification:
-        """Checks `intersect` and `occluded` against brute force in float64, on this mesh and this machine.
+        """Compares `intersect` and `occluded` with brute force in float64, on this scene and this machine.
 
-        By the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
+        Uses the scene's triangle test: `wrt.Scene(mesh, triangle_test="moeller_trumbore").verify()` checks another one.
 
             report = scene.verify()
             print(report)
             assert report.ok
 
-        A quarter of the rays each is random, aimed at vertices, aimed at edges, and grazing. The reference tests every
-        triangle, one ray at a time on one core: some 25 ms a ray for a million triangles; it takes 550 bytes a triangle.
+        A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
+        The reference tests every triangle, one ray at a time on one core: about 25 ms a ray for a million triangles, and
+        550 bytes of memory a triangle (notebooks/records/2026-11-21-queries.md).
 
         Args:
             samples: number of rays, at least 4.
-            seed: of the rays, at least 0.
+            seed: seed of the random rays, at least 0.
 
         Raises:
-            TypeError: samples or seed is no int.
-            ValueError: it is too small, or the scene's triangle test needs rays that share their origin.
+            TypeError: samples or seed is not an int.
+            ValueError: samples or seed is too small, or the scene's triangle test needs rays with a shared origin.
         """
         from wrt.query.verification import verify
 
@@ -246,11 +250,14 @@ class Queries(BlockQueries):
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Plan:
-        """How these rays would be answered, and why; nothing is traced.
+        """The plan by which these rays would be traced, with the reason for it. Nothing is traced.
 
         Args:
-            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
             origins, directions, t_min, t_max, cull_backfaces, traversal, triangle_test: as in `intersect`.
+            query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
+
+        Raises:
+            TypeError, ValueError: as `intersect`.
         """
         rays = as_rays(origins, directions, t_min, t_max)
         lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")

@@ -1,8 +1,9 @@
-"""Batches of any size: rays from large arrays, memory-mapped files or iterators, and answers block by block.
+"""Batches of any size: rays from large arrays, memory-mapped files or iterators, answered block by block.
 
-A block is a range of rows: of the first axis of the rays' leading shape. Only its rows are read, and what is held for it at a
-time, rays, work space and answer, keeps within a bound. A ray's answer depends on no other ray, so where the cuts lie does not
-show in it. Ctrl-C waits for the block under way: what was written is a whole number of blocks, and a second one does not wait.
+A block is a range of rows, along the first axis of the rays' leading shape. Only its rows are read, and the memory for a
+block's rays, work space and answer is bounded. A ray's answer depends on no other ray, so block boundaries do not affect
+results. Ctrl-C takes effect after the current block, so that a whole number of blocks is written; a second Ctrl-C takes
+effect at once.
 """
 
 from __future__ import annotations
@@ -25,27 +26,28 @@ from wrt.execution.query_kinds import AUTO
 from wrt.rays.rays import Rays, leading_shape
 
 BYTES_PER_RAY = 320
-"""What a ray takes at most: 32 bytes on the device and 46 while rays are sorted, 16 as a hit and 93 with all that is computed
-from it, and these 109 once more, because the caller still holds the block before. The rays as they are given do not count."""
+"""Largest memory per ray: 32 bytes on the device, 46 while rays are sorted, 16 for a hit and 93 for all attributes computed
+from it, and these 109 once more, because the caller may still hold the previous block. The rays passed in do not count.
+"""
 
 MAX_RAYS = 1 << 30
-"""Rays of a block at most: kernels count them in 32 bits."""
+"""Largest number of rays of a block: kernels count them with 32 bits."""
 
 UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 1 << 10, "MIB": 1 << 20, "GIB": 1 << 30}
-"""Of memory."""
+"""Units of memory, in bytes."""
 
 MEMORY = "256 MB"
 
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")
-"""Of hits, what can be written to arrays."""
+"""Attributes of hits that can be written to arrays."""
 
 
 class Block(NamedTuple):
-    """Some of the rows of a large batch, and the answer for them.
+    """Some rows of a large batch, and the answer for them.
 
     Attributes:
-        rows: which rows of the whole batch; always with a start and a stop.
-        answer: what the query gives for these rows: a `wrt.Hits`, or an array.
+        rows: the rows within the whole batch; always with a start and a stop.
+        answer: the query's result for these rays: a `wrt.Hits`, or an array.
     """
 
     rows: slice
@@ -53,14 +55,14 @@ class Block(NamedTuple):
 
 
 class Blocks:
-    """The answer to a large batch, computed block by block as it is iterated over, or written to arrays.
+    """The answer to a large batch, computed block by block during iteration, or written to arrays.
 
         for rows, hits in scene.intersect_blocks(origins, directions):
             nearest[rows] = hits.t
 
     Attributes:
         shape: leading shape of the batch; None if the rays come from an iterator.
-        done: rows answered by the latest iteration or `write`: after a Ctrl-C, where to go on.
+        done: rows answered by the latest iteration or `write`; after a Ctrl-C, the row to resume at.
     """
 
     def __init__(self, query: Callable[[Rays], Any], source: Rays | Iterable[Any], memory: int | str, progress: bool) -> None:
@@ -81,7 +83,7 @@ class Blocks:
             TypeError: the rays come from an iterator.
         """
         if self.shape is None:
-            raise TypeError("the rays come from an iterator: how many blocks they make is known at its end")
+            raise TypeError("rays from an iterator have no known number of blocks before the iterator ends")
         return len(self._ranges(self.shape))
 
     def __iter__(self) -> Iterator[Block]:
@@ -96,14 +98,15 @@ class Blocks:
 
         Args:
             out: for closest hits a dict from attributes of `wrt.Hits` ("t", "primitive_id", "geometry_id", "uv", "is_hit",
-                "position", "normal") to arrays, else an array: np.ndarray, np.memmap, or anything with a shape, a dtype and
-                assignment to slices, in the shape of the whole answer; of rays from an iterator, at least as long.
+                "position", "normal") to arrays, else one array. An array is an np.ndarray, an np.memmap, or any object with
+                a shape, a dtype and assignment to slices. It has the shape of the whole answer, or, for rays from an
+                iterator, at least as many rows.
 
         Returns:
             The number of rows written.
 
         Raises:
-            ValueError: an unknown attribute, or an array of another shape or of a type that does not hold the answer.
+            ValueError: an unknown attribute, or an array whose shape or type does not hold the answer.
         """
         if isinstance(self._source, Rays):
             check_out(out, self._query(rows_of(self._source, len(self.shape), 0, 0)), self.shape[0], exact=True)
@@ -124,10 +127,10 @@ class Blocks:
                     self.done = rows.stop
                 advance(len(rays))
                 yield Block(rows, answer)
-                del answer  # before the next one is computed
+                del answer  # freed before the next block is computed
 
     def _pieces(self) -> Iterator[tuple[slice, Rays]]:
-        """Rays block by block, and which rows of the batch they are."""
+        """The rays of each block, and their rows in the batch."""
         first = 0
         for rays in [self._source] if isinstance(self._source, Rays) else self._source:
             shape = _rows_shape(rays, "an item of the iterator")
@@ -138,14 +141,14 @@ class Blocks:
             first += shape[0]
 
     def _ranges(self, shape: tuple[int, ...]) -> range:
-        """First row of each block of a batch; its step is the number of rows a block."""
+        """First row of each block of a batch; the step is the number of rows of a block."""
         a_row = max(math.prod(shape[1:]), 1)
         rows = min(self._bytes // BYTES_PER_RAY, MAX_RAYS) // a_row
         return range(0, shape[0], max(rows, 1))
 
 
 class BlockQueries:
-    """Queries of a `wrt.Scene` for more rays than memory holds."""
+    """Queries of a `wrt.Scene` for more rays than fit into memory."""
 
     def intersect_blocks(
         self,
@@ -160,27 +163,27 @@ class BlockQueries:
         triangle_test: str = AUTO,
         precise: bool = False,
     ) -> Blocks:
-        """Closest hits of any number of rays, block by block: pairs (rows, hits) to iterate over, or to `write` to arrays.
+        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write`.
 
             for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
                 nearest[rows] = hits.t
 
-        The hits are those of `intersect`, whatever the size of the blocks.
+        The hits equal those of `intersect`, whatever the size of the blocks.
 
         Args:
-            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis; arrays may be anything with a
-                shape that gives arrays when sliced, such as a np.memmap. Only the rows of a block are read and, where needed,
-                converted at a time. Or `origins` is an iterable of pairs (origins, directions), or of `wrt.Rays`, and
-                `directions` is left out: its items are answered one after the other, and those too large for a block in parts.
-            memory: bound on what is held for a block, in bytes or as in "1.5 GB" or "512 MiB", some 320 bytes a ray. A block
-                has at least one row.
-            progress: whether to show a bar on the standard error stream.
+            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis. An array may be any object
+                with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
+                at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
+                `directions` is left out: items are answered in order, and items larger than a block in parts.
+            memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
+                ray. A block has at least one row.
+            progress: whether to show a progress bar on stderr.
             traversal, triangle_test, precise: as in `intersect`.
 
         Raises:
-            TypeError: an argument is of a wrong type.
-            ValueError: as `intersect`, or rays without a leading axis, or a bound that is no amount of memory. What depends on
-                values and types of arrays is checked block by block.
+            TypeError: an argument has a wrong type.
+            ValueError: as `intersect`; rays without a leading axis, or a bound that is not an amount of memory. Values and
+                types of arrays are checked block by block.
         """
         asked = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
         return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
@@ -197,7 +200,9 @@ class BlockQueries:
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Blocks:
-        """Whether anything is hit, block by block: (rows, bool array), or to `write`; arguments as in `intersect_blocks`."""
+        """Occlusion block by block: pairs (rows, bool array), or call `write`; arguments and errors as in
+        `intersect_blocks`.
+        """
         asked = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
         return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
 
@@ -213,13 +218,15 @@ class BlockQueries:
         traversal: str | Plan = AUTO,
         triangle_test: str = AUTO,
     ) -> Blocks:
-        """Numbers of hits, block by block: (rows, int32 array), or to `write`; arguments as in `intersect_blocks`."""
+        """Numbers of hits block by block: pairs (rows, int32 array), or `write`; arguments and errors as in
+        `intersect_blocks`.
+        """
         asked = partial(self.count, traversal=traversal, triangle_test=triangle_test)
         return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
-    """Rays whose arrays can be sliced, or an iterator of them."""
+    """Rays whose arrays can be sliced, or an iterator over such rays."""
     if isinstance(origins, Rays):
         if directions is not None:
             raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
@@ -244,7 +251,7 @@ def _items(source: Iterable[Any], t_min: float, t_max: float) -> Iterator[Rays]:
 
 
 def rows_of(rays: Rays, axes: int, begin: int, end: int) -> Rays:
-    """Rows begin .. end - 1 of rays with so many leading axes; what is shared among rows stays as it is."""
+    """Rows begin .. end - 1 of rays with `axes` leading axes; arrays shared by all rows stay whole."""
 
     def cut(values: Any, shape: tuple[int, ...]) -> Any:
         return values[begin:end] if len(shape) == axes and shape[0] != 1 else values
@@ -254,13 +261,13 @@ def rows_of(rays: Rays, axes: int, begin: int, end: int) -> Rays:
 
 
 def store(out: Any, rows: slice, answer: Any) -> None:
-    """Writes a block's answer to its rows."""
+    """Writes the answer of a block to its rows of the output arrays."""
     for _, array, values in _outputs(out, answer):
         array[rows] = values.numpy() if isinstance(values, wp.array) else values
 
 
 def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
-    """Refuses arrays that do not hold so many rows of answers like this one.
+    """Refuses arrays that cannot hold `length` rows of answers such as `answer`.
 
     Raises:
         ValueError: as `Blocks.write`.
@@ -276,7 +283,7 @@ def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
 
 
 def _outputs(out: Any, answer: Any) -> list[tuple[str, Any, Any]]:
-    """(name, array to write to, values) for everything to be written."""
+    """(name, output array, values) for each array to write."""
     if isinstance(answer, (np.ndarray, wp.array)):
         return [("out", out, answer)]
     if not isinstance(out, Mapping):
@@ -289,11 +296,11 @@ def _outputs(out: Any, answer: Any) -> list[tuple[str, Any, Any]]:
 
 
 def parse_memory(memory: int | str) -> int:
-    """An amount of memory in bytes, of a number or of a text such as "256 MB" or "1.5 GiB".
+    """An amount of memory in bytes, from a number or a text such as "256 MB" or "1.5 GiB".
 
     Raises:
         TypeError: neither an int nor a str.
-        ValueError: not positive, or not to be understood.
+        ValueError: not positive, or not an amount of memory.
     """
     if isinstance(memory, bool) or not isinstance(memory, (int, str)):
         raise TypeError(f"memory must be an int, in bytes, or a text such as '256 MB', not {type(memory).__name__}")
@@ -305,7 +312,7 @@ def parse_memory(memory: int | str) -> int:
 
 @contextmanager
 def finished_before_interrupt() -> Iterator[None]:
-    """Puts off a Ctrl-C until the end of the `with` block; a second one is not put off. In the main thread only."""
+    """Delays a Ctrl-C to the end of the `with` block; a second one is not delayed. Has an effect only in the main thread."""
     python_s = signal.getsignal(signal.SIGINT) is signal.default_int_handler
     if not python_s or threading.current_thread() is not threading.main_thread():
         yield
@@ -329,7 +336,7 @@ def finished_before_interrupt() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(shown: bool, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A bar on the standard error stream, if it is to be shown; called with the number of rays that each block adds."""
+    """A progress bar on stderr, if `shown`. The yielded function takes the number of rays that a block adds."""
     if not shown:
         yield lambda rays: None
         return
@@ -343,7 +350,7 @@ def progress_bar(shown: bool, total: int | None) -> Iterator[Callable[[int], Non
         def advance(rays: int) -> None:
             nonlocal done
             done += rays
-            bar.update(task, completed=done, description=f"{done / (perf_counter() - start) / 1e6:.1f} million a second")
+            bar.update(task, completed=done, description=f"{done / (perf_counter() - start) / 1e6:.1f} Mrays/s")
 
         yield advance
 

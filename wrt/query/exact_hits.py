@@ -1,4 +1,4 @@
-"""Closest hits in float64: rays and vertices on the device as they were given, and what comes back."""
+"""Closest hits in float64: rays and vertices on the device as given, and the results."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class PreciseHits(Hits):
-    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the rays are."""
+    """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays."""
 
     def __init__(
         self, hits: ExactHits, rounded: DeviceHits, mesh: ExactMesh, form: ResultForm, scene: SceneState, plan: Plan
@@ -100,7 +100,7 @@ def exact_mesh(scene: SceneState) -> ExactMesh:
 
 
 def exact_rays(rays: Rays, buffers: RayBuffers, device: wp.Device) -> ExactRays:
-    """Rays in float64 on the device; they have been checked on their way to `buffers`."""
+    """Rays in float64 on the device; they were checked when `buffers` were made."""
     from wrt.kernels.query.exact_closest import ExactRays
 
     exact = ExactRays()

@@ -1,4 +1,4 @@
-"""Closest hits: what was stored by the traversal, and what follows from it when asked for."""
+"""Closest hits: what the traversal stored, and what is computed from it on request."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ if TYPE_CHECKING:
 class Hits:
     """Closest hits of a batch of rays, in its leading shape (...).
 
-    NumPy arrays if the rays were, Warp arrays on the scene's device if the rays were. `t`, `primitive_id` and `uv` are
-    there from the start, everything else is computed when it is first asked for.
+    The attributes are NumPy arrays if the rays were, else Warp arrays on the scene's device. The traversal stores `t`,
+    `primitive_id` and `uv`; everything else is computed on first access.
 
     Attributes:
         t: (...) float32, in units of the direction's length; inf for a miss.
         primitive_id: (...) int32, index of the triangle within its geometry; -1 for a miss.
         geometry_id: (...) int32, index of the mesh within the scene; -1 for a miss.
-        instance_id: (...) int32, index of the instance; of the mesh, in a scene without instances; -1 for a miss.
+        instance_id: (...) int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
         uv: (..., 2) float32, weights of the triangle's second and third vertex; 0 for a miss.
         is_hit: (...) bool.
         position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
-        normal: (..., 3), unit, by the triangle's winding (counter-clockwise seen from its front), in the same type;
-            0 for a miss and for a triangle without area.
+        normal: (..., 3), unit vectors of the same type, from the triangle's winding (counter-clockwise seen from the
+            front); 0 for a miss and for a triangle without area.
         plan: how the query was answered (`wrt.execution.plan.Plan`).
-        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work done for each ray, if it was asked for
-            (`wrt.kernels.traversal.leaf.Counters` explains each); for a packet or a stream, the work done for all of it, at
-            its first ray. Streams count the lanes of their vectors, and those in use
-            (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).
+        counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each ray, if requested
+            (`wrt.kernels.traversal.leaf.Counters` explains each). The work of a packet or a stream is stored at its first
+            ray. Streams also count vector lanes and active lanes (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class Hits:
         counters: wp.array | None = None,
     ) -> None:
         self.batch = batch
-        """What the traversal wrote, flat and on the device, with triangles numbered through the scene."""
+        """What the traversal stored, flat and on the device; triangles are numbered through all meshes of the scene."""
         self.plan = plan
         self._mesh = scene.device_mesh
         self._scenes = {scene.mark}
@@ -63,7 +62,7 @@ class Hits:
         return f"Hits(shape={self.shape})"
 
     def __copy__(self) -> Hits:
-        """Hits of the same arrays, with the triangles."""
+        """Hits that share the arrays and the triangles."""
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
         return other
@@ -74,13 +73,13 @@ class Hits:
         return self._form.shape
 
     def is_of(self, scene: SceneState) -> bool:
-        """Whether these are hits of a scene, also before it was updated, or of another one of the same triangles."""
+        """Whether these are hits of this scene, perhaps before an update, or of another scene with the same triangles."""
         if scene.mark not in self._scenes and self.same_geometry(scene):
             self._scenes.add(scene.mark)
         return scene.mark in self._scenes
 
     def same_geometry(self, scene: SceneState) -> bool:
-        """Whether a scene has the same triangles in the same places; instances count as others."""
+        """Whether a scene has the same triangles in the same places. Scenes of instances never compare as equal."""
         ours, theirs = self._mesh, scene.device_mesh
         if ours is theirs:
             return True
@@ -137,12 +136,12 @@ class Hits:
         return self._as_dtype(out)
 
     def spawn(self, directions: Any) -> Any:
-        """Origins of rays that leave the hits: near them, off the surface to the side that the direction points to.
+        """Origins of rays that leave the hits: next to them, on the side of the surface that the direction points to.
 
-        The distance is bound by rounding (`wrt.kernels.query.spawn`): some 5e-7 of the point's reach in the scene, more on
-        slivers. A ray from there meets its own triangle no more, at whatever angle, if that is not a needle of a length of a
-        thousand heights; in the corner of two walls it starts on this side of both. A direction in the triangle's plane goes
-        with the front.
+        The offset is bounded by rounding (`wrt.kernels.query.spawn`): about 5e-7 times the largest extent of the scene as seen
+        from the point, along an axis, and more for slivers. A ray from there does not hit its own triangle again at any
+        angle, unless the triangle is longer than a thousand times its height. In the corner of two walls, it starts in
+        front of both. A direction in the plane of the triangle counts as pointing to its front.
 
             d = ...  # (N, 3), or (samples, N, 3)
             dark = scene.occluded(hits.spawn(d), d)
@@ -151,12 +150,13 @@ class Hits:
             directions: (..., 3), of any length; their leading shape broadcasts against that of the hits, or ends with it.
 
         Returns:
-            (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. NumPy if hits and directions
-            are, else Warp. Rounded to float32, far from the scene's centre, they would not keep their distance.
+            (..., 3) float64 in the scene's coordinates, of the broadcast shape; NaN for a miss. A NumPy array if hits and
+            directions are, else a Warp array. Do not round them to float32: far from the scene's centre the offset would be
+            lost.
 
         Raises:
-            TypeError: directions are no array of real numbers.
-            ValueError: wrong shapes, an array on another device.
+            TypeError: directions are not an array of real numbers.
+            ValueError: wrong shapes, or an array on another device.
         """
         from wrt.kernels.query.spawn import spawn_origins
         from wrt.rays.ray_buffers import to_device
@@ -180,19 +180,19 @@ class Hits:
 
     @property
     def has_counters(self) -> bool:
-        """Whether work was counted."""
+        """Whether the query counted its work."""
         return "counters" in self.__dict__ or getattr(self, "_counters", None) is not None
 
     @cached_property
     def counters(self) -> dict[str, Any]:
         if self._counters is None:
-            raise ValueError("no work was counted; call scene.intersect(..., counters=True)")
+            raise ValueError("no counters were recorded; call scene.intersect(..., counters=True)")
         work = self._counters.numpy()
         return {name: np.ascontiguousarray(work[name]).reshape(self.shape) for name in work.dtype.names}
 
     @cached_property
     def _located(self) -> tuple[wp.array, wp.array, wp.array]:
-        """Instance, geometry and triangle within it."""
+        """Instance, geometry, and triangle within the geometry."""
         from wrt.kernels.query.hit_attributes import locate_geometry
 
         found = tuple(self._empty(wp.int32) for _ in range(3))

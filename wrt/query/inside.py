@@ -1,13 +1,13 @@
-"""Inside or outside: by the number of times that a ray from a point crosses the surface.
+"""Inside tests by parity: the number of times that a ray from a point crosses the surface.
 
-A ray from inside a closed surface to infinity crosses it an odd number of times, whichever way it goes. Every crossing is
-counted once, at edges and vertices too (`wrt.kernels.triangle.watertight.woop`), and a whole line crosses a closed surface an
-even number of times to the bit: one direction is enough, and it may be followed either way.
+A ray from inside a closed surface to infinity crosses it an odd number of times, in any direction. Every crossing is
+counted once, also at edges and vertices (`wrt.kernels.triangle.watertight.woop`), and the number of crossings of a whole line
+is exactly even: one direction is enough, and the ray may follow it either way.
 
-Through the holes of a surface that is not closed, rays of different directions disagree. There three directions vote: of the
-first two, where they agree, and of a third where they do not.
+If a surface is not closed, rays through its holes give different answers in different directions. A second direction is
+then tested, and where the first two disagree, a third decides.
 
-Several meshes, or shells of one, count together: a point is inside if it is inside an odd number of them.
+With several meshes, or shells within each other, a point is inside if an odd number of them contain it.
 
 References:
     M. Shimrat: Algorithm 112: Position of point relative to polygon. Communications of the ACM 5(8), 1962 (parity).
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
-"""Directions along no axis and no diagonal, far from one another."""
+"""Directions far from each other, and from all axes and diagonals."""
 
 
 def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> Any:
-    """Which points are inside the scene's meshes; see `wrt.Scene.contains`."""
+    """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
     from wrt.kernels.query.ray_order import sort_rays, unsort_hits
 
     with use_threads(scene.num_threads):
@@ -64,7 +64,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
 
 
 def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> None:
-    """Sends rays along the direction or against it, whichever is likely to be the shorter way out of the scene."""
+    """Points rays along the direction or against it, whichever is probably the shorter way out of the scene."""
     from wrt.kernels.query.hit_lists import aim_outwards
 
     points.directions, points.direction_stride = empty(points.count, wp.vec3, device), 1
@@ -72,7 +72,7 @@ def aim(points: RayBatch, direction: tuple[float, ...], device: wp.Device) -> No
 
 
 def odd_crossings(scene: SceneState, plan: Plan, rays: RayBuffers) -> DeviceHits:
-    """Whether each ray crosses the surface an odd number of times, as `occluded`."""
+    """Whether each ray crosses the surface an odd number of times, stored as `occluded`."""
     from wrt.kernels.query.hit_lists import is_odd
 
     crossings, _ = trace(scene, plan, rays, COUNT)

@@ -1,8 +1,8 @@
-"""Hits in pickles: for other processes, and for files.
+"""Pickled hits: for other processes, and for files.
 
-A pickle holds the numbers, not the scene: all attributes of the hits, and the mark of the scene by which `skip` and
-`wrt.differentiable_hits` know it. It grows with the rays and not with the mesh. So what needs the triangles themselves,
-`Hits.spawn`, has to be asked before.
+A pickle holds the results, not the scene: all attributes of the hits, and the identifier of the scene by which `skip` and
+`wrt.differentiable_hits` recognise it. Its size depends on the number of rays, not on the mesh. `Hits.spawn`, which needs
+the triangles, is not available after unpickling.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit",
 
 
 class KeptHits(NamedTuple):
-    """What a pickle holds of hits.
+    """The pickled state of hits.
 
     Attributes:
         values: `ATTRIBUTES`, as NumPy arrays.
-        primitive: (N,) int32, triangles numbered through the scene.
-        counters: as of `Hits`; None if nothing was counted.
-        plan, shape: as of `Hits`.
-        scenes: marks of the scenes that the hits are known to be of.
+        primitive: (N,) int32, triangles numbered through all meshes of the scene.
+        counters: as in `Hits`; None if nothing was counted.
+        plan, shape: as in `Hits`.
+        scenes: identifiers of the scenes that the hits are known to belong to.
         is_warp, is_float64: whether the rays were Warp arrays, and float64.
-        device: of the scene.
+        device: name of the scene's device.
     """
 
     values: dict[str, np.ndarray]
@@ -51,7 +51,7 @@ class KeptHits(NamedTuple):
 
 
 class PickledHits(Hits):
-    """Hits that come out of a pickle, on their scene's device if it is there, else on the CPU."""
+    """Unpickled hits, on their scene's device if it exists here, else on the CPU."""
 
     def __init__(self, kept: KeptHits) -> None:
         dtype = np.float64 if kept.is_float64 else np.float32
@@ -65,7 +65,7 @@ class PickledHits(Hits):
             self.counters = kept.counters
 
     def _as_given(self, values: np.ndarray) -> wp.array:
-        """A Warp array as queries return them: of vectors where values are rows."""
+        """A Warp array as queries return it: of vectors if values are rows."""
         rows = values.ndim > max(1, len(self.shape))
         if not rows:
             return wp.array(values, device=self._home)
@@ -74,7 +74,7 @@ class PickledHits(Hits):
 
     @cached_property
     def batch(self) -> DeviceHits:
-        """As of `Hits`."""
+        """As in `Hits`."""
         values = self._kept.values
         arrays = {"t": values["t"].reshape(-1), "primitive": self._kept.primitive, "uv": values["uv"].reshape(-1, 2)}
         if self._home.is_cpu:
@@ -85,25 +85,25 @@ class PickledHits(Hits):
 
     @cached_property
     def counters(self) -> dict[str, Any]:
-        raise ValueError("no work was counted; call scene.intersect(..., counters=True)")
+        raise ValueError("no counters were recorded; call scene.intersect(..., counters=True)")
 
     def spawn(self, directions: Any) -> NoReturn:
-        """Not of hits from a pickle, which have no triangles with them.
+        """Not available: the pickle does not contain the triangles.
 
         Raises:
-            ValueError: always; the message says what to do instead.
+            ValueError: always; the message names the alternative.
         """
         raise ValueError(
             "hits from a pickle do not hold the triangles that spawn needs; call spawn before pickling, or intersect again"
         )
 
     def same_geometry(self, scene: Any) -> bool:
-        """Nothing is known but the marks."""
+        """False: without the triangles, only identifiers are compared."""
         return False
 
 
 def revive_lists(flat: KeptHits, offsets: np.ndarray, shape: tuple[int, ...]) -> AllHits:
-    """The lists of a pickle."""
+    """Unpickles lists of hits."""
     lists = object.__new__(AllHits)
     lists._flat = PickledHits(flat)
     lists._form = lists._flat._form._replace(shape=shape)
@@ -113,7 +113,7 @@ def revive_lists(flat: KeptHits, offsets: np.ndarray, shape: tuple[int, ...]) ->
 
 
 def keep(hits: Hits) -> KeptHits:
-    """What a pickle holds of hits; computes what is not computed yet."""
+    """The pickled state of hits, with all attributes computed."""
     values = {name: as_numpy(getattr(hits, name)) for name in ATTRIBUTES}
     counters = hits.counters if hits.has_counters else None
     primitive, form = hits.batch.primitive.numpy(), hits._form
@@ -123,7 +123,7 @@ def keep(hits: Hits) -> KeptHits:
 
 
 def as_numpy(values: Any) -> np.ndarray:
-    """A NumPy array of a result."""
+    """A result as a NumPy array."""
     return values.numpy() if isinstance(values, wp.array) else values
 
 

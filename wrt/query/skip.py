@@ -1,10 +1,8 @@
-"""Queries whose rays each pass through one triangle as if it was not there: the one that they start on.
+"""Queries whose rays each ignore one triangle: usually the one that they start on.
 
-Rays go one by one (`wrt.kernels.query.skip_triangle`), whatever their number. A tree that is built lazily is built to its end,
-and those of influence areas are not asked.
-
-**Measured** (one thread of a Zen 5, bunny, random rays from hits; nanoseconds a ray): 486 with `skip`, 484 from `Hits.spawn` by
-the traversal "single", 261 from there in streams; on the kd-tree 948, 949 and, in lockstep, 815.
+Rays are traced one at a time (`wrt.kernels.query.skip_triangle`), whatever their number. A lazy tree is completed first, and
+the trees of influence areas are not used. For many rays, streams from `Hits.spawn` are about twice as fast
+(notebooks/records/2026-11-21-queries.md).
 """
 
 from __future__ import annotations
@@ -48,7 +46,7 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask
         check_skip(scene, others | {"precise": precise})
         skipped = skipped_triangles(skip, scene, buffers)
         asked = Query(query.kind, "single", AUTO, query.cull_backfaces)
-        plan = replace(find_plan(scene, buffers, asked).plan, reason="each skips a triangle")
+        plan = replace(find_plan(scene, buffers, asked).plan, reason="each ray skips a triangle")
         carried_out = plan_for(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
@@ -61,31 +59,31 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask
 
 
 def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
-    """Refuses what `skip` does not go with.
+    """Refuses arguments and scenes that `skip` does not support.
 
     Raises:
-        ValueError: a scene of instances or of fuzzy boxes, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a scene of instances or a `wrt.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
     """
     if scene.instances:
         raise ValueError(
-            "skip goes with scenes without instances; start rays at hits.spawn(directions) instead, "
-            "or ask wrt.Scene(scene.flattened()), which numbers triangles through all instances"
+            "skip needs a scene without instances; start rays at hits.spawn(directions) instead, "
+            "or use wrt.Scene(scene.flattened()), which numbers the triangles of all instances"
         )
     if scene.only_single:
         raise ValueError(
-            "skip goes with scenes of one tree; start rays at hits.spawn(directions) instead, or ask wrt.Scene(scene.meshes)"
+            "skip needs a scene with one tree; start rays at hits.spawn(directions) instead, or use wrt.Scene(scene.meshes)"
         )
     if given := [name for name, value in others.items() if value not in (AUTO, False)]:
-        raise ValueError(f"skip does not go with {', '.join(given)}; leave one or the other out")
+        raise ValueError(f"skip cannot be combined with {', '.join(given)}; leave one or the other out")
 
 
 def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.array:
-    """The triangle that each ray passes through, numbered through the scene, as `wrt.kernels.query.skip_triangle` takes them.
+    """The triangle that each ray ignores, numbered through all meshes, as `wrt.kernels.query.skip_triangle` takes it.
 
     Raises:
         TypeError: neither hits nor integers.
         ValueError: hits of another scene, integers in a scene of several meshes or out of range, a shape that does not
-            broadcast, an array on another device.
+            broadcast, or an array on another device.
     """
     if isinstance(skip, Hits):
         if not skip.is_of(scene):
@@ -94,7 +92,7 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
     else:
         if len(scene.meshes) > 1:
             raise ValueError(
-                f"skip holds triangles of one mesh, and the scene has {len(scene.meshes)}; pass the wrt.Hits that rays start at"
+                f"skip holds triangles of one mesh, and the scene has {len(scene.meshes)}; pass the wrt.Hits where rays start"
             )
         values, shape = (skip, skip.shape) if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)
     if isinstance(values, wp.array) and values.device != scene.device:
@@ -105,28 +103,30 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
 
 
 def as_triangles(skip: Any, count: int) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Numbers of triangles of a mesh of so many, as int32, and their shape.
+    """Checked triangle indices of a mesh of `count` triangles as int32, and their shape.
 
     Raises:
-        TypeError: no integers.
-        ValueError: a number that no triangle has.
+        TypeError: not integers.
+        ValueError: an index out of range.
     """
     try:
         values = np.asarray(skip)
     except ValueError as error:
-        raise TypeError(f"skip is no array: {error}") from error
+        raise TypeError(f"skip is not an array: {error}") from error
     if values.dtype.kind not in "iu":
         raise TypeError(f"skip must be a wrt.Hits or hold integers, primitive ids or -1 for none, not {values.dtype}")
     if values.size and (values.min() < -1 or values.max() >= count):
-        raise ValueError(f"skip must be from -1, for none, to {count - 1}, but ranges from {values.min()} to {values.max()}")
+        raise ValueError(
+            f"skip must be from -1, for none, to {count - 1}, but its values range from {values.min()} to {values.max()}"
+        )
     return values.astype(np.int32), values.shape
 
 
 def spread_rows(values: np.ndarray | wp.array, shape: tuple[int, ...], wanted: tuple[int, ...], device: wp.Device) -> wp.array:
-    """Values of a shape that broadcasts to the wanted one: flat, up to where they repeat row by row.
+    """Values that broadcast to the wanted shape: a flat array, repeated only where whole rows do not repeat.
 
     Raises:
-        ValueError: it does not broadcast.
+        ValueError: the shape does not broadcast.
     """
     row = shape
     while row and row[0] == 1:
@@ -137,7 +137,7 @@ def spread_rows(values: np.ndarray | wp.array, shape: tuple[int, ...], wanted: t
         except ValueError:
             raise ValueError(
                 f"skip has the shape {shape}, which does not broadcast to that of the rays, {wanted}; "
-                "broadcast the rays to what they skip"
+                "broadcast the rays to the shape of skip"
             ) from None
     if isinstance(values, wp.array):
         return values.contiguous().flatten()

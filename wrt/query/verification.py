@@ -1,21 +1,21 @@
-"""Self-check: a scene's answers on its own mesh and machine, against brute force in float64.
+"""Verification of a scene: its answers on its own mesh and machine, compared with brute force in float64.
 
-**Rays.** Random ones through the scene's box; rays aimed at vertices and at points on edges, where a test that is not
-watertight loses hits; rays that graze a triangle almost in its plane. All start from float32 points relative to the scene's
-centre, so that the scene and the reference ask about the same rays.
+**Rays.** Random rays through the scene's box; rays aimed at vertices and at points on edges, where a test that is not
+watertight loses hits; rays that graze a triangle almost in its plane. All start at float32 points relative to the scene's
+centre, so that the scene and the reference trace the same rays.
 
-**Reference.** Every triangle, by the watertight test's arithmetic in float64 (`nearest64`), on the vertices as they were given.
+**Reference.** Tests every triangle with the watertight test in float64 (`nearest64`), on the vertices as given.
 
-**What is a fault.** The scene rounds to float32, and may answer as if a ray passed beside where it passes, by `TOLERANCE` of
-its reach in the scene, and no more. Along the ray it may be off by as much, and on a triangle of length L and height h, as
-seen along the ray, by another `SLIVER_ERROR` L^2 / h, as `wrt.kernels.query.spawn` explains, at most L:
+**Faults.** The scene rounds to float32, and may answer as if a ray was shifted sideways by up to `TOLERANCE` of its reach
+in the scene. Along the ray, the error has the same bound, plus `SLIVER_ERROR` L^2 / h, but at most L, on a triangle whose
+length is L and height h as seen along the ray (see `wrt.kernels.query.spawn`):
 
 * a *false hit* is a hit whose point on the ray is farther than that from its triangle;
-* a *miss* is a ray with no hit, or with one behind the reference's, of which that is also true for the rays around it, moved
-  sideways by twice as much in eight directions: they all meet something nearer. Where they do not (at silhouettes and at the
-  rims of holes) rounding may decide either way; these rays are counted as undecided.
+* a *miss* is a ray with no hit, or with one behind the reference's, if eight rays around it, shifted sideways by twice the
+  tolerance, all hit something nearer. If they do not (at silhouettes and at the rims of holes), rounding may decide either
+  way; these rays are counted as undecided.
 
-`occluded` must say the same as `intersect`; where it does not, that is a miss or a false hit too.
+If `occluded` contradicts `intersect`, that is a miss or a false hit, too.
 
 References:
     S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
@@ -37,41 +37,43 @@ if TYPE_CHECKING:
     from wrt.execution.scene_state import SceneState
 
 TOLERANCE = 2.0**-21
-"""Distance by which an answer may be off, as a share of the ray's reach: eight roundings of half a unit in the last place."""
+"""Largest accepted error, as a share of the ray's reach: eight roundings of half a unit in the last place."""
 
 SLIVER_ERROR = 2.0**-22
-"""Units in the last place, times a few."""
+"""A few units in the last place."""
 
 STEEP = 0.1
-"""Sine of the angle between ray and triangle from which on errors of t are measured: below, they grow without bound."""
+"""Sine of the angle between ray and triangle from which errors of t are measured: for smaller angles, they are unbounded."""
 
 LOST_BITS = 2.0**-12
-"""Longest side of a triangle, as a share of its distance from the centre that positions are relative to, below which float32
-leaves it half of its 24 bits, or fewer."""
+"""Longest side of a triangle, as a share of its distance from the centre that positions are relative to, below which
+float32 resolves it with half of its 24 bits or fewer.
+"""
 
 LEAST_EXTENT = 2.0**-34
-"""Longest side of a mesh below which products of three lengths, as of an area and a distance, fall below the normal numbers of
-float32, 2^-126, for triangles a hundredth of it large."""
+"""Longest side of a mesh below which products of three lengths, such as an area times a distance, underflow the normal
+range of float32, 2^-126, for triangles of a hundredth of that size.
+"""
 
 SLIVER = 1000.0
-"""Length by height from which on a triangle counts as a sliver."""
+"""Ratio of length to height from which a triangle counts as a sliver."""
 
 EXAMPLES = 5
-"""Faults that a report keeps."""
+"""Largest number of faults in a report."""
 
 MISS, FALSE_HIT = "miss", "false hit"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A wrong answer, to be looked at.
+    """A wrong answer.
 
     Attributes:
         kind: "miss" or "false hit".
         origin, direction: the ray, in the scene's coordinates.
-        triangle: its answer, numbered through all meshes of the scene; -1 for none.
+        triangle: the scene's answer, numbered through all meshes; -1 for none.
         expected: the reference's triangle; -1 for none.
-        t, t_expected: where the two are hit, in units of the direction's length; inf for none.
+        t, t_expected: distances of the two hits, in units of the direction's length; inf for none.
     """
 
     kind: str
@@ -92,21 +94,21 @@ class Fault:
 
 @dataclass(frozen=True)
 class Verification:
-    """What `Scene.verify` found; `str()` of it is a table.
+    """The result of `Scene.verify`; `str()` formats it as a table.
 
     Attributes:
         rays: number of rays by kind: "random", "vertices", "edges", "grazing".
-        hits: how many of them hit, as the reference has it.
-        misses, false_hits: wrong answers, by kind.
-        undecided: rays that rounding may decide either way, by kind.
-        t_error: largest error of the distance to a hit, as a share of the ray's reach in the scene, among rays that meet the
-            same triangle as the reference at more than 6 degrees.
-        mesh: what there is in the mesh: "open edges" (holes), "edges of more than two triangles", "duplicate triangles",
+        hits: number of rays that hit, according to the reference, by kind.
+        misses, false_hits: number of wrong answers, by kind.
+        undecided: number of rays that rounding may decide either way, by kind.
+        t_error: largest error of the distance to a hit, as a share of the ray's reach in the scene, among rays that hit the
+            same triangle as in the reference at more than 6 degrees.
+        mesh: counts of mesh defects: "open edges" (holes), "edges of more than two triangles", "duplicate triangles",
             "triangles without area", "slivers" (a thousand times as long as high), "triangles too small for where they are"
-            (less than 1/4096 as long as they are far from their scene's centre, to which float32 positions are relative),
+            (smaller than 1/4096 of their distance from the scene's centre, to which float32 positions are relative),
             "triangles of a mesh too small for float32" (less than 6e-11 across, where areas times distances underflow), and
-            "vertices that no triangle uses" (which have no part in any answer).
-        explained: of the faults, how many are at triangles of these sorts.
+            "vertices that no triangle uses" (which affect no answer).
+        explained: number of faults at triangles with each defect.
         faults: the first few wrong answers.
     """
 
@@ -159,7 +161,7 @@ class Verification:
 
 
 def verify(scene: SceneState, samples: int, seed: int) -> Verification:
-    """Checks a scene; see `wrt.Scene.verify`."""
+    """Verifies a scene; see `wrt.Scene.verify`."""
     for name, value, least in (("samples", samples, len(KINDS)), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
             raise TypeError(f"{name} must be an int, not {type(value).__name__}")
@@ -195,12 +197,12 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
 
 
 class Check:
-    """A scene's answers about rays relative to its centre, beside the reference's.
+    """A scene's answers for rays relative to its centre, with the reference's.
 
     Attributes:
         primitive, t: (N,) the scene's answers.
         expected, t_expected: (N,) the reference's.
-        missed, false, undecided: (N,) bool, as the module's docstring says.
+        missed, false, undecided: (N,) bool, as defined in the module's docstring.
     """
 
     def __init__(
@@ -229,7 +231,7 @@ class Check:
             (self.missed if sure else self.undecided)[ray] = True
 
     def sliver_errors(self) -> np.ndarray:
-        """(N,) how much farther hits may be off along the ray because it sees their triangle long and thin; 0 for misses."""
+        """(N,) additional error bound along the ray for hits on triangles that are slivers as seen from it; 0 for misses."""
         corners = self.vertices[self.faces[self.primitive]]
         edges = np.roll(corners, -1, axis=1) - corners
         longest = np.linalg.norm(edges, axis=2).max(axis=1)
@@ -253,7 +255,7 @@ class Check:
         return off
 
     def is_covered(self, ray: int, t: float) -> bool:
-        """Whether the eight rays around this one all meet something before `t`."""
+        """Whether the eight rays around this one all hit something before `t`."""
         direction = self.directions[ray] / self.lengths[ray]
         across = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
         across /= np.linalg.norm(across)
@@ -264,7 +266,7 @@ class Check:
         return bool((found * self.lengths[ray] < t * self.lengths[ray] - self.t_tolerance[ray]).all())
 
     def t_error(self) -> float:
-        """Largest error of the distance to a hit, as a share of the ray's reach, where it can be told."""
+        """Largest error of the distance to a hit, as a share of the ray's reach, where it is measured."""
         same = np.flatnonzero((self.primitive == self.expected) & (self.primitive >= 0))
         a, b, c = self.vertices[self.faces[self.primitive[same]]].transpose(1, 0, 2)
         normals, directions = np.cross(b - a, c - a), self.directions[same]
@@ -313,7 +315,7 @@ def nearest64(
 
 
 def random_rays(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """From in and around the box of the triangles (F, 3, 3) to points in it."""
+    """Rays from in and around the box of the triangles (F, 3, 3) to points in it."""
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     size = (high - low).max()
     origins = rng.uniform(low - 0.5 * size, high + 0.5 * size, (count, 3))
@@ -321,12 +323,12 @@ def random_rays(rng: np.random.Generator, corners: np.ndarray, count: int) -> tu
 
 
 def rays_at_vertices(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """From the same places to corners of triangles."""
+    """Rays with such origins to corners of triangles."""
     return _aimed(rng, corners, count, 0.0)
 
 
 def rays_at_edges(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """From the same places to points on edges."""
+    """Rays with such origins to points on edges."""
     return _aimed(rng, corners, count, rng.random((count, 1)))
 
 
@@ -340,7 +342,7 @@ def _aimed(
 
 
 def grazing_rays(rng: np.random.Generator, corners: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """To points of triangles, almost in their planes: at angles from a tenth to a millionth of a radian."""
+    """Rays to points of triangles, almost in their planes: at angles from 0.1 to 1e-6 radians."""
     a, b, c = corners[rng.integers(0, len(corners), count)].transpose(1, 0, 2)
     points = np.einsum("kn,kni->ni", rng.dirichlet((1, 1, 1), count).T, np.stack([a, b, c]))
     size = (corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max()
@@ -360,7 +362,7 @@ KINDS = {"random": random_rays, "vertices": rays_at_vertices, "edges": rays_at_e
 
 
 def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
-    """What rays may stumble over: how many, and which triangles (F,) bool; by positions, as `TriangleMesh.summary` counts."""
+    """Mesh defects by position, as in `TriangleMesh.summary`: their number, and (F,) bool which triangles have them."""
     from trimesh.grouping import hashable_rows
 
     surface = mesh.welded().to_trimesh()
@@ -384,7 +386,7 @@ def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
 
 
 def sorts_of_places(scene: SceneState, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
-    """What float32 has few digits for: how many triangles, and which (F,) bool; and unused vertices, at none of them."""
+    """Triangles that float32 resolves badly: their number, and (F,) bool which ones; and unused vertices, which mark none."""
     lost, tiny = [], []
     for part in scene.parts:
         own = len(lost)

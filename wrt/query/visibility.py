@@ -1,4 +1,4 @@
-"""Which pairs of points see each other: by the nearest hit between them, and by all hits where that one is at an end."""
+"""Visibility between pairs of points: by the nearest hit between them, or by all hits where that one is at an end point."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from wrt.execution.scene_state import SceneState
 
 BLOCK = 1 << 20
-"""Pairs that are traced at a time: some 60 MB."""
+"""Pairs traced at a time, which takes about 60 MB."""
 
 ROUNDING = 2.0**-23
-"""Error of a coordinate given in float32 after a computation with one or two roundings, as a share of it."""
+"""Relative error of a float32 coordinate after a computation with one or two roundings."""
 
 
 def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
-    """Which pairs of points see each other; see `wrt.Scene.visible`."""
+    """Whether pairs of points see each other; see `wrt.Scene.visible`."""
     is_warp = isinstance(points_a, wp.array) or isinstance(points_b, wp.array)
     a, b = _as_points(points_a, "points_a", scene.device), _as_points(points_b, "points_b", scene.device)
     try:
@@ -55,7 +55,7 @@ def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
 
 
 def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:
-    """(N,) bool: for N pairs, given as the points and the indices of both ends."""
+    """(N,) bool for N pairs, given as the points and the indices of both ends."""
     from wrt.kernels.query.open_segments import UNDECIDED, VISIBLE, connect_points, judge_lists, judge_nearest
     from wrt.kernels.query.ray_order import sort_rays
     from wrt.query.all_hits import MAX_TOTAL, find_all

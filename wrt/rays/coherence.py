@@ -1,4 +1,4 @@
-"""What is looked for in rays before a plan is made for them: see `wrt.kernels.query.coherence_detection`."""
+"""Coherence detection: properties of a batch of rays that a plan depends on; see `wrt.kernels.query.coherence_detection`."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from wrt.kernels.query.coherence_detection import PAIRS, look_at_rays
 from wrt.kernels.runtime.launch import record
 
 LEAST_RAYS = 4096
-"""Flat lists of fewer rays are not taken for pictures: there is no time to win."""
+"""Smallest flat list that is tested for being the pixels of an image: for fewer rays there is nothing to gain."""
 
 
 class Look(NamedTuple):
-    """What was found.
+    """Result of coherence detection.
 
     Attributes:
-        coherent: whether neighbouring rays look alike: if most pairs of a sample have directions that differ by less than some
-            15 degrees and, where origins are not shared, a distance that is small against that between rays far apart.
+        coherent: whether neighbouring rays are similar: for most pairs of a sample, directions differ by less than about 15
+            degrees and, unless origins are shared, the distance of origins is small against that of rays far apart.
         scattered: whether neighbouring rays start far apart.
-        columns: of the picture whose pixels a flat list of rays is, row by row; 0 if it is none, or was not looked at.
+        columns: columns of the image whose pixels, row by row, a flat list of rays belongs to; 0 if it does not, or was not
+            tested.
     """
 
     coherent: bool
@@ -31,9 +32,9 @@ class Look(NamedTuple):
 
 
 class Looker:
-    """The kernel with its arguments packed, for one thread at a time.
+    """The detection kernel with its packed arguments, for one thread at a time.
 
-    It is called as Warp calls it, and not by Warp: the answer is needed now, also while a graph is captured.
+    The native kernel is called directly, not through Warp: the result is needed at once, also while a graph is captured.
     """
 
     def __init__(self) -> None:
@@ -48,7 +49,7 @@ class Looker:
         self.found = self.answers.numpy()
 
     def look(self, rays: Any, sampled: bool, listed: bool) -> Look:
-        """Looks at pairs of neighbours if `sampled`, and for a picture if `listed`."""
+        """Tests pairs of neighbours if `sampled`, and for an image if `listed`."""
         arguments = self.arguments
         arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
         arguments.sampled, arguments.listed = sampled, listed

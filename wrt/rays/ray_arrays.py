@@ -17,15 +17,15 @@ from wrt.rays.ray_grids import one_origin
 from wrt.rays.rays import Rays, as_range, as_vectors, check_number, common_shape
 
 NOWHERE = np.zeros(3)
-"""The centre relative to which directions are taken."""
+"""The centre that directions are relative to."""
 
 
 class Layout(NamedTuple):
-    """How rays lie in their arrays: all that a launch must know of them besides the arrays.
+    """How rays are stored in their arrays: everything that a launch must know besides the arrays themselves.
 
     Attributes:
-        origins, directions, t_min, t_max: 1 where each ray has its own, 0 where all share element 0.
-        centered: whether the origins are relative to the scene's centre already.
+        origins, directions, t_min, t_max: 1 if each ray has its own element, 0 if all share element 0.
+        centered: whether the origins are already relative to the scene's centre.
     """
 
     origins: int
@@ -42,10 +42,11 @@ class RayArrays:
     Attributes:
         origins, directions: (N,) or (1,) vec3.
         t_min, t_max: (N,) or (1,) float32.
-        layout: which of them have one element, and what the origins are relative to.
+        layout: which arrays have one shared element, and what the origins are relative to.
         count: N.
-        center: (3,) float64, the scene's.
-        shape, is_warp, dtype, keep: as of `RayBuffers`.
+        center: (3,) float64, the scene's centre.
+        shape, is_warp, dtype: as in `RayBuffers`.
+        keep: the arrays that were passed, which must live as long as these.
     """
 
     origins: wp.array
@@ -62,12 +63,12 @@ class RayArrays:
 
     @property
     def origin_stride(self) -> int:
-        """As of `RayBatch`."""
+        """As in `RayBatch`."""
         return self.layout.origins
 
     @property
     def direction_stride(self) -> int:
-        """As of `RayBatch`."""
+        """As in `RayBatch`."""
         return self.layout.directions
 
     def batch(self) -> RayBatch:
@@ -79,19 +80,19 @@ class RayArrays:
         return batch
 
     def write_to(self, arguments: Any) -> None:
-        """Writes the addresses of the arrays, and how many rays they are, into the packed form of a batch of this layout."""
+        """Writes the addresses of the arrays and the number of rays into the packed arguments of a batch with this layout."""
         arguments.origins, arguments.directions = self.origins.__ctype__(), self.directions.__ctype__()
         arguments.t_min, arguments.t_max = self.t_min.__ctype__(), self.t_max.__ctype__()
         arguments.count = self.count
 
 
 def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
-    """The arrays of rays on the device; float64 origins are taken relative to `center` there.
+    """The arrays of rays on the device. Float64 origins become float32 relative to `center`.
 
     Raises:
         TypeError: an argument is not an array of real numbers.
-        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device, more than
-            `MAX_RAYS` rays.
+        ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device, or more
+            than `MAX_RAYS` rays.
     """
     origins = as_vectors(rays.origins, "origins", device)
     directions = as_vectors(rays.directions, "directions", device)
@@ -114,7 +115,7 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
 
 
 def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
-    """A batch that waits for its arrays."""
+    """A batch with this layout whose arrays are still to be set."""
     batch = RayBatch()
     batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
     batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
@@ -139,7 +140,7 @@ def spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]
 def _vectors(
     values: np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device, center: np.ndarray
 ) -> tuple[wp.array, int]:
-    """Vectors as a flat (N,) or (1,) vec3 array; float64 ones are taken relative to `center`."""
+    """Vectors as a flat (N,) or (1,) vec3 array, and its stride. Float64 vectors become relative to `center`."""
     stride = 1
     if isinstance(values, wp.array):
         stride = 0 if values.size == 1 else 1
@@ -158,7 +159,7 @@ def _vectors(
 
 
 def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:
-    """Bounds of t as a flat (N,) or (1,) float array."""
+    """Bounds of t as a flat (N,) or (1,) float array, and its stride."""
     if isinstance(values, float):
         stride = int(math.prod(shape) == 1)
         if device.is_capturing:  # what is kept for others may be dropped before the graph is
@@ -173,15 +174,16 @@ def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], devi
 
 
 def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
-    """An array on the device, on the CPU in the same memory.
+    """An array on the device; on the CPU it shares the memory of `values`.
 
     Raises:
-        RuntimeError: a graph is being captured on the device: it would copy from memory that is gone when it is launched.
+        RuntimeError: a graph is being captured on the device. It would record a copy from memory that is freed before it is
+            launched.
     """
     if device.is_capturing:
         raise RuntimeError(
             "rays must be Warp arrays while a graph is captured; copy them to the device before the capture, "
-            f"by wp.array(..., dtype=wp.vec3, device={str(device)!r})"
+            f"with wp.array(..., dtype=wp.vec3, device={str(device)!r})"
         )
     if not device.is_cpu:
         return wp.array(values, dtype=dtype, device=device)
@@ -191,6 +193,6 @@ def _upload(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
 
 @lru_cache(maxsize=64)
 def _number(value: float, device: str) -> wp.array:
-    """An array of one float32, made once: most batches have the same bounds."""
+    """A cached array of one float32: most batches have the same bounds."""
     with np.errstate(over="ignore"), kept(wp.get_device(device)):
         return wp.array(np.float32([value]), dtype=float, device=device)

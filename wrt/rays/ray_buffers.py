@@ -22,14 +22,14 @@ class RayBuffers:
     """Rays on the device.
 
     Attributes:
-        given: the arrays, or what kernels read.
+        given: the arrays, or the batch that kernels read.
         shape: leading shape of the results.
-        is_warp: whether any input was on the Warp side, so that results stay there.
-        dtype: float64 if any of origins and directions was, else float32: the type of positions and normals.
-        coherent: whether neighbouring rays look alike.
+        is_warp: whether any input was a Warp or DLPack array, so that results are Warp arrays.
+        dtype: type of positions and normals: float64 if origins or directions were, else float32.
+        coherent: whether neighbouring rays are similar.
         scattered: whether neighbouring rays start far apart.
         keep: arrays that must live as long as the batch.
-        columns: of the picture whose pixels the rays are, row by row; 0 if they are none.
+        columns: columns of the image whose pixels, row by row, the rays belong to; 0 if they are not those of an image.
     """
 
     given: RayArrays | RayBatch
@@ -43,7 +43,7 @@ class RayBuffers:
 
     @cached_property
     def batch(self) -> RayBatch:
-        """What kernels read; whoever has it may change it, and then it counts in place of the arrays."""
+        """The rays as kernels read them. A caller may modify it; it then replaces the arrays."""
         return self.given.batch() if isinstance(self.given, RayArrays) else self.given
 
     @property
@@ -91,11 +91,11 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int = 0
 
 
 def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
-    """Gives rays their masks: an int for all, or an array of integers that broadcasts to their shape.
+    """Sets the masks of rays: an int for all, or an array of integers that broadcasts to their shape.
 
     Raises:
-        TypeError: no integers.
-        ValueError: out of 0 .. 2^32 - 1, a shape that does not broadcast, an array on another device.
+        TypeError: the mask does not hold integers.
+        ValueError: values outside 0 .. 2^32 - 1, a shape that does not broadcast, or an array on another device.
     """
     if isinstance(mask, wp.array):
         if mask.dtype is not wp.uint32 or mask.device != device:
@@ -122,13 +122,13 @@ def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
 
 
 def shares_origin(batch: RayBatch) -> bool:
-    """Whether all rays are known to start at one point; one ray does."""
+    """Whether all rays are known to start at one point, as a single ray does."""
     return batch.origin_stride == 0 or batch.count <= 1
 
 
 def shared_origin(batch: RayBatch) -> tuple[float, float, float]:
-    """The point at which all rays start, relative to the scene's centre, rounded as `wrt.kernels.layout.ray_batch.load_ray`
-    does."""
+    """The point at which all rays start, relative to the scene's centre, rounded as in
+    `wrt.kernels.layout.ray_batch.load_ray`."""
     if len(batch.origins) == 0:
         return (0.0, 0.0, 0.0)
     origin = batch.origins[:1].numpy()[0].astype(np.float64) - np.array(batch.center, dtype=np.float64)

@@ -1,8 +1,8 @@
-"""What a flat list of rays does not say and its numbers do: that all start at one point, and that they are a picture's pixels.
+"""Detection of a shared origin, and of images, in flat lists of rays.
 
-Interfaces that know rays only as (N, 3), and users who tile the eye N times, lose a third to half of the speed: packets of a
-shared origin are culled better, and neighbours in both dimensions are traced together. Nothing but speed depends on what is
-found here, and only CPUs look.
+Interfaces that pass rays as (N, 3), and callers that repeat the camera position N times, would lose a third to half of the
+speed: packets with a shared origin are culled better, and tiles of an image are more coherent than its rows. Results do not
+depend on this detection, only speed does. It runs only on CPUs.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from wrt.kernels.query.coherence_detection import LEAST_ROWS
 from wrt.rays.coherence import LEAST_RAYS
 
 BLOCK = 1 << 16
-"""Origins that are compared at a time: the first that differs ends the search."""
+"""Origins compared at a time; the first block with a difference ends the search."""
 
 
 def one_origin(origins: np.ndarray) -> np.ndarray:
-    """Origins (..., 3) that are all the same, as a view of the first; others as they are."""
+    """Origins (..., 3) that are all equal, as a view of the first; others unchanged."""
     if origins.size < 3 * LEAST_RAYS or not origins.flags.c_contiguous:
         return origins
     rows = origins.reshape(-1, 3)
@@ -26,12 +26,12 @@ def one_origin(origins: np.ndarray) -> np.ndarray:
         return origins
     for begin in range(0, len(rows), BLOCK):
         block = rows[begin : begin + BLOCK]
-        # column by column: four times as fast as comparing rows
+        # by column, which is four times as fast as comparing rows
         if any(block[:, axis].min() != first[axis] or block[:, axis].max() != first[axis] for axis in range(3)):
             return origins
     return np.broadcast_to(first, origins.shape)
 
 
 def columns_of_shape(shape: tuple[int, ...]) -> int:
-    """Columns of the picture that rays of two dimensions are; 0 for others."""
+    """Columns of the image whose pixels two-dimensional rays are; 0 for other shapes."""
     return shape[1] if len(shape) == 2 and min(shape) >= LEAST_ROWS else 0

@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 MAX_RAYS = (1 << 31) - 1
-"""Rays of one call: kernels number them in 32 bits."""
+"""Largest number of rays of one call: kernels number them with 32 bits."""
 
 Array = Any
 """A NumPy array or anything that NumPy converts; a Warp array; or an object with `__dlpack__`."""
@@ -21,8 +21,8 @@ class Rays:
     """Rays origin + t direction.
 
     Attributes:
-        origins: (..., 3) float32 or float64; the leading shapes of the four broadcast against each other.
-        directions: (..., 3) float32 or float64, of any length from 2^-126 on (`Scene.intersect`); t counts in units of it.
+        origins: (..., 3) float32 or float64; the leading shapes of all four arrays broadcast against each other.
+        directions: (..., 3) float32 or float64, of any length from 2^-126 up (`Scene.intersect`); t is in units of it.
         t_min, t_max: scalars or (...) arrays: hits count if t_min <= t <= t_max (closed interval), 0 <= t_min.
     """
 
@@ -33,7 +33,7 @@ class Rays:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The leading shape: that of the results."""
+        """The leading shape, which is also that of the results."""
         return common_shape(self.origins, self.directions, self.t_min, self.t_max)
 
     def __len__(self) -> int:
@@ -112,7 +112,7 @@ def _as_real(values: Array, name: str) -> np.ndarray:
     try:
         values = np.asarray(values)
     except ValueError as error:
-        raise TypeError(f"{name} is no array: {error}") from error
+        raise TypeError(f"{name} is not an array: {error}") from error
     if values.dtype.kind not in "fiu":
         raise TypeError(f"{name} must hold real numbers, not {values.dtype}; convert it to float32 or float64")
     if values.dtype in (np.float32, np.float64):
@@ -121,7 +121,7 @@ def _as_real(values: Array, name: str) -> np.ndarray:
 
 
 def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
-    """A bound of t: a number as it is, else float32. Of Warp arrays no value is looked at: a bad one makes its ray miss."""
+    """A bound of t: a number as it is, else float32. Values in Warp arrays are not checked; a bad one makes its ray miss."""
     if isinstance(values, wp.array):
         if values.dtype is not wp.float32:
             raise TypeError(f"{name} must hold float32, not {values.dtype.__name__}")
@@ -132,10 +132,10 @@ def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray 
     try:
         values = float(values) if is_number else _as_real(values, name)
     except OverflowError:
-        raise ValueError(f"{name} is an int that no float64 holds; pass float('inf') for no bound") from None
+        raise ValueError(f"{name} is an int beyond the range of float64; pass float('inf') for no bound") from None
     low = values if is_number else values.min(initial=np.inf)
     if not low >= 0.0:
-        raise ValueError(f"{name} must not be negative or NaN, but its least value is {low}; pass distances from 0 up")
+        raise ValueError(f"{name} must not be negative or NaN, but its smallest value is {low}; pass distances from 0 up")
     if name == "t_min" and (math.isinf(values) if is_number else np.isinf(values).any()):
         raise ValueError("t_min must be finite: no hit lies at infinity; leave it at 0 to count all hits")
     if is_number:

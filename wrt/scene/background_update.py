@@ -1,12 +1,13 @@
-"""The next frame's tree is built while rays meet this one's.
+"""Updates in the background: the next frame's tree is built while rays are traced through the present one.
 
-Yang et al. (2008) dedicate some threads to building and let the others trace the previous tree until the new one is finished,
-and hand it over between two frames. Here the new scene is made from a copy, in a thread of its own; what the copy has become is
-taken over in one step, by the thread that traces.
+Yang et al. (2008) dedicate some threads to building and let the others trace the previous tree until the new one is
+finished; frames switch trees between them. Here a copy of the scene is updated in a thread of its own, and the tracing
+thread takes over the result in one step.
 
 References:
     X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
-        Conference on Computer Science and Software Engineering 2008 (as the survey tells it).
+    Conference on Computer Science and Software Engineering, 2008 (as described in V. Rahikainen: On real-time ray tracing.
+    MSc thesis, University of Tampere, 2013).
 """
 
 from __future__ import annotations

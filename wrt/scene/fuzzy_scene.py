@@ -1,5 +1,4 @@
-"""Animations that are known in advance: a tree of fuzzy boxes for all frames
-(`wrt.kernels.traversal.two_level.fuzzy_boxes`)."""
+"""Animations known in advance: one tree of fuzzy boxes for all frames (`wrt.kernels.traversal.two_level.fuzzy_boxes`)."""
 
 from __future__ import annotations
 
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
     from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
 
 ENOUGH = 1e-3
-"""Share of the animation's extent: no more clusters once no triangle needs larger boxes for what is left of its motion."""
+"""Share of the animation's extent: no cluster is added once the residual motion enlarges no triangle's box by more."""
 
 
 class FuzzyScene(Scene):
@@ -36,27 +35,31 @@ class FuzzyScene(Scene):
             scene.show(number)
             image = wrt.render(scene, camera)
 
-    Triangles that move nearly as one are put into a cluster; its tree is over boxes that hold its triangles in all frames, in a
-    space that moves along. To show a frame takes a map for each cluster and the triangles' records, no build. Hits are those of
-    a `wrt.Scene` of the frame's triangles, to the bit. Rays go one by one. (Guenther et al. 2006.)
+    Triangles with nearly the same motion form a cluster. The tree of a cluster is built over fuzzy boxes, each of which
+    contains its triangle in all frames, in a space that moves with the cluster. Showing a frame needs a map for each
+    cluster and new triangle records, but no build. Hits are bit for bit those of a `wrt.Scene` of the frame's triangles.
+    Rays are traced one at a time.
 
     Args:
-        frames: (F, V, 3) vertices in each frame.
+        frames: (F, V, 3) vertices of each frame.
         faces: (T, 3) vertex indices, the same in all frames.
-        clusters: how many to look for, at most.
-        transforms: (F, B, 4, 4) affine maps that move parts of the mesh, such as the bones of a skinned mesh from their rest
-            pose to each frame; then these are the clusters, nothing is looked for, and a triangle goes with the bone in whose
-            space it moves least.
+        clusters: largest number of clusters.
+        transforms: (F, B, 4, 4) affine maps of the mesh's parts, such as the bones of a skinned mesh, from their rest pose
+            to each frame. These are then the clusters; each triangle joins the bone in whose space it moves least.
         rest: the frame from which motion is measured, for `clusters`.
         accelerator: a `wrt.Bvh`: how the trees of clusters are built.
         device, num_threads: as in `wrt.Scene`.
 
     Attributes:
-        frame: int, the one that is shown; 0 at first.
+        frame: int, the frame shown; 0 at first.
         labels: (T,) int, the cluster of each triangle.
 
     Raises:
         TypeError, ValueError: bad frames, faces, numbers or maps.
+
+    References:
+        J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion
+        decomposition. Computer Graphics Forum 25(3), 2006.
     """
 
     frame: int
@@ -86,7 +89,10 @@ class FuzzyScene(Scene):
             self._show(0, settings, new_mark())
 
     def show(self, frame: int) -> None:
-        """Goes to another frame: rays then meet the triangles as they are there.
+        """Shows a frame: later queries see the triangles as they are in it.
+
+        Args:
+            frame: index of the frame, 0 to F - 1.
 
         Raises:
             TypeError: not an int.
@@ -118,12 +124,12 @@ class FuzzyState(MeshState):
     """The state of a scene of fuzzy boxes, in one frame."""
 
     refused: ClassVar[dict[str, str]] = {
-        "update": "the frames of this scene are known; go to one with show(frame), or make a wrt.Scene to update",
-        "statistics": "a scene of fuzzy boxes has many trees; ask wrt.Scene(scene.meshes).statistics() for one",
-        "float64 vertices": "precise=True and gradients take a scene of one tree; ask wrt.Scene(scene.meshes)",
-        "save": "trees of fuzzy boxes are not kept in files; save the frames, and make the scene again",
-        "pickle": "trees of fuzzy boxes are not pickled; pickle the frames, and make the scene again",
-        "handle": "kernels get a handle of one tree; ask for wrt.Scene(scene.meshes).handle()",
+        "update": "the frames of this scene are fixed; call show(frame), or make a wrt.Scene to update",
+        "statistics": "a scene of fuzzy boxes has several trees; use wrt.Scene(scene.meshes).statistics() for the frame shown",
+        "float64 vertices": "precise=True and gradients need a scene with a single tree; use wrt.Scene(scene.meshes)",
+        "save": "trees of fuzzy boxes cannot be saved; save the frames, and make the scene from them",
+        "pickle": "trees of fuzzy boxes cannot be pickled; pickle the frames, and make the scene from them",
+        "handle": "kernels need the handle of a single tree; use wrt.Scene(scene.meshes).handle()",
     }
 
 
@@ -145,13 +151,13 @@ def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest
 
 @dataclass(frozen=True)
 class ShownTree:
-    """The trees as they are in a frame: what a scene wants of a tree.
+    """The trees of a frame, with the interface that a scene needs of its tree.
 
     Attributes:
-        top: over the boxes of clusters in the scene.
-        parts: all clusters' trees, in their own spaces.
+        top: tree over the boxes of clusters in the scene.
+        parts: the trees of all clusters, in their own spaces.
         clusters: (C,) `wrt.kernels.traversal.two_level.fuzzy_boxes.Cluster`.
-        depth: most inner nodes on a path of any of the trees.
+        depth: largest number of inner nodes on a path of any of the trees.
     """
 
     top: common.Bvh
@@ -161,31 +167,31 @@ class ShownTree:
 
     @property
     def primitive(self) -> wp.array:
-        """Triangle ids, leaf after leaf."""
+        """Triangle ids in the order of the leaves."""
         return self.parts.primitive
 
     @property
     def width(self) -> int:
-        """Triangles a block and children a node."""
+        """Triangles of a block, and children of a node."""
         return self.parts.width
 
     @property
     def low(self) -> wp.vec3:
-        """Lower corner of all triangles."""
+        """Lower corner of the box of all triangles."""
         return self.top.low
 
     @property
     def high(self) -> wp.vec3:
-        """Upper corner of all triangles."""
+        """Upper corner of the box of all triangles."""
         return self.top.high
 
     @property
     def bytes(self) -> int:
-        """Memory of nodes, leaf lists and maps."""
+        """Bytes of nodes, leaf lists and maps."""
         return self.top.bytes + self.parts.bytes + self.clusters.capacity
 
     def struct(self) -> FuzzyNodes:
-        """The trees for a traversal kernel."""
+        """The trees as a traversal kernel reads them."""
         from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
 
         tree = FuzzyNodes()
@@ -196,11 +202,11 @@ class ShownTree:
 
 @dataclass(frozen=True)
 class FuzzyTree:
-    """What is built once.
+    """The trees of all frames, built once.
 
     Attributes:
-        parts: all clusters' trees, in their own spaces.
-        depth: most inner nodes on a path there.
+        parts: the trees of all clusters, in their own spaces.
+        depth: largest number of inner nodes on a path of `parts`.
         table: (F, C) `Cluster`, origins relative to the scene's centre in each frame.
         boxes: (F, 2, C, 3) float32 lower and upper corners of the clusters, relative to the centre in each frame.
     """
@@ -214,7 +220,7 @@ class FuzzyTree:
     def build(
         cls, meshes: list[TriangleMesh], centers: np.ndarray, motion: Decomposition, accelerator: Bvh, device: wp.Device
     ) -> FuzzyTree:
-        """Trees over the fuzzy boxes of each cluster's triangles."""
+        """Builds a tree over the fuzzy boxes of each cluster's triangles."""
         from wrt.builders.bvh.update.bvh_grafting import join
         from wrt.builders.motion_clusters import fuzzy_boxes
         from wrt.builders.triangle_boxes import boxes_of
@@ -240,7 +246,7 @@ class FuzzyTree:
         return cls(parts.to(device), max(tree.depth for tree in trees), table, boxes)
 
     def at(self, frame: int) -> ShownTree:
-        """The trees of a frame: only the upper one is built."""
+        """The trees of a frame; only the upper one is built."""
         from wrt.builders.triangle_boxes import boxes_of
         from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
 
@@ -254,7 +260,7 @@ def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:
     """A mesh for each frame; all share their faces.
 
     Raises:
-        TypeError, ValueError: as of `TriangleMesh`; no (F, V, 3) array, or no frame.
+        TypeError, ValueError: as `TriangleMesh`; not an (F, V, 3) array, or no frame.
     """
     frames = np.asarray(frames)
     if frames.ndim != 3 or not len(frames):
@@ -267,7 +273,7 @@ def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
     """(F, B, 3, 3) and (F, B, 3) from matrices as `FuzzyScene` takes them.
 
     Raises:
-        ValueError: a wrong shape, or maps as `wrt.Instance` refuses them.
+        ValueError: a wrong shape, or maps that `wrt.Instance` refuses.
     """
     from wrt.meshes.instance import check_transform
 
@@ -279,6 +285,6 @@ def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def triangle_corners(mesh: TriangleMesh, center: np.ndarray) -> np.ndarray:
-    """(2, T, 3) float32: the corners of the triangles' boxes as a `Scene` holds them."""
+    """(2, T, 3) float32: the corners of the triangles' boxes, rounded as in a `Scene`."""
     points = relative_to(center, mesh.vertices)[mesh.faces]
     return np.array([points.min(axis=1), points.max(axis=1)])

@@ -1,20 +1,22 @@
-"""Group trees: what moves together has a tree of its own, and only the groups that have moved are touched.
+"""Group trees: each group of triangles that moves together has its own tree, and a frame updates only groups that moved.
 
-**Idea (Kang et al. 2013).** A scene of groups, some of which never move, gets a tree for each group and an upper tree whose
-candidates for splits are the boxes of groups: few, whatever the number of triangles. A frame needs the trees of the groups
-that have moved, which do not depend on each other and are dealt out to the threads, and the upper one.
+**Idea (Kang et al. 2013).** A scene consists of groups, some of which never move. Each group gets a tree, and an upper tree
+considers only the boxes of groups as split candidates, which are few for any number of triangles. A frame updates the trees
+of the groups that moved, independently of each other and on several threads, and builds the upper tree.
 
-**What we changed.** Trees are bounding volume hierarchies, whose upper levels may overlap as groups do, and rays are not
-transformed: the trees are put together to one, so that packets and streams walk it as any other, and hits are the same to the
-bit. A group that has moved keeps its nodes as long as `wrt.UpdatePolicy` finds them good enough. If the centre of the scene
-moves, which positions are relative to, the boxes of groups at rest are fitted again; their nodes stay. A builder keeps to the
-greatest depth of a tree, but a deep group below an upper tree may come to lie beyond it; a tree over all triangles is then
-built instead. It takes a chain of some sixty triangles, each twice as large as the last.
+**What we changed.** The trees are bounding volume hierarchies, whose upper levels may overlap as groups do, and rays are
+not transformed: all trees are joined into one, so that packets and streams walk it like any other, and hits are the same
+bit for bit. A group that moved keeps its nodes as long as `wrt.UpdatePolicy` accepts their cost. If the scene's centre
+moves, to which positions are relative, the boxes of groups at rest are refitted; their nodes stay.
+
+**Limits.** Builders limit the depth of a tree, but a deep group below an upper tree may exceed the limit. One tree over all
+triangles is then built instead. This takes a chain of about sixty triangles, each twice as large as the previous one.
 
 References:
-    Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray tracing.
-        Journal of Systems Architecture 59, 2013.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    Y.-S. Kang, J.-H. Nah, W.-C. Park, S.-B. Yang: gkDtree: a group-based parallel update kd-tree for interactive ray
+    tracing. Journal of Systems Architecture 59, 2013.
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (an overview of trees for dynamic
+    scenes).
 """
 
 from __future__ import annotations
@@ -44,18 +46,18 @@ if TYPE_CHECKING:
 
 
 class GroupedScene(Scene):
-    """A scene whose meshes are groups: each has a tree of its own, and one that moves leaves the others alone.
+    """A scene whose meshes are groups: each has its own tree, and moving one leaves the trees of the others as they are.
 
         scene = wrt.GroupedScene([building, curtain, figure])
         scene.move({1: curtain_vertices, 2: figure_vertices})
 
-    Arguments as in `wrt.Scene`, but for `cache`: trees of groups are not kept in a folder. So are queries and hits.
+    Arguments as in `wrt.Scene`, except that there is no `cache`; queries and hits are the same.
 
     Attributes:
-        group_updates: dict of `UpdateReport` by the index of each mesh that the last update moved.
+        group_updates: dict of `UpdateReport` by mesh index, for the meshes that the last update moved.
 
     Raises:
-        TypeError, ValueError: as `wrt.Scene`; an accelerator that is no `wrt.Bvh`; a cache.
+        TypeError, ValueError: as `wrt.Scene`; an accelerator that is not a `wrt.Bvh`; a cache.
     """
 
     def __init__(
@@ -72,7 +74,9 @@ class GroupedScene(Scene):
         if not isinstance(settings.accelerator, Bvh):
             raise TypeError(f"accelerator must be a wrt.Bvh, not {settings.accelerator!r}: the boxes of groups may overlap")
         if cache is not None:
-            raise ValueError("cache goes with wrt.Scene: the trees of groups are not kept in a folder; leave it out")
+            raise ValueError(
+                "cache is not supported: the trees of groups are not stored in a folder; leave it out, or make a wrt.Scene"
+            )
         with use_threads(settings.num_threads):
             self.state = build_groups(as_meshes(geometry), settings)
 
@@ -82,10 +86,10 @@ class GroupedScene(Scene):
         return self.state.reports
 
     def move(self, vertices: Mapping[int, Any], *, rebuild: str | UpdatePolicy = "auto") -> None:
-        """Moves several groups at once; arguments and errors as of `update`.
+        """Moves several groups at once; errors as in `update`.
 
         Args:
-            vertices: (V, 3) new vertices by the index of the mesh.
+            vertices: new vertices (V, 3) by mesh index.
             rebuild: "auto", "always", "never", or a `wrt.UpdatePolicy`.
         """
         policy, meshes, changed = as_policy(rebuild), self.meshes, {}
@@ -95,7 +99,7 @@ class GroupedScene(Scene):
         self.state = self.state.moved(changed, policy)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles hold the groups; their trees are built again."""
+        """Pickles hold the groups; unpickling rebuilds their trees."""
         options = {"triangle_test": self.triangle_test, "device": str(self.device), "num_threads": self.num_threads}
         return revive_groups, (self.meshes, self.accelerator, options, self.state.mark)
 
@@ -187,12 +191,12 @@ def revive_groups(meshes: Any, accelerator: Bvh, options: dict[str, Any], mark: 
 
 
 def join_groups(trees: list[common.Bvh], first: np.ndarray, device: wp.Device) -> common.Bvh:
-    """One tree of the groups' trees, however deep.
+    """Joins the trees of groups into one, of any depth.
 
     Args:
-        trees: on the device; each counts triangles from its own first.
+        trees: on the device; each numbers triangles from the first of its group.
         first: (groups + 1,) the first triangle of each group.
-        device: where the tree goes.
+        device: device of the result.
     """
     from wrt.builders.bvh.update.bvh_grafting import plant
     from wrt.builders.triangle_boxes import boxes_of

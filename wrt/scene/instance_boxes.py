@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from wrt.meshes.instance import Instance
 
 CELLS = 8
-"""Cells an axis of the grid that covers a mesh."""
+"""Cells per axis of the grid that covers a mesh."""
 
 MAPPED_AT_ONCE = 64
-"""Instances whose points are mapped at a time: some megabytes."""
+"""Instances whose points are transformed at a time, which takes some megabytes."""
 
 
 @dataclass(frozen=True)
@@ -36,9 +36,10 @@ class InstanceBoxes:
 
     Attributes:
         to_scene, to_object: (N, 3, 3), inverse to each other.
-        origin: (N, 3), where the centre of each one's mesh goes.
-        low, high: (N, 3).
-        stretch: by what the slack of boxes grows for the worst of them (`wrt.kernels.traversal.two_level.instance_single`).
+        origin: (N, 3), the scene position of the centre of each instance's mesh.
+        low, high: (N, 3), corners of the bounding boxes.
+        stretch: largest factor by which the maps enlarge the padding of boxes
+            (`wrt.kernels.traversal.two_level.instance_single`).
     """
 
     to_scene: np.ndarray
@@ -71,7 +72,7 @@ class InstanceBoxes:
         return cls(to_scene, to_object, origin, low, high, 2.0 * float(norms.max()))
 
     def table(self, center: np.ndarray, geometry: Sequence[int], first: np.ndarray, mask: Sequence[int]) -> np.ndarray:
-        """(N,) `Placement` for kernels."""
+        """(N,) `Placement`, as kernels read it."""
         table = np.zeros(len(self.origin), dtype=Placement.numpy_dtype())
         table["to_scene"], table["to_object"], table["origin"] = self.to_scene, self.to_object, self.origin - center
         table["geometry"], table["first"], table["mask"] = geometry, first, mask
@@ -79,7 +80,9 @@ class InstanceBoxes:
 
 
 def cover(part: SceneState) -> np.ndarray:
-    """(P, 3) float64 points relative to a mesh's centre in whose convex hull all its triangles are; few, if it is large."""
+    """(P, 3) float64 points relative to a mesh's centre whose convex hull contains all its triangles; few if the mesh is
+    large.
+    """
     mesh = part.device_mesh
     points = mesh.vertices.numpy()[part.meshes[0].referenced]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -96,7 +99,7 @@ def cover(part: SceneState) -> np.ndarray:
 
 
 def build_upper(boxes: InstanceBoxes, center: np.ndarray, width: int) -> common.Bvh:
-    """The tree of the instances' boxes, rounded outwards, one instance a leaf."""
+    """The tree over the instances' boxes, rounded outwards, with one instance per leaf."""
     low, high = boxes.low - center, boxes.high - center
     rounding = 4.0 * np.finfo(np.float64).eps * (np.abs(low).max() + np.abs(high).max() + np.abs(center).max())
     low = np.nextafter((low - rounding).astype(np.float32), np.float32(-np.inf))

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from wrt.scene.updates import UpdatePolicy, UpdateReport
 
 MAX_TRIANGLES = (1 << 31) - 1
-"""Triangles of all instances together: each has a number of its own."""
+"""Largest number of triangles of all instances together: each has its own number of 32 bits."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -53,8 +53,8 @@ class InstancedState(SceneState):
     refused: ClassVar[dict[str, str]] = {
         "statistics": "a scene of instances has many trees; ask wrt.Scene(scene.meshes[0]).statistics() for one mesh's",
         "float64 vertices": "a scene of instances has no vertices in float64, which precise=True and gradients need; "
-        "ask wrt.Scene(scene.flattened())",
-        "handle": "kernels get a handle of one tree, not of instances; ask for wrt.Scene(scene.flattened()).handle()",
+        "use wrt.Scene(scene.flattened())",
+        "handle": "kernels need the handle of a single tree, not of instances; use wrt.Scene(scene.flattened()).handle()",
         "save": "a scene of instances cannot be saved; save one for each of its meshes, or pickle it",
     }
 
@@ -66,7 +66,7 @@ class InstancedState(SceneState):
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of all instances together."""
+        """Number of triangles of all instances together."""
         return int(sum(self.mesh_states[number].triangle_count for number in self.geometry_ids))
 
     @property
@@ -76,17 +76,17 @@ class InstancedState(SceneState):
 
     @property
     def width(self) -> int:
-        """Triangles tested at once."""
+        """Number of triangles tested at once."""
         return self.mesh_states[0].width
 
     @property
     def depth(self) -> int:
-        """Most inner nodes on a path of a mesh's BVH."""
+        """Largest number of inner nodes on a path from the root of a mesh's BVH to a leaf."""
         return max(part.depth for part in self.mesh_states)
 
     @property
     def record_bytes(self) -> int:
-        """Memory of the triangle records made so far, of each mesh once."""
+        """Bytes of the triangle records made so far, counting each mesh once."""
         return sum(part.record_bytes for part in self.mesh_states)
 
     @property
@@ -99,14 +99,14 @@ class InstancedState(SceneState):
         return f"{len(self.instances)} instances of {len(self.meshes)} meshes"
 
     def flattened(self) -> TriangleMesh:
-        """All instances as one mesh in float64, triangles in the order of instances; takes the memory of all of them."""
+        """All instances as one mesh in float64, triangles in the order of instances. Takes memory for every instance."""
         meshes = [self.meshes[number] for number in self.geometry_ids]
         wide = (TriangleMesh(mesh.vertices.astype(np.float64), mesh.faces) for mesh in meshes)
         moved = [mesh.transformed(instance.transform) for mesh, instance in zip(wide, self.instances, strict=True)]
         return TriangleMesh.concatenate(moved)
 
     def upper(self) -> InstanceTree:
-        """The upper level, for traversals."""
+        """The upper level, as traversals read it."""
         from wrt.kernels.traversal.two_level.instance_single import InstanceTree
 
         top = InstanceTree()
@@ -115,7 +115,7 @@ class InstancedState(SceneState):
         return top
 
     def lower(self, plan: Plan, rays: RayBatch) -> wp.array:
-        """The trees of the meshes and their records for the plan's triangle test, for traversals of `rays`; made once."""
+        """The trees of the meshes and their records for the plan's triangle test, as traversals of `rays` read them; cached."""
         from wrt.kernels.traversal.two_level.instance_single import PARTS
 
         key, tables = (plan.accelerator, plan.triangle_test), self.cache.tables
@@ -143,7 +143,9 @@ class InstancedState(SceneState):
             if vertices is not None:
                 number = self.geometry_ids[chosen[0]]
                 if any(self.geometry_ids[one] != number for one in chosen):
-                    raise ValueError("index names instances of several meshes; pass vertices for one of them at a time")
+                    raise ValueError(
+                        "index names instances of several meshes; pass vertices for the instances of one mesh at a time"
+                    )
                 part = states[number].updated(0, vertices, None, None, policy)
                 part.complete()
                 report = part.last_update
@@ -158,7 +160,7 @@ class InstancedState(SceneState):
         return replace(placed, last_update=report)
 
     def _replaced(self, chosen: list[int], transform: Any, mask: int | None) -> tuple[Instance, ...]:
-        """The instances, those that were chosen with another transform or mask."""
+        """All instances, the chosen ones with the new transform or mask."""
         instances = list(self.instances)
         matrices = np.asarray(transform)
         if transform is not None and matrices.ndim == 3 and len(matrices) != len(chosen):
@@ -175,7 +177,7 @@ class InstancedState(SceneState):
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
     """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
-        raise ValueError("influence areas go with scenes of one level; use wrt.Scene(scene.flattened(), accelerator)")
+        raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
     instances = as_instances(geometry)
     shared: dict[int, int] = {}
     geometry_ids = tuple(shared.setdefault(id(instance.mesh), len(shared)) for instance in instances)
@@ -241,7 +243,7 @@ def place_instances(
 
 
 def geometry_table(states: Sequence[SceneState], device: wp.Device) -> wp.array:
-    """What kernels read of the meshes."""
+    """The table of meshes, as kernels read it."""
     table, used, first = [], [], 0
     for state in states:
         geometry = Geometry()

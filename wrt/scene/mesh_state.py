@@ -39,7 +39,7 @@ class MeshState(SceneState):
         """The state after a mesh's vertices have moved; arguments and errors as of `wrt.Scene.update`."""
         self.require("update")
         if transform is not None or mask is not None:
-            raise ValueError("transform and mask go with instances, and this scene has none; make it of wrt.Instance(mesh)")
+            raise ValueError("transform and mask need instances, and this scene has none; make it from wrt.Instance(mesh)")
         index = check_index(index, len(self.meshes), "mesh")
         return self.moved({index: moved_mesh(self.meshes[index], vertices)}, policy)
 

@@ -131,33 +131,33 @@ class Scene(Queries):
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild))
 
     def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
-        """Updates the scene while the `with` block goes on asking the old one.
+        """Updates the scene in the background while the `with` block queries its previous version.
 
             with scene.updating(0, vertices=next_frame):
-                image = wrt.render(scene, camera)  # of this frame
-            # the scene is now the next frame
+                image = wrt.render(scene, camera)  # the present frame
+            # the scene now holds the next frame
 
         Args:
-            args, options: as of `update`.
-            threads: those of the CPU that build; queries of this scene get the others meanwhile, but at least one.
+            args, options: as in `update`.
+            threads: number of CPU threads for the update. Queries of this scene use the others meanwhile, but at least one.
 
         Raises:
-            TypeError, ValueError: as of `update`, at the end of the block. The scene is then as before.
+            TypeError, ValueError: as `update`, at the end of the block. The scene is then unchanged.
         """
         from wrt.scene.background_update import updating
 
         return updating(self, threads, args, options)
 
     def save(self, path: str | Path) -> None:
-        """Writes the meshes, the description of the tree, and the tree, to a file that `load` reads.
+        """Writes the meshes, the tree and the tree's description to a file that `load` reads.
 
-        The file is an .npz archive of plain arrays, whatever name `path` gives it. It takes the place of an earlier one only
-        when it is complete; where `path` is a symbolic link, of the file that it points to.
+        The file is an .npz archive of plain arrays, whatever its name. An existing file is replaced only once the new one
+        is complete; if `path` is a symbolic link, the file that it points to is replaced.
 
         Raises:
             OSError: the file cannot be written.
-            ValueError: the tree is built lazily, or for influence areas: such trees are not kept; `path` is a device, a pipe or
-                a folder.
+            ValueError: the tree is lazy or has influence areas, which cannot be saved; or `path` is a device, a pipe or a
+                folder.
         """
         from wrt.scene.storage import save_scene
 
@@ -165,19 +165,20 @@ class Scene(Queries):
 
     @classmethod
     def load(cls, path: str | Path, *, device: str | wp.Device | None = None, num_threads: int | None = None) -> Scene:
-        """Reads a scene that was saved. Its answers are the same to the bit.
+        """Reads a saved scene. Its answers are bit for bit those of the scene that was saved.
 
-        The tree is built again if it is not the one that would be built here: another version of wrt wrote it, or for a
-        device with vectors of another width. Nothing in a file is run, and no file leads a kernel out of its arrays. A checksum
-        of all arrays tells damage. It is no signature: take files whose answers matter only from those whom you trust.
+        The tree is rebuilt if this machine would build another one: if another version of wrt wrote the file, or if the
+        device has vectors of another width. Nothing in a file is executed, and no file makes a kernel access memory outside
+        its arrays. A checksum over all arrays detects damage. It is not a signature: where answers matter, load only files
+        that you trust.
 
         Args:
-            path: of the file.
-            device, num_threads: as of the constructor.
+            path: path of the file.
+            device, num_threads: as in the constructor.
 
         Raises:
             FileNotFoundError: there is no such file.
-            ValueError: it is no scene that wrt saved, or it is damaged; no such device.
+            ValueError: the file is not a scene that wrt saved, or it is damaged; no such device.
         """
         from wrt.scene.storage import load_scene
 
@@ -230,12 +231,12 @@ class Scene(Queries):
 
     @property
     def center(self) -> np.ndarray:
-        """(3,) float64; geometry is held in float32 relative to this point."""
+        """(3,) float64; the device holds geometry in float32, relative to this point."""
         return self.state.center
 
     @property
     def bounds(self) -> np.ndarray:
-        """(2, 3) float64: lower and upper corner of the box of all triangles."""
+        """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return self.state.bounds
 
     @property
@@ -255,7 +256,7 @@ class Scene(Queries):
 
     @property
     def device_mesh(self) -> SceneMesh:
-        """All triangles on the device, for kernels."""
+        """All triangles on the device, as kernels read them."""
         return self.state.device_mesh
 
     @property
@@ -265,12 +266,12 @@ class Scene(Queries):
 
     @property
     def width(self) -> int:
-        """Triangles tested at once."""
+        """Number of triangles tested at once."""
         return self.state.width
 
     @property
     def depth(self) -> int:
-        """Most inner nodes on a path of a BVH."""
+        """Largest number of inner nodes on a path from the root of a BVH to a leaf."""
         return self.state.depth
 
     @property
@@ -294,7 +295,7 @@ class Scene(Queries):
 
     @property
     def record_bytes(self) -> int:
-        """Memory of the triangle records made so far: queries make those that their triangle test needs."""
+        """Bytes of the triangle records made so far. Queries make the records that their triangle test needs."""
         return self.state.record_bytes
 
     @property
@@ -306,7 +307,7 @@ class Scene(Queries):
         return f"Scene({self.state.contents()}, {self.accelerator}, device={str(self.device)!r})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles take the tree along."""
+        """Pickles include the tree."""
         from wrt.scene.storage import pack_scene
 
         self.state.require("pickle")
@@ -319,7 +320,7 @@ class Scene(Queries):
         return other
 
     def complete(self) -> None:
-        """Builds what is left to build of a tree that is built lazily, before it is walked by what does not ask for more."""
+        """Builds the missing part of a lazily built tree, for code that cannot extend the tree while it walks it."""
         self.state.complete()
 
     def flattened(self) -> TriangleMesh:

@@ -1,4 +1,4 @@
-"""What `Scene.statistics()` tells."""
+"""Statistics of a scene, its tree and its build: `Scene.statistics()`."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SceneStatistics:
-    """Figures of a scene's meshes, of its tree, and of the build.
+    """Statistics of a scene's meshes, of its tree, and of the build.
 
     Attributes:
-        triangles: triangles of all meshes.
+        triangles: number of triangles of all meshes.
         geometries: number of meshes.
         tree: counts, histograms and cost of the tree.
-        tree_bytes: memory of the nodes, the leaf lists, and the records that the default triangle test reads.
-        mesh_bytes: memory of vertices and faces on the device.
+        tree_bytes: bytes of the nodes, the leaf lists, and the records of the default triangle test.
+        mesh_bytes: bytes of vertices and faces on the device.
         build_seconds: wall time of the build by phase.
-        build_peak_bytes: device memory that the build held at its peak.
+        build_peak_bytes: peak of the build's device memory.
     """
 
     triangles: int
@@ -38,11 +38,11 @@ class SceneStatistics:
 
     @property
     def tree_bytes_per_triangle(self) -> float:
-        """Memory of the tree, per triangle."""
+        """Bytes of the tree, per triangle."""
         return self.tree_bytes / self.triangles
 
     def to_dict(self) -> dict[str, Any]:
-        """Nested plain dicts, lists and numbers, as JSON takes them."""
+        """Nested dicts, lists and numbers, as JSON types."""
         memory = {"bytes": self.tree_bytes, "bytes per triangle": self.tree_bytes_per_triangle}
         return {
             "mesh": {"triangles": self.triangles, "geometries": self.geometries, "bytes": self.mesh_bytes},
@@ -58,7 +58,7 @@ class SceneStatistics:
 
 
 def tree_figures(tree: KdTreeStatistics | BvhStatistics) -> dict[str, Any]:
-    """Figures of a tree, by name."""
+    """Statistics of a tree, by name."""
     if isinstance(tree, BvhStatistics):
         own = {"node fill": tree.node_fill}
     else:

@@ -1,13 +1,13 @@
-"""Scenes in files and between processes: the meshes, the description of the tree, and the tree, so that it need not be built.
+"""Scenes in files and pickles: the meshes, the description of the tree, and the tree, so that it need not be rebuilt.
 
-A tree belongs to its **key**: a hash of the vertices and faces that it was built over, of the description (`wrt.Bvh`,
-`wrt.KdTree`) with the width that it got on the device, and of the version of wrt. Whoever takes a tree from somewhere compares
-keys first: after any change it is built, not taken. So a scene's answers never depend on where its tree comes from.
+A tree is identified by its **key**: a hash of the vertices and faces that it was built over, of its description (`wrt.Bvh`,
+`wrt.KdTree`) with the width chosen for the device, and of the version of wrt. A stored tree is used only if its key
+matches; after any change the tree is rebuilt. So a scene's answers never depend on where its tree comes from.
 
-A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would), and whose checksum tells
-damage (`wrt.scene.archives`). It is no signature: boxes that somebody has forged on purpose, with a checksum to match, give
-wrong answers. Kernels trust the indices in a tree; those of a tree from outside are checked first: every child, leaf and
-triangle is there, children come after their parents, and no way down is longer than the traversals' stacks.
+A file is an .npz archive of plain arrays, which runs no code when it is read (as a pickle would); its checksum detects
+damage (`wrt.scene.archives`). It is not a signature: a file that was forged together with its checksum gives wrong answers.
+Kernels follow the indices in a tree without checks, so those of a stored tree are checked first: every child, leaf and
+triangle exists, children come after their parents, and no path is longer than the traversals' stacks.
 """
 
 from __future__ import annotations
@@ -41,42 +41,42 @@ if TYPE_CHECKING:
     from wrt.scene.updates import TreeRecipe
 
 FORMAT = 2
-"""Of the files; one more whenever their contents change."""
+"""Version of the file format; incremented when the contents change."""
 
 TREES = {"bvh": Bvh, "kdtree": KdTree}
 
 UNREADABLE = (ValueError, TypeError, KeyError, RuntimeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What reading a damaged archive may raise."""
+"""Exceptions that reading a damaged archive may raise."""
 
 
 class TreeSource(Protocol):
-    """Where a scene gets its tree from."""
+    """A source of trees."""
 
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
-        """The tree with this key over so many triangles, on the CPU; `build` makes it where it is not at hand."""
+        """The tree with this key over `triangles` triangles, on the CPU; `build` makes it if the source does not have it."""
         ...
 
 
 @dataclass(frozen=True)
 class KnownTree:
-    """A tree that came along with a scene."""
+    """A tree that was stored with a scene."""
 
     key: str
     known: Bvh | KdTree
 
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
-        """The tree, if it is the one that is wanted."""
+        """The tree, if its key matches."""
         return self.known if key == self.key else build()
 
 
 @dataclass(frozen=True)
 class TreeFolder:
-    """Trees in files of a folder, each named by its key."""
+    """A folder of tree files, each named by its key."""
 
     folder: Path
 
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
-        """The tree from its file; one that is missing or damaged is written anew."""
+        """The tree from its file; a missing or damaged file is written again."""
         path = self.folder / f"{key}.npz"
         with suppress(*UNREADABLE):
             return unpack_tree(read_archive(path), triangles)
@@ -85,12 +85,12 @@ class TreeFolder:
         try:
             write_archive(path, pack_tree(tree))
         except (OSError, ValueError) as error:
-            warnings.warn(f"the tree is not kept: cannot write to the cache folder '{self.folder}' ({error})", stacklevel=2)
+            warnings.warn(f"the tree is not cached: cannot write to the folder '{self.folder}' ({error})", stacklevel=2)
         return tree
 
 
 def as_source(cache: str | Path | TreeSource | None) -> TreeSource | None:
-    """Where to look for trees: a path is that of a folder.
+    """The source of trees for a scene: a path is that of a folder.
 
     Raises:
         TypeError: neither a path nor a source.
@@ -108,20 +108,20 @@ def as_source(cache: str | Path | TreeSource | None) -> TreeSource | None:
 
 
 def is_kept(accelerator: Accelerator) -> bool:
-    """Whether trees of a description are kept: not those of influence areas, nor those that grow."""
+    """Whether trees of a description can be stored: not those of influence areas, nor lazy ones."""
     if isinstance(accelerator, descriptions.KdTree):
         return not accelerator.is_lazy
     return isinstance(accelerator, descriptions.Bvh)
 
 
 def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, width: int) -> str:
-    """What tells trees apart: 64 hexadecimal digits.
+    """The key of a tree: 64 hexadecimal digits.
 
     Args:
         vertices: (V, 3) float32, relative to the scene's centre.
         faces: (F, 3) int32.
-        accelerator: what is built.
-        width: what the device suits; used where the description leaves it open.
+        accelerator: the description of the tree.
+        width: the device's vector width; used if the description leaves it open.
     """
     from wrt import __version__
 
@@ -135,7 +135,7 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
 def find_tree(
     recipe: TreeRecipe, boxes: TriangleBoxes, placed: PlacedMeshes, cache: str | Path | TreeSource | None
 ) -> tuple[Bvh | KdTree, LazyKdTree | None]:
-    """The tree of some triangles, from where trees are kept, or built; or what there is of one that grows, and that."""
+    """The tree of some triangles, from a source or built; for a lazy tree, the part that exists so far, and the lazy tree."""
     accelerator, source = recipe.accelerator, as_source(cache)
     if isinstance(accelerator, descriptions.KdTree) and accelerator.is_lazy:
         growing = accelerator.start(boxes, recipe.width, recipe.device)
@@ -151,7 +151,7 @@ def find_tree(
 
 
 def kept_fields(cls: type) -> list[str]:
-    """Names of what is kept of a tree: not what updates note beside it, which they can measure again."""
+    """Names of the stored fields of a tree: not the costs that updates keep, which can be computed again."""
     return [field.name for field in fields(cls) if field.name != "built_costs"]
 
 
@@ -164,10 +164,10 @@ def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:
 
 
 def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTree:
-    """The tree of these arrays on the CPU.
+    """The tree in these arrays, on the CPU.
 
     Raises:
-        ValueError, KeyError, TypeError, RuntimeError: it is none over so many triangles.
+        ValueError, KeyError, TypeError, RuntimeError: the arrays are not a tree over this many triangles.
     """
     cls = TREES[str(arrays["kind"])]
     values: dict[str, Any] = {name: np.array(arrays[name]) for name in kept_fields(cls)}
@@ -220,7 +220,7 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, 
         arrays = read_archive(path)
         header = json.loads(str(arrays.pop("wrt")))
         if header["format"] != FORMAT:
-            raise ValueError(f"it has format {header['format']}, this version of wrt reads format {FORMAT}")
+            raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
         names = header["names"]
         meshes = [TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name) for i, name in enumerate(names)]
         tree = {name.removeprefix("tree."): array for name, array in arrays.items() if name.startswith("tree.")}
@@ -231,7 +231,7 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, 
         raise
     except UNREADABLE as error:
         reason = f"{type(error).__name__}: {error}"
-        raise ValueError(f"'{path}' is no scene that wrt saved, or it is damaged ({reason}); save it again") from error
+        raise ValueError(f"'{path}' is not a scene that wrt saved, or it is damaged ({reason}); save it again") from error
     return meshes, accelerator, triangle_test, known
 
 
@@ -262,5 +262,5 @@ class PackedTree:
     arrays: dict[str, np.ndarray]
 
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
-        """The tree, if it is the one that is wanted."""
+        """The tree, if its key matches."""
         return unpack_tree(self.arrays, triangles) if key == self.key else build()

@@ -1,8 +1,12 @@
-"""What becomes of a tree when its triangles move: kept as it is, built again in parts, or built again.
+"""Trees of moving triangles: refitted, rebuilt in parts, or rebuilt.
 
-A BVH is kept by refitting its boxes, a kd-tree by filling the leaves between its old planes anew. Either is correct for any
-motion, and the more so slower to trace the further triangles have moved. `wrt.builders.rebuild_heuristic` tells which parts
-have worn off, after Yang et al. (2008).
+A BVH is updated by refitting its boxes, a kd-tree by refilling the leaves between its old planes. Both are correct for any
+motion, but traversal becomes slower the further the triangles move. `wrt.builders.rebuild_heuristic` finds the subtrees that
+have become too costly.
+
+References:
+    X. Yang, D. Xu, L. Zhao: Ray tracing dynamic scenes using fast KD-tree base on multi-core architectures. International
+    Conference on Computer Science and Software Engineering, 2008.
 """
 
 from __future__ import annotations
@@ -31,28 +35,28 @@ NAN = float("nan")
 AUTO, ALWAYS, NEVER = "auto", "always", "never"
 
 SAMPLES = 4096
-"""Triangles by which it is told how much all of them have moved."""
+"""Triangles sampled for the typical motion of a scene."""
 
 LARGE_PART = 0.5
-"""Share of all triangles from which on worn subtrees are built together, as a new tree."""
+"""Share of all triangles from which a new tree is built in place of the costly subtrees."""
 
 LEAST_PART = 256
-"""Triangles of a subtree that is worth a build of its own."""
+"""Smallest number of triangles for which a subtree is rebuilt separately."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UpdatePolicy:
-    """When `Scene.update` builds a tree again; its argument `rebuild` takes one, or just a name for `when`.
+    """When `Scene.update` rebuilds a tree. Its argument `rebuild` takes a policy, or a name for `when`.
 
     Attributes:
-        when: "auto": if the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; "never" (kd-trees are built
-            again even so where the old planes would cut triangles into more than 64 pieces on average).
-        tolerance: for "auto", how many times its cost when it was built a tree or subtree may come to, by the surface area
-            heuristic; at least 1.
-        subtrees: for "auto", whether a part of the tree may be built again alone.
+        when: "auto": when the tree has become too costly (a `wrt.ProjectedBvh`: never); "always"; or "never" (except for
+            kd-trees whose old planes would cut triangles into more than 64 pieces on average).
+        tolerance: for "auto", largest ratio of the cost of a tree or subtree, by the surface area heuristic, to its cost
+            when it was built; at least 1.
+        subtrees: for "auto", whether subtrees may be rebuilt separately.
 
     Raises:
-        ValueError: unknown name, or a tolerance below 1.
+        ValueError: an unknown name, or a tolerance below 1.
     """
 
     when: str = AUTO
@@ -70,12 +74,13 @@ class UpdateReport:
     """What an update did to a tree (`Scene.last_update`).
 
     Attributes:
-        action: "kept": the same nodes round the moved triangles; "subtrees": the same, and parts of it built again; "built".
-        cost_built: expected cost of a ray when the tree was built; NaN where nobody had to know.
-        cost_kept: the same with the old nodes round the moved triangles; NaN likewise.
-        cost: the same as the tree is now; NaN likewise.
-        rebuilt_triangles: how many were in what was built again.
-        seconds: wall time, building and measuring included.
+        action: "kept": the nodes were kept; "subtrees": nodes were kept and some subtrees rebuilt; "built": the tree was
+            rebuilt.
+        cost_built: expected cost of a ray when the tree was built; NaN if it was not computed.
+        cost_kept: expected cost with the old nodes and the moved triangles; NaN likewise.
+        cost: expected cost of the updated tree; NaN likewise.
+        rebuilt_triangles: number of triangles in rebuilt trees and subtrees.
+        seconds: wall time, including building and measuring.
     """
 
     action: str
@@ -87,7 +92,7 @@ class UpdateReport:
 
 
 def as_policy(rebuild: Any) -> UpdatePolicy:
-    """The policy of that name, or the one that was given.
+    """The policy of that name, or the given policy.
 
     Raises:
         TypeError: neither.
@@ -102,13 +107,13 @@ def as_policy(rebuild: Any) -> UpdatePolicy:
 
 @dataclass(frozen=True)
 class MovedTriangles:
-    """Triangles where they are now.
+    """Triangles in their new places.
 
     Attributes:
         vertices, faces: on the scene's device.
         host_vertices, host_faces: on the CPU.
         center: (3,) float64, the point that vertices are relative to.
-        shift: (3,) float64, by how much most of them have moved, relative to it.
+        shift: (3,) float64, typical motion of the triangles relative to the centre.
     """
 
     vertices: wp.array
@@ -120,20 +125,22 @@ class MovedTriangles:
 
     @classmethod
     def of(cls, placed: PlacedMeshes, shift: np.ndarray, first: int = 0, end: int | None = None) -> MovedTriangles:
-        """The triangles first to end - 1 of a scene; shift: as of the class."""
+        """The triangles first to end - 1 of a scene; shift: as in the class."""
         own = slice(first, end)
         mesh = placed.mesh
         return cls(mesh.vertices, mesh.faces[own], placed.vertices, placed.faces[own], placed.center, shift)
 
     def boxes(self) -> TriangleBoxes:
-        """Their boxes, on the CPU."""
+        """The bounding boxes of the triangles, on the CPU."""
         from wrt.builders.triangle_boxes import triangle_boxes
 
         return triangle_boxes(self.host_vertices, self.host_faces, self.center)
 
 
 def can_move(accelerator: Accelerator) -> bool:
-    """Whether a tree can be kept: not one that grows, or whose leaves list less than what the boxes of triangles tell."""
+    """Whether nodes can be kept: not those of lazy trees, or of trees whose leaves list fewer triangles than their boxes
+    meet.
+    """
     from wrt.accelerators.accelerator import Bvh, KdTree
     from wrt.accelerators.projected_bvh import ProjectedBvh
 
@@ -143,8 +150,9 @@ def can_move(accelerator: Accelerator) -> bool:
 
 
 def typical_motion(before: Sequence[TriangleMesh], after: Sequence[TriangleMesh]) -> np.ndarray:
-    """(3,) float64: the median way of some triangles' corners. Planes of a kd-tree go along: as a figure walks, or a scene
-    stays."""
+    """(3,) float64: the median motion of a sample of triangle corners. The planes of a kd-tree are shifted by it, which
+    follows a walking figure and leaves a scene at rest.
+    """
     step, ways = -(-sum(mesh.triangle_count for mesh in after) // SAMPLES), []
     for old, new in zip(before, after, strict=True):
         corners = new.faces[::step, 0]
@@ -154,12 +162,12 @@ def typical_motion(before: Sequence[TriangleMesh], after: Sequence[TriangleMesh]
 
 @dataclass(frozen=True)
 class TreeRecipe:
-    """How the tree of a scene is made.
+    """How the tree of a scene is built.
 
     Attributes:
         accelerator: what to build.
-        width: where the description leaves it open.
-        device: where the tree goes.
+        width: used if the description leaves it open.
+        device: device of the tree.
     """
 
     accelerator: Accelerator
@@ -168,17 +176,17 @@ class TreeRecipe:
 
     @property
     def only_refits(self) -> bool:
-        """Whether the surface area heuristic does not tell what the tree costs its rays."""
+        """Whether the surface area heuristic does not predict the cost of the tree's rays, so that trees are only refitted."""
         from wrt.accelerators.projected_bvh import ProjectedBvh
 
         return isinstance(self.accelerator, ProjectedBvh)
 
     def build(self, triangles: MovedTriangles) -> KdTree | Bvh:
-        """A new tree. Subtrees are built by one thread each, which suits cores: it is built on the CPU and copied."""
+        """Builds a new tree. One thread builds each subtree, which suits CPU cores: the tree is built on the CPU and copied."""
         return self.accelerator.build(triangles.boxes(), self.width).to(self.device)
 
     def costs(self, tree: KdTree | Bvh) -> np.ndarray:
-        """(nodes,) what its subtrees cost."""
+        """(nodes,) cost of each subtree."""
         from wrt.builders.bvh.update.node_costs import node_costs
         from wrt.builders.kdtree import kdtree_statistics as statistics
         from wrt.builders.kdtree.update import refill
@@ -188,7 +196,7 @@ class TreeRecipe:
         return node_costs(tree, cost) if is_bvh else refill.node_costs(statistics.unpack(tree), cost)
 
     def keep(self, old: KdTree | Bvh, triangles: MovedTriangles) -> MovedBvh | MovedKdTree:
-        """The old nodes round the triangles as they are now."""
+        """The old nodes with the triangles in their new places."""
         from wrt.builders.bvh.update.bvh_update import MovedBvh
         from wrt.builders.kdtree import KDTREE_BUILDERS
         from wrt.builders.kdtree.update.kdtree_update import MovedKdTree
@@ -205,7 +213,7 @@ class TreeRecipe:
 def move_tree(
     recipe: TreeRecipe, old: KdTree | Bvh, triangles: MovedTriangles, policy: UpdatePolicy
 ) -> tuple[KdTree | Bvh, UpdateReport]:
-    """A tree of the triangles as they are now, and what was done."""
+    """A tree of the triangles in their new places, and a report."""
     start = perf_counter()
     moved = recipe.keep(old, triangles) if policy.when != ALWAYS else None
     if moved is None or moved.tree is None:
@@ -224,7 +232,9 @@ def _mend(
     triangles: MovedTriangles,
     policy: UpdatePolicy,
 ) -> tuple[KdTree | Bvh, str, tuple[float, float, float], int]:
-    """Builds again what has worn off; the tree, what was done, costs as in `UpdateReport`, and triangles built again."""
+    """Rebuilds what is too costly. Returns the tree, the action and costs of `UpdateReport`, and the number of rebuilt
+    triangles.
+    """
     built = recipe.costs(old) if old.built_costs is None else old.built_costs
     before = float(built[0]), float(moved.costs[0])
     chosen = moved.parts(built, policy.tolerance)

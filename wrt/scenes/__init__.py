@@ -1,8 +1,8 @@
-"""Built-in scenes, for everybody who has no model at hand.
+"""Built-in scenes, for use without a model file.
 
-Every scene is a function with defaults that returns a `TriangleMesh`, grows to any size, and gives the same triangles
-for the same arguments, seed included. z is up and a unit is a metre. `BUILTIN_SCENES` adds to each a camera and a
-light that show it well; `build` makes a scene by name.
+Every scene is a function with defaults that returns a `TriangleMesh` of any size. The same arguments, including the seed,
+give the same triangles. z is up and the unit is a metre. `BUILTIN_SCENES` adds a camera and a light to each; `build` makes
+a scene by name.
 
     mesh = wrt.scenes.build("wood", trees=100)
     view = wrt.scenes.BUILTIN_SCENES["wood"].camera      # dict(position=..., look_at=..., up=..., fov=...)
@@ -43,18 +43,18 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class BuiltinScene:
-    """A scene of the table: how to build it and how to look at it.
+    """An entry of the table: how to build a scene, and a view of it.
 
     Attributes:
         name: key in `BUILTIN_SCENES`.
         description: one line for listings.
         function: builds the mesh from keyword options.
-        position: where the camera stands.
-        look_at: the point in the middle of the picture.
+        position: position of the camera.
+        look_at: the point at the image centre.
         fov: vertical field of view, in degrees.
         light: position of a point light.
         up: the camera's upward direction.
-        options: suggested arguments of `function`; `build` uses them where the caller gives none.
+        options: default arguments of `function` in `build`.
     """
 
     name: str
@@ -96,7 +96,7 @@ _SCENES = (
     ),
     BuiltinScene(
         name="teapot_in_stadium",
-        description="a fine teapot in a coarse stadium a hundred times its size",
+        description="a finely tessellated teapot in a coarse stadium a hundred times its size",
         function=teapot_in_stadium,
         position=(1.7, -3.6, 1.6),
         look_at=(-0.1, 0.0, 1.7),
@@ -116,7 +116,7 @@ _SCENES = (
     ),
     BuiltinScene(
         name="wood",
-        description="broad-leaved trees round a clearing, on uneven ground",
+        description="broad-leaved trees around a clearing, on uneven ground",
         function=wood,
         position=(3.0, -33.0, 5.0),
         look_at=(0.0, 0.0, 4.8),
@@ -134,7 +134,7 @@ def build(name: str, **options: Any) -> TriangleMesh:
 
     Args:
         name: key of the table.
-        options: arguments of the scene's function; those left out take the table's suggestion.
+        options: arguments of the scene's function; the others take the table's defaults.
 
     Raises:
         ValueError: unknown scene, or a bad value of an option.

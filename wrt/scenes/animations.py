@@ -1,6 +1,6 @@
-"""Two things that move, to try what a scene does about it: a cloth that waves, and a skinned figure that walks.
+"""Animations for tests of moving scenes: a waving cloth, and a skinned walking figure.
 
-An animation is arrays: the vertices of all frames, with the same faces. Both are as fine as asked for, and the same every time.
+An animation consists of the vertices of all frames, with the same faces. Both have any resolution, and are deterministic.
 
     animation = wrt.scenes.walking_figure(frames=24)
     scene = wrt.Scene([wrt.scenes.atrium(), animation.mesh(0)])
@@ -26,21 +26,21 @@ _JOINTS = {
     **{f"{side} arm": ("root", (0.0, y, 1.44)) for side, y in (("left", 0.25), ("right", -0.25))},
     **{f"{side} forearm": (f"{side} arm", (0.0, y, 1.14)) for side, y in (("left", 0.25), ("right", -0.25))},
 }
-"""Each bone's parent, and the joint that it turns about in the rest pose; parents come first."""
+"""Each bone's parent, and the joint that it rotates about in the rest pose; parents come first."""
 
-_BLEND = 0.09  # the skin bends from so far above a joint to so far below
+_BLEND = 0.09  # the skin bends within this distance above and below a joint, in metres
 _STRIDE = 1.3  # metres of two steps
 
 
 @dataclass(frozen=True)
 class Animation:
-    """A mesh that moves.
+    """A moving mesh.
 
     Attributes:
-        name: for tables.
+        name: a label for tables.
         frames: (F, V, 3) float64 vertices.
-        faces: (T, 3) int32, of all frames.
-        bones: (F, B, 4, 4) float64 maps from the rest pose to each frame that the skin follows; None if there are none.
+        faces: (T, 3) int32, shared by all frames.
+        bones: (F, B, 4, 4) float64 maps from the rest pose to each frame, which the skin follows; None without bones.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Animation:
         return len(self.frames)
 
     def moved(self, offset: tuple[float, float, float]) -> Animation:
-        """The same somewhere else."""
+        """The same animation, shifted by `offset`."""
         bones = self.bones
         if bones is not None:
             bones = bones.copy()
@@ -61,19 +61,20 @@ class Animation:
         return replace(self, frames=self.frames + np.asarray(offset), bones=bones)
 
     def mesh(self, frame: int) -> TriangleMesh:
-        """The mesh as it is in a frame."""
+        """The mesh of a frame."""
         return TriangleMesh(self.frames[frame], self.faces, name=self.name)
 
 
 def waving_cloth(frames: int = 24, cells: int = 48) -> Animation:
-    """A banner, 6 m wide and 4 m high, that hangs across the x axis of the atrium and waves, the more the lower; it repeats.
+    """A banner, 6 m wide and 4 m high, that hangs across the x axis of the atrium. It waves periodically, most at its lower
+    edge.
 
     Args:
-        frames: of a period, >= 1.
+        frames: frames of a period, >= 1.
         cells: quads along each side, >= 1; 2 cells^2 triangles.
 
     Raises:
-        TypeError, ValueError: no whole number, or too small.
+        TypeError, ValueError: not a whole number, or too small.
     """
     frames, cells = check_count("frames", frames), check_count("cells", cells)
     across, down = np.meshgrid(np.linspace(-3.0, 3.0, cells + 1), np.linspace(0.0, 4.0, cells + 1), indexing="ij")
@@ -84,14 +85,14 @@ def waving_cloth(frames: int = 24, cells: int = 48) -> Animation:
 
 
 def walking_figure(frames: int = 24, detail: int = 16) -> Animation:
-    """A figure 1.8 m high that takes two steps along the x axis. Its skin follows ten bones, two of them near a joint.
+    """A figure, 1.8 m high, that takes two steps along the x axis. Its skin follows ten bones, two of them near a joint.
 
     Args:
-        frames: of two steps, >= 1.
-        detail: corners of the limbs' circles and half the rings along them, >= 3; some 35 detail^2 triangles.
+        frames: frames of two steps, >= 1.
+        detail: corners of the limbs' circles and half the rings along them, >= 3; about 35 detail^2 triangles.
 
     Raises:
-        TypeError, ValueError: no whole number, or too small.
+        TypeError, ValueError: not a whole number, or too small.
     """
     frames, detail = check_count("frames", frames), check_count("detail", detail, 3)
     skin, weights = _skin(detail)
@@ -102,7 +103,7 @@ def walking_figure(frames: int = 24, detail: int = 16) -> Animation:
 
 
 def _pose(phase: float) -> np.ndarray:
-    """(B, 4, 4) maps of the bones from rest; phase: of two steps, in radians."""
+    """(B, 4, 4) maps of the bones from the rest pose; phase: within two steps, in radians."""
     angles = {"root": 0.04 * np.sin(2.0 * phase), "head": -0.04 * np.sin(2.0 * phase)}
     for side, own in (("left", phase), ("right", phase + np.pi)):
         angles[f"{side} thigh"], angles[f"{side} shin"] = -0.5 * np.sin(own), 0.35 - 0.35 * np.sin(own - 1.1)
@@ -119,7 +120,7 @@ def _pose(phase: float) -> np.ndarray:
 
 
 def _skin(detail: int) -> tuple[TriangleMesh, np.ndarray]:
-    """The mesh at rest, and (V, B) weights of the bones."""
+    """The mesh in the rest pose, and (V, B) weights of the bones."""
     numbers = {name: number for number, name in enumerate(_JOINTS)}
     parts = [_limb("root", None, 0.0, (0.88, 1.5), (0.15, 0.2), detail)]
     parts.append(_limb("head", None, 0.0, (1.53, 1.8), (0.1, 0.11), detail))
@@ -144,11 +145,11 @@ def _limb(
     """An upright rounded tube, and the bones that move it.
 
     Args:
-        upper, lower: the bones; None for the lower one if there is one only.
-        y: where it stands.
-        heights: of its ends.
-        radii: at the lower and the upper end.
-        detail: as of `walking_figure`.
+        upper, lower: the bones; lower is None if there is only one.
+        y: position along the y axis.
+        heights: heights of its ends.
+        radii: radii at the lower and the upper end.
+        detail: as in `walking_figure`.
     """
     along = np.linspace(0.0, 1.0, 2 * detail + 1)
     radius = (radii[0] + (radii[1] - radii[0]) * along) * np.sqrt(1.0 - (2.0 * along - 1.0) ** 8)

@@ -1,11 +1,11 @@
 """An atrium: a court open to the sky, with storeys of arcades around it.
 
-A test bed in the manner of the palace atria that the field has rendered ever since Marko Dabrovic's Sponza model of
-2002: walls and floors of a few huge triangles, column shafts of long thin ones, mouldings of many small ones, and a
-closed box round it all, so that any light on the outer walls that did not come through the opening is a leak.
+A test scene similar to Marko Dabrovic's Sponza model of 2002: walls and floors of a few huge triangles, column shafts of
+long thin ones, mouldings of many small ones. A closed box surrounds everything, so that light on the outer walls that did
+not come through the opening reveals a leak.
 
-The court is a rectangle of square bays. A column stands at every corner of its outline; arches span between columns;
-behind them runs a gallery on every storey, closed by the outer wall. The court lies three steps lower than the gallery.
+The court is a rectangle of square bays. A column stands at every corner of its outline; arches span between columns. Behind
+them, a gallery on every storey is closed by the outer wall. The court lies three steps lower than the gallery.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ __all__ = ["atrium"]
 _BAY = 4.0  # distance of column axes
 _GALLERY = 4.5  # depth of the gallery behind the columns
 _STOREY = 5.6
-_SPRING = 3.3  # height at which the arches begin
-_THICK = 0.56  # of the arcade wall
-_WALL = 0.6  # of the outer walls, the roof and the ground slab
-_SLAB = 0.3  # of the upper floors
+_SPRING = 3.3  # height of the springing line of the arches
+_THICK = 0.56  # thickness of the arcade wall
+_WALL = 0.6  # thickness of the outer walls, the roof and the ground slab
+_SLAB = 0.3  # thickness of the upper floors
 _STEP = 0.17
-_SHAFT = (0.62, 2.72)  # where the shaft of a column begins and ends
+_SHAFT = (0.62, 2.72)  # heights of the ends of a column's shaft
 
 
 def atrium(bays: tuple[int, int] = (6, 3), storeys: int = 2, detail: int = 4) -> TriangleMesh:
@@ -33,8 +33,9 @@ def atrium(bays: tuple[int, int] = (6, 3), storeys: int = 2, detail: int = 4) ->
 
     Args:
         bays: arches along x and along y, each >= 1.
-        storeys: arcades above one another, >= 1, 5.6 m each.
-        detail: points per flute of the shafts and per quarter of the mouldings, >= 1; triangles grow about linearly.
+        storeys: number of storeys, >= 1, 5.6 m each.
+        detail: points per flute of the shafts and per quarter of the mouldings, >= 1; the number of triangles is about
+            proportional.
 
     Raises:
         TypeError: `bays` is not a pair of whole numbers.

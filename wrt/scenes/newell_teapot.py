@@ -1,18 +1,16 @@
-"""Martin Newell's teapot: 32 bicubic Bezier patches, tessellated as finely as wanted.
+"""Martin Newell's teapot: 32 bicubic Bezier patches, tessellated at any level.
 
-Newell measured a real Melitta teapot and published its control points in his thesis; they became the first model that
-everybody had. The bottom was added by others later on (Crow tells the story). The spout and the handle end inside the
-body, and the lid hovers a little above the rim, so the surface is not closed.
+Newell measured a Melitta teapot and published its control points in his thesis. The bottom was added later by others
+(Crow). The spout and the handle end inside the body, and the lid is slightly above the rim, so the surface is not closed.
 
-Each patch is evaluated on a lattice of (level + 1) x (level + 1) parameters. The evaluation is symmetric to the last
-bit (reversing a patch's control points reverses its points), hence neighbouring patches agree exactly along their
-common curve and their points weld into one vertex without any tolerance. Where a side of a patch shrinks to a point
-(the top of the knob, the middle of the bottom) the collapsed triangles are dropped.
+Each patch is evaluated on a lattice of (level + 1) x (level + 1) parameters. The evaluation is exactly symmetric: reversing
+a patch's control points reverses its points bit for bit. So neighbouring patches agree exactly along their common curve,
+and their points can be welded without a tolerance. Where a side of a patch shrinks to a point (the top of the knob, the
+centre of the bottom), the collapsed triangles are dropped.
 
 References:
-    M. E. Newell, "The Utilization of Procedure Models in Digital Image Synthesis", PhD thesis, University of Utah,
-        1975.
-    F. C. Crow, "The Origins of the Teapot", IEEE Computer Graphics and Applications 7(1), 1987.
+    M. E. Newell: The utilization of procedure models in digital image synthesis. PhD thesis, University of Utah, 1975.
+    F. C. Crow: The origins of the teapot. IEEE Computer Graphics and Applications 7(1), 1987.
 """
 
 from __future__ import annotations
@@ -35,19 +33,20 @@ def teapot(level: int = 16, ground: bool = True) -> TriangleMesh:
     """The teapot on a wide ground, 6.4 units long and 3.15 high, handle at -x, spout at +x.
 
     Args:
-        level: quads along each side of a patch, >= 1. The teapot has 64 level^2 - 8 level triangles (level 1, too
-            coarse for the lip of the spout, has 52).
-        ground: whether it stands on a ground plane at z = 0, 200 x 200 units: wide enough for its edge to be
-            the horizon, 512 more triangles.
+        level: quads along each side of a patch, >= 1. The teapot has 64 level^2 - 8 level triangles (level 1, too coarse
+            for the lip of the spout, has 52).
+        ground: whether to add a ground plane at z = 0, 200 x 200 units, whose edge looks like a horizon; 512 more
+            triangles.
 
     Raises:
+        TypeError: level is not a whole number.
         ValueError: level < 1.
     """
     level = check_count("level", level)
     weights = bernstein(level)
     patches = _blend(weights, _blend(weights, teapot_patches()).swapaxes(1, 2)).swapaxes(1, 2)
-    patches = np.round(patches, 12)  # the weights sum to 1 only to rounding: make collapsed sides one point again
-    # Rows run away from the axis and columns clockwise: swapping the two turns the normals outward.
+    patches = np.round(patches, 12)  # the weights sum to 1 only up to rounding: this makes collapsed sides one point again
+    # Rows lead away from the axis and columns clockwise: swapping the two turns the normals outward.
     pot = without_collapsed(sheets(patches.swapaxes(1, 2)).welded())
     if not ground:
         return TriangleMesh(pot.vertices, pot.faces, name="teapot")

@@ -1,8 +1,8 @@
-"""The few solids that the built-in scenes are assembled from.
+"""The solids that the built-in scenes are assembled from.
 
-Nearly everything here is a sheet: a lattice of points, rows by columns, whose quads are split into two triangles. A
-curved patch, the mantle of a tube, a surface of revolution and a plane are all sheets, and N of them at once are one
-array with one more axis, so that a wood of ten thousand branches takes no Python loop over branches.
+Most are sheets: lattices of points, rows by columns, whose quads are split into two triangles. A curved patch, the side of
+a tube, a surface of revolution and a plane are sheets. N sheets are one array with one more axis, so that ten thousand
+branches need no Python loop.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def sheets(points: np.ndarray) -> TriangleMesh:
         points: (..., R, C, 3) lattices of R x C points; leading axes are separate sheets.
 
     Returns:
-        2 (R - 1) (C - 1) triangles a sheet. Normals point along (next row) x (next column).
+        2 (R - 1) (C - 1) triangles for each sheet. Normals point along (next row) x (next column).
     """
     rows, columns = points.shape[-3:-1]
     corner = np.arange(rows * columns).reshape(rows, columns)
@@ -69,10 +69,10 @@ def boxes(low: np.ndarray, high: np.ndarray) -> TriangleMesh:
 
 
 def lathe(profile: Any, segments: int) -> TriangleMesh:
-    """Turns a profile about the z axis.
+    """The surface of revolution of a profile about the z axis.
 
     Args:
-        profile: (R, 2) radius and height, listed upward for normals that point outward.
+        profile: (R, 2) radius and height; from bottom to top for normals that point outward.
         segments: corners of the circle, >= 3.
     """
     radius, height = np.asarray(profile, dtype=float).T
@@ -86,7 +86,7 @@ def lathe(profile: Any, segments: int) -> TriangleMesh:
 
 
 def copies(mesh: TriangleMesh, offsets: Any) -> TriangleMesh:
-    """The mesh moved to each of the (N, 3) offsets."""
+    """Copies of the mesh at each of the (N, 3) offsets."""
     offsets = np.atleast_2d(offsets)
     vertices = (mesh.vertices + offsets[:, None, :]).reshape(-1, 3)
     starts = mesh.vertex_count * np.arange(len(offsets))

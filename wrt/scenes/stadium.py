@@ -1,9 +1,9 @@
-"""The teapot in a stadium: a small fine object in a large coarse world.
+"""The teapot in a stadium: a small, finely tessellated object in a large, coarse scene.
 
-The classic bad case of uniform grids (the name is from discussions in Eric Haines's Ray Tracing News): a grid whose
-cells suit the stadium puts the whole teapot into one cell. Trees that adapt, kd-trees and bounding volume hierarchies,
-are hardly bothered. The stadium is an oval bowl, about a hundred times the teapot's length: a field with marking
-lines and goals, stepped stands round it, a canopy over them, and four masts with floodlights.
+The classic bad case of uniform grids (the name is from discussions in Eric Haines's Ray Tracing News): a grid whose cells
+suit the stadium puts the whole teapot into one cell. Adaptive trees, kd-trees and bounding volume hierarchies, handle it
+well. The stadium is an oval bowl, about a hundred times as long as the teapot: a field with lines and goals, stepped stands
+around it, a canopy above them, and four masts with floodlights.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ def teapot_in_stadium(level: int = 24, rows: int = 24, segments: int = 64) -> Tr
     """Newell's teapot on the centre spot of a stadium 244 m long, 208 m wide and 62 m high; z = 0 is the grass.
 
     Args:
-        level: quads along each side of a teapot patch, >= 1; grows the teapot's 64 level^2 - 8 level triangles only.
-        rows: steps of the stands, >= 1, six triangles a segment each.
+        level: quads along each side of a teapot patch, >= 1; the teapot has 64 level^2 - 8 level triangles.
+        rows: rows of the stands, >= 1, six triangles for each segment.
         segments: corners of the oval, >= 8.
 
     Raises:
+        TypeError: an argument is not a whole number.
         ValueError: an argument is too small.
     """
     rows = check_count("rows", rows)
@@ -62,9 +63,9 @@ def _oval(depth: np.ndarray, height: np.ndarray, segments: int) -> np.ndarray:
 
 
 def _row_profile(rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Depth of the front edge and height of every row's tread; rows further back rise more steeply.
+    """Depth of the front edge, and height, of every row; rows further back rise more steeply.
 
-    A parapet of 4 m between the tiers shows as a band all round.
+    A parapet of 4 m between the tiers shows as a band all around.
     """
     step = np.arange(rows) / rows
     height = 1.2 + (_STANDS_HEIGHT - 5.2) * (0.6 * step + 0.4 * step**2)

@@ -1,15 +1,15 @@
 """A wood: trees that branch recursively, on uneven ground.
 
-Organic geometry is what accelerators like least: slanted tubes whose boxes overlap, and clouds of small leaves with
-nothing axis-parallel to cut along. Branching follows Honda's scheme in simplified form: every branch carries children
-at constant ratios of length and radius, leaving it at a branching angle and turned about it by the golden angle from
-one to the next (phyllotaxis); all of it is jittered, and a pull towards the light bends the branches up. All branches
-of one order, over all trees, are grown by one set of array operations.
+Plants are a hard case for accelerators: slanted tubes whose boxes overlap, and clouds of small leaves without axis-parallel
+gaps. Branching is a simplified form of Honda's model: every branch carries children at constant ratios of length and
+radius. A child leaves its parent at a branching angle, rotated about it by the golden angle from one child to the next
+(phyllotaxis). All parameters are jittered, and branches bend upward. One set of array operations makes all branches of one
+order, over all trees.
 
 References:
-    H. Honda, "Description of the Form of Trees by the Parameters of the Tree-like Body: Effects of the Branching Angle
-        and the Branch Length on the Shape of the Tree-like Body", Journal of Theoretical Biology 31, 1971.
-    P. Prusinkiewicz, A. Lindenmayer, "The Algorithmic Beauty of Plants", Springer, 1990.
+    H. Honda: Description of the form of trees by the parameters of the tree-like body: effects of the branching angle and
+    the branch length on the shape of the tree-like body. Journal of Theoretical Biology 31, 1971.
+    P. Prusinkiewicz, A. Lindenmayer: The algorithmic beauty of plants. Springer, 1990.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 @dataclass(frozen=True)
 class _Order:
-    """How the branches of one order grow: how many on each parent, their size relative to it, their tessellation."""
+    """Parameters of the branches of one order: number per parent, size relative to it, tessellation."""
 
     children: int
     length: float
     radius: float
-    angle: float  # degrees from the parent's direction
+    angle: float  # degrees between child and parent
     joints: int
     sides: int
 
@@ -58,14 +58,15 @@ class _Branches:
 
 
 def wood(trees: int = 30, leaves: int = 12, seed: int = 0) -> TriangleMesh:
-    """Broad-leaved trees, 8 to 12 m high, round a clearing at the origin; z = 0 is the ground there.
+    """Broad-leaved trees, 8 to 12 m high, around a clearing at the origin; z = 0 is the ground there.
 
     Args:
-        trees: number of trees, >= 1, about 8,000 triangles each by default; the wood's area grows with it.
-        leaves: leaves per twig, >= 0, two triangles each; a tree has 180 twigs.
+        trees: number of trees, >= 1, with about 8,000 triangles each by default; the area of the wood grows with it.
+        leaves: leaves of each twig, >= 0, with two triangles each; a tree has 180 twigs.
         seed: the same seed gives the same wood.
 
     Raises:
+        TypeError: an argument is not a whole number.
         ValueError: trees < 1 or leaves < 0.
     """
     trees, leaves = check_count("trees", trees), check_count("leaves", leaves, 0)
@@ -84,7 +85,7 @@ def wood(trees: int = 30, leaves: int = 12, seed: int = 0) -> TriangleMesh:
 
 
 def _places(random: np.random.Generator, trees: int) -> tuple[np.ndarray, float]:
-    """(trees, 2) jittered places on a square lattice, the nearest to the clearing's edge first, and the half size."""
+    """(trees, 2) jittered places on a square lattice, by their distance from the clearing, and half the side of the ground."""
     side = int(np.ceil(np.sqrt(trees + np.pi * (_CLEARING / _SPACING) ** 2))) + 2
     axis = (np.arange(side) - 0.5 * (side - 1)) * _SPACING
     places = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -111,7 +112,7 @@ def _terrain(half_size: float, waves: np.ndarray) -> TriangleMesh:
 
 
 def _trunks(random: np.random.Generator, feet: np.ndarray) -> _Branches:
-    """One trunk for every foot, nearly upright, flared at the root."""
+    """One trunk at each foot, nearly upright, wider at the root."""
     count = len(feet)
     lean = random.normal(0.0, 0.06, (count, 3))
     directions = _unit(lean * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0])
@@ -138,7 +139,7 @@ def _grow(random: np.random.Generator, parents: _Branches, order: _Order) -> _Br
     away = side * np.cos(turn)[..., None] + other * np.sin(turn)[..., None]
     angle = np.radians(order.angle * (1.15 - 0.45 * where) + random.normal(0.0, 8.0, where.shape))[..., None]
     directions = along * np.cos(angle) + away * np.sin(angle)
-    # Branches near the top are shorter and thinner: the crown closes to a dome.
+    # Branches near the top are shorter and thinner, so that the crown is a dome.
     taper = 1.15 - 0.6 * where
     lengths = parents.lengths[:, None] * order.length * taper * random.uniform(0.8, 1.2, where.shape)
     radii = parents.radii[:, 1:2] * order.radius * taper
@@ -154,7 +155,7 @@ def _walk(
     radii: np.ndarray,
     joints: int,
 ) -> _Branches:
-    """Lets branches grow joint by joint, wavering and bending up."""
+    """Extends branches joint by joint; they waver and bend upward."""
     paths = np.empty((len(starts), joints + 1, 3))
     paths[:, 0] = starts
     for joint in range(joints):

@@ -1,4 +1,4 @@
-"""Random triangles in the unit box: no structure for an accelerator to find, and any size one wants."""
+"""Random triangles in the unit box: a scene of any size without structure that an accelerator could use."""
 
 from __future__ import annotations
 
