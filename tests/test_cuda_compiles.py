@@ -22,7 +22,7 @@ from wrt.builders.kdtree.events.clipped_events import CLIPPED_EVENTS
 from wrt.builders.kdtree.events.event_lists import EVENTS
 from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
 from wrt.builders.kdtree.scan import exact_planes
-from wrt.builders.kdtree.scan.reference_lists import scanning
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel

@@ -17,7 +17,7 @@ import pytest
 from conftest import DEVICES, assert_same_hits, mixed_rays
 
 import wrt
-from wrt.accelerators.accelerator import Bvh, KdTree
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree_check import check_tree

@@ -32,7 +32,7 @@ if not (Path(__file__).parent / "kernels").is_dir():
 _HOME = {
     "AllHits": "wrt.query.all_hits",
     "Blocks": "wrt.query.blocks",
-    "Bvh": "wrt.accelerators.accelerator",
+    "Bvh": "wrt.accelerators.tree_descriptions",
     "CircularCapCaster": "wrt.known_rays.ray_casters",
     "FuzzyScene": "wrt.scene.fuzzy_scene",
     "GroupedScene": "wrt.scene.grouped_scene",
@@ -40,7 +40,7 @@ _HOME = {
     "InfluenceAreas": "wrt.known_rays.influence_areas",
     "Instance": "wrt.meshes.instance",
     "InstancedScene": "wrt.scene.instanced_scene",
-    "KdTree": "wrt.accelerators.accelerator",
+    "KdTree": "wrt.accelerators.tree_descriptions",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
     "PlaneCaster": "wrt.known_rays.ray_casters",

@@ -34,7 +34,8 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes

@@ -35,7 +35,8 @@ from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, place
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, sample_step
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, scanning
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.scanning import Scan, build_scanning
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes

@@ -31,7 +31,8 @@ import warp as wp
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides, scanning
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes

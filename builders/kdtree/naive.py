@@ -25,7 +25,7 @@ References:
 
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.scan.reference_lists import scanning
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes

@@ -10,7 +10,7 @@ from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.accelerators.accelerator import Bvh
+    from wrt.accelerators.tree_descriptions import Bvh
     from wrt.builders import tree as common
     from wrt.builders.bvh.bvh_config import BvhConfig
     from wrt.builders.influence.influence_area import InfluenceArea
@@ -69,7 +69,7 @@ class RayAwareBvh:
     local: Bvh | ProjectedBvh | None = None
 
     def __post_init__(self) -> None:
-        from wrt.accelerators.accelerator import Bvh
+        from wrt.accelerators.tree_descriptions import Bvh
         from wrt.builders.influence.area_top_level import MAX_AREAS, MAX_DEPTH
         from wrt.builders.influence.projected_cost import check_areas
 

@@ -53,7 +53,7 @@ def wide_tree(scene: SceneState) -> Bvh:
 
 
 def _make(scene: SceneState) -> Bvh:
-    from wrt.accelerators.accelerator import Bvh as Description
+    from wrt.accelerators.tree_descriptions import Bvh as Description
     from wrt.builders.convert.wide_kdtree import wide_form
     from wrt.builders.triangle_boxes import triangle_boxes
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Bvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.execution.query_kinds import AUTO
 from wrt.execution.scene_state import Settings, new_mark
 from wrt.kernels.runtime.launch import use_threads

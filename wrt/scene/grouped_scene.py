@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Bvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.execution.query_kinds import AUTO
 from wrt.execution.scene_state import Settings, new_mark
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Bvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.instance_maps import Placement
 

@@ -141,8 +141,8 @@ def can_move(accelerator: Accelerator) -> bool:
     """Whether nodes can be kept: not those of lazy trees, or of trees whose leaves list fewer triangles than their boxes
     meet.
     """
-    from wrt.accelerators.accelerator import Bvh, KdTree
     from wrt.accelerators.projected_bvh import ProjectedBvh
+    from wrt.accelerators.tree_descriptions import Bvh, KdTree
 
     if isinstance(accelerator, KdTree):
         return not (accelerator.is_lazy or accelerator.split_clipping)

@@ -6,12 +6,11 @@ the same pass. The counts of a split may be estimates (bins, samples); those of 
 itself.
 """
 
-from functools import cache
 
 import warp as wp
 
 from wrt.builders.cost import Split
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Parts, Task
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -211,13 +210,3 @@ def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, i
 def emit_leaf(lists: ReferenceLists, task: Task, frame: Frame, parts: Parts, begin: int):
     """Lists the node's triangles by id."""
     write_order(lists.reference, frame.first[0], frame.count[0], parts.primitive, begin)
-
-
-@cache
-def scanning(search: wp.Function, clipping: bool = False) -> Method:
-    """The method of a builder that searches by scanning references. clipping: whether straddlers are clipped."""
-    if not clipping:
-        return Method(ReferenceLists, search, divide, emit_leaf)
-    from wrt.builders.kdtree.phases.split_clipping import divide_clipping
-
-    return Method(ReferenceLists, search, divide_clipping, emit_leaf)

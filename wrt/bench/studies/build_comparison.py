@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from wrt.accelerators.accelerator import Accelerator, Bvh, KdTree, resolve_accelerator
+from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.peers.engines import Engine

@@ -24,7 +24,7 @@ from time import thread_time
 
 import numpy as np
 
-from wrt.accelerators.accelerator import KdTree
+from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.bench.studies.kdtrees.layout_comparison import CLASSIC_BLOCK

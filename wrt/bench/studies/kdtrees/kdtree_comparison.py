@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from time import perf_counter
 
-from wrt.accelerators.accelerator import KdTree
+from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.core.workloads import Workload, WorkloadMaker
 from wrt.bench.studies.build_comparison import BUDGET, SETTLE

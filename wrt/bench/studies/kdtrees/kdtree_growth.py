@@ -13,7 +13,7 @@ from math import log2
 from time import perf_counter
 
 from wrt import scenes
-from wrt.accelerators.accelerator import KdTree
+from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.studies.build_comparison import BUDGET, SMALL
 from wrt.builders.kdtree import KDTREE_BUILDERS

@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Bvh
 from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.bvh.binned_bvh import BinnedBuilder
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases import bvh_levels as levels

@@ -24,9 +24,10 @@ from typing import Any
 
 import numpy as np
 
-from wrt.accelerators.accelerator import Accelerator, Bvh
+from wrt.accelerators.accelerator import Accelerator
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.studies.build_comparison import BUDGET, SETTLE
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of

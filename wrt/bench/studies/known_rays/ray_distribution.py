@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Bvh
 from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
+from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.known_rays.ray_cases import TREES, Case
 from wrt.builders.bvh.known_rays_config import FELL_BACK

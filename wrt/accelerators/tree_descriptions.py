@@ -1,0 +1,162 @@
+"""Descriptions of kd-trees and bounding volume hierarchies: what to build, not the built tree."""
+
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from wrt.builders import tree as common
+    from wrt.builders.bvh.bvh_config import BvhConfig
+    from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
+    from wrt.builders.triangle_boxes import TriangleBoxes
+
+
+@dataclass(frozen=True, kw_only=True)
+class KdTree:
+    """A kd-tree built with the surface area heuristic (SAH).
+
+    Attributes:
+        builder: key in `wrt.builders.kdtree.KDTREE_BUILDERS`.
+        width: triangles tested at once, 1, 2, 4, 8 or 16; None for the vector width of the device.
+        traversal_cost: cost of visiting an inner node.
+        block_cost: cost of testing one block of `width` triangles.
+        empty_factor: factor on the cost of a split that cuts off empty space, in (0, 1].
+        max_depth: largest depth, at most 64; None for a bound that grows with the logarithm of the triangle count.
+        bad_splits: how many splits on a path may increase the cost.
+        termination: when a split is bad, a key in `wrt.builders.tree.TERMINATIONS`: "cost", "automatic" or "fixed".
+        leaf_triangles: a node with at most this many triangles becomes a leaf.
+        least_size: a node whose longest side is at most this share of the scene's longest side becomes a leaf; in [0, 1).
+        mailbox: whether the cost assumes mailboxing, by which rays test a triangle in several leaves once.
+        axis: "longest" or "round_robin": the axis that the builders `spatial_median` and `object_median` split; the others
+            try all three.
+        split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides. The tree usually has
+            fewer references and a lower cost, and takes longer to build. All builders but `sorting_sweep` support it.
+            Counts and inside tests are then exact for rays that start within about 20 scene sizes of the scene.
+
+    Raises:
+        ValueError: an unknown builder, axis or termination, a value out of its range, or a builder that does not support
+            clipping.
+    """
+
+    kind: ClassVar[str] = "kdtree"
+
+    builder: str = "in_place"
+    width: int | None = None
+    traversal_cost: float = 1.0
+    block_cost: float = 0.5
+    empty_factor: float = 0.8
+    max_depth: int | None = None
+    bad_splits: int = 1
+    termination: str = "cost"
+    leaf_triangles: int = 0
+    least_size: float = 0.0
+    mailbox: bool = False
+    axis: str = "longest"
+    split_clipping: bool = False
+
+    def __post_init__(self) -> None:
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        if self.split_clipping and not lookup(KDTREE_BUILDERS, self.builder, "builder").clips:
+            able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.clips)
+            raise ValueError(f"builder {self.builder!r} does not support split_clipping; choose from {able}, or leave it off")
+        lookup(KDTREE_BUILDERS, self.builder, "builder")
+        self.config(width=8)
+
+    def config(self, width: int) -> KdTreeConfig:
+        """The builder's configuration; `width` is used where the description leaves it open."""
+        from wrt.builders.cost import SurfaceAreaCost
+        from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+        from wrt.builders.tree import StopRules
+
+        cost = SurfaceAreaCost(
+            traversal=self.traversal_cost,
+            block=self.block_cost,
+            width=width if self.width is None else self.width,
+            empty_factor=self.empty_factor,
+            mailbox=self.mailbox,
+        )
+        stop = StopRules(self.max_depth, self.bad_splits, self.termination, self.leaf_triangles, self.least_size)
+        return KdTreeConfig(cost, stop, self.axis, self.split_clipping)
+
+    def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
+
+    @property
+    def is_lazy(self) -> bool:
+        """Whether the tree is built lazily, as rays visit it."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].start is not None
+
+    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
+        """Starts a lazily built tree over `triangles` on `device`; width: as in `config`."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bvh:
+    """A wide bounding volume hierarchy built with the surface area heuristic (SAH).
+
+    Attributes:
+        builder: key in `wrt.builders.bvh.BVH_BUILDERS`.
+        width: children of a node and triangles tested at once, 2, 4, 8 or 16; None for the vector width of the device.
+        traversal_cost: cost of visiting a node.
+        block_cost: cost of testing one block of `width` triangles; None for 0.5 with 8 lanes or more, whose blocks are
+            mostly full, else 1.5.
+        bins: bins along an axis, 2 to 32, for builders that bin.
+        max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
+        reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
+            most of the gain. For scenes with triangles of very different sizes, such as buildings, traversal becomes up to
+            1.1 times as fast; scanned meshes gain nothing, and their tree stays as it is. Builds take three to four times
+            as long.
+
+    Raises:
+        ValueError: an unknown builder, or a value out of its range.
+    """
+
+    kind: ClassVar[str] = "bvh"
+
+    builder: str = "binned"
+    width: int | None = None
+    traversal_cost: float = 1.0
+    block_cost: float | None = None
+    bins: int = 16
+    max_leaf_triangles: int | None = None
+    reinsertion: int = 0
+
+    def __post_init__(self) -> None:
+        from wrt.builders.bvh import BVH_BUILDERS
+
+        lookup(BVH_BUILDERS, self.builder, "builder")
+        self.config(width=8)
+
+    def config(self, width: int) -> BvhConfig:
+        """The builder's configuration; `width` is used where the description leaves it open."""
+        from wrt.builders.bvh.bvh_config import BvhConfig
+        from wrt.builders.cost import SurfaceAreaCost
+
+        width = width if self.width is None else self.width
+        block_cost = (0.5 if width >= 8 else 1.5) if self.block_cost is None else self.block_cost
+        cost = SurfaceAreaCost(traversal=self.traversal_cost, block=block_cost, width=width)
+        return BvhConfig(cost, self.bins, self.max_leaf_triangles, self.reinsertion)
+
+    def build(self, triangles: TriangleBoxes, width: int) -> common.Bvh:
+        """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
+        from wrt.builders.bvh import BVH_BUILDERS
+
+        return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
+
+
