@@ -21,11 +21,11 @@ from wrt.builders.tree import TERMINATIONS
 from wrt.execution.plan_checks import ORDERS
 from wrt.execution.planner import DEFAULT_TEST
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "algorithms.md").read_text(encoding="utf-8")
 

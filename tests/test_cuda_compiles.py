@@ -24,16 +24,16 @@ from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
 from wrt.builders.kdtree.scan import exact_planes
 from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.kernels.runtime.launch import CUDA_BLOCK
+from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
+from wrt.kernels.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.ferko import VARIANTS
-from wrt.kernels.triangle.study.exit_counts import make_kernel as make_exit_kernel
-from wrt.kernels.triangle.study.isolated_tests import make_blocks, make_frusta, make_pairs
-from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
-from wrt.kernels.triangle.study.pruning_counts import make_kernel as make_counting_kernel
 from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
 
 ARCHITECTURE = 75

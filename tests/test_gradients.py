@@ -45,7 +45,7 @@ def weights() -> dict[str, np.ndarray]:
 
 def differentiate(
     scene, hits, values, weights, output, dtype
-) -> tuple[wrt.gradients.DifferentiableHits, dict[str, np.ndarray]]:
+) -> tuple[wrt.query.gradients.DifferentiableHits, dict[str, np.ndarray]]:
     """Outputs, and the gradient of one of them, weighted and summed up, with respect to each argument."""
     arrays = {name: wp.array(values[name], dtype=dtype, device=scene.device, requires_grad=True) for name in ARGUMENTS}
     with wp.Tape() as tape:

@@ -11,7 +11,7 @@ import wrt
 from wrt import scenes
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.phases.split_clipping import PAD
+from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
 
 

@@ -60,7 +60,7 @@ _HOME = {
     "analyse": "wrt.known_rays.tree_analysis",
     "break_even": "wrt.known_rays.break_even",
     "device": "wrt",
-    "differentiable_hits": "wrt.gradients",
+    "differentiable_hits": "wrt.query.gradients",
     "directional_shadow_rays": "wrt.known_rays.ray_casters",
     "get_num_threads": "wrt.kernels.runtime.launch",
     "point_shadow_rays": "wrt.known_rays.ray_casters",

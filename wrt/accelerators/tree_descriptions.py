@@ -1,6 +1,5 @@
 """Descriptions of kd-trees and bounding volume hierarchies: what to build, not the built tree."""
 
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -158,5 +157,3 @@ class Bvh:
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
-
-

@@ -31,7 +31,7 @@ from wrt.builders.kdtree.events.event_lists import EVENTS, EventLists, classify,
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task
-from wrt.builders.kdtree.phases.split_clipping import CLIP, PAD
+from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair

@@ -6,7 +6,6 @@ the same pass. The counts of a split may be estimates (bins, samples); those of 
 itself.
 """
 
-
 import warp as wp
 
 from wrt.builders.cost import Split

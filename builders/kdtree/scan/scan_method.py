@@ -5,8 +5,8 @@ from functools import cache
 import warp as wp
 
 from wrt.builders.kdtree.phases.kdtree_subtrees import Method
-from wrt.builders.kdtree.phases.split_clipping import divide_clipping
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, divide, emit_leaf
+from wrt.builders.kdtree.scan.split_clipping import divide_clipping
 
 
 @cache

@@ -13,10 +13,10 @@ import warp as wp
 from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
-from wrt.builders.kdtree.phases.split_clipping import PAD
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references

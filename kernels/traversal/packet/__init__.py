@@ -27,26 +27,12 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal.packet.culling import (
-    corner_rays,
-    every_ray,
-    side_planes,
-)
-from wrt.kernels.traversal.packet.culling import (
-    interval_culling as interval,
-)
-from wrt.kernels.traversal.packet.culling import (
-    inverse_frustum as frustum,
-)
-from wrt.kernels.traversal.packet.culling import (
-    transient_frustum as transient,
-)
-from wrt.kernels.traversal.packet.culling import (
-    two_plane_frustum as two_plane,
-)
-from wrt.kernels.traversal.packet.culling import (
-    vertex_culling as vertices,
-)
+from wrt.kernels.traversal.packet.culling import corner_rays, every_ray, side_planes
+from wrt.kernels.traversal.packet.culling import interval_culling as interval
+from wrt.kernels.traversal.packet.culling import inverse_frustum as frustum
+from wrt.kernels.traversal.packet.culling import transient_frustum as transient
+from wrt.kernels.traversal.packet.culling import two_plane_frustum as two_plane
+from wrt.kernels.traversal.packet.culling import vertex_culling as vertices
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_leaf, no_start
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TriangleTest

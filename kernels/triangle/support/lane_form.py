@@ -19,7 +19,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
-from wrt.kernels.triangle.study.operation_counts import Operations, count_operations
+from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -148,7 +148,7 @@ class LaneForm:
         steps: in order; the last one, or those before it, declare `t`, `u` and `v`.
         triangle: names of the record's own floats, in order; the vertices are ax ay az bx by bz cx cy cz.
         packet_setup: C++ before the `packet` expressions of `ray`.
-        apart: of a form made by `joined`, the form with all exits, which `wrt.kernels.triangle.study.exit_counts` counts.
+        apart: of a form made by `joined`, the form with all exits, which `wrt.kernels.study.exit_counts` counts.
     """
 
     ray: tuple[RayValue, ...]

@@ -26,7 +26,7 @@ class CrossingForms:
 
 @dataclass(frozen=True, kw_only=True)
 class TestForm:
-    """The lane loops of a test and their inputs: enough to measure it (`wrt.kernels.triangle.study.isolated_tests`), not to
+    """The lane loops of a test and their inputs: enough to measure it (`wrt.kernels.study.bare_triangle_tests`), not to
     trace with it.
 
     Attributes:

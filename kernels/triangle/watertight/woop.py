@@ -38,8 +38,8 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits, lanes
-from wrt.kernels.triangle.study.operation_counts import Operations
 from wrt.kernels.triangle.support.lane_form import HandWritten
+from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import CrossingForms, TriangleTest
 from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PRECISE_AREAS, area64, exact_area, precise_areas

@@ -17,10 +17,10 @@ from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
 from wrt.kernels.traversal.packet.core.packet_block import SHORTEN
 from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout
-from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks

@@ -5,9 +5,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.simd.lanes import BITS
-from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import vertex_box
 

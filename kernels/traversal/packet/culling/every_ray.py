@@ -15,9 +15,9 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
-from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -27,11 +27,11 @@ import warp as wp
 
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
-from wrt.kernels.traversal.packet.culling.ray_box_slabs import SHARED_ORIGIN, SLABS
 from wrt.kernels.traversal.packet.culling.two_plane_frustum import POINTS_ON_PLANES
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
+from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

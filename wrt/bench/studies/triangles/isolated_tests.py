@@ -16,10 +16,10 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.triangle.study.exit_counts import make_kernel as make_exits
-from wrt.kernels.triangle.study.isolated_tests import make_blocks, make_frusta, make_pairs
-from wrt.kernels.triangle.study.operation_counts import Operations
+from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.study.exit_counts import make_kernel as make_exits
 from wrt.kernels.triangle.support.block_packing import pack_blocks
+from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
 from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
@@ -152,7 +152,7 @@ def closest(test: TestForm, soup: Soup, rays: Beams, *, frustum: int, width: int
 
 
 def exits(test: TestForm, soup: Soup, rays: Beams, *, group_rays: int = 1, group_triangles: int = 1) -> Exits:
-    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.triangle.study.exit_counts`."""
+    """Where the tests of all rays against all triangles end; groups as in `wrt.kernels.study.exit_counts`."""
     names = (*test.lanes.exits, "hit")
     groups = rays.count // group_rays
     counts = wp.zeros((groups, 2 * len(names)), dtype=int, device=CPU)

@@ -35,8 +35,8 @@ from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, exi
 from wrt.bench.studies.triangles.triangle_test_comparison import ratios
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.kernels.triangle.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene

@@ -12,8 +12,8 @@ from wrt.kernels.runtime.launch import load
 from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
+    from wrt.query.api import Queries
     from wrt.query.hits import Hits
-    from wrt.scene.scene import Scene
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class DifferentiableHits:
     normal: wp.array
 
 
-def differentiable_hits(scene: Scene, hits: Hits, origins: Any, directions: Any, vertices: Any = None) -> DifferentiableHits:
+def differentiable_hits(scene: Queries, hits: Hits, origins: Any, directions: Any, vertices: Any = None) -> DifferentiableHits:
     """Recomputes hits as smooth functions of rays and vertices; the triangle that each ray hits is fixed.
 
         hits = scene.intersect(origins, directions)  # not on the tape

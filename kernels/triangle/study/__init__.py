@@ -1,1 +1,0 @@
-"""Triangle tests under measurement: isolated from trees, their operations and exits counted."""
