@@ -24,6 +24,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from wrt.builders.motion_residuals import nearest_clusters
+
 MOST_ROUNDS = 12
 """Most rounds of assigning and fitting for a given number of clusters."""
 
@@ -79,19 +81,6 @@ def fit_maps(rest: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
     return maps, origins
 
 
-def residuals(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
-    """(T,) size of the largest box that a corner of each triangle needs, in the space of one cluster.
-
-    Args:
-        frames: (F, V, 3).
-        faces: (T, 3).
-        matrices, origins: (F, 3, 3), (F, 3).
-    """
-    own = np.linalg.solve(matrices, (frames - origins[:, None]).swapaxes(1, 2))
-    size = (own.max(axis=0) - own.min(axis=0)).sum(axis=0)
-    return size[faces].max(axis=1)
-
-
 def assigned(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> Decomposition:
     """Assigns each triangle to the cluster in which it needs the smallest boxes. Clusters without triangles are removed.
 
@@ -100,9 +89,9 @@ def assigned(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origin
         faces: (T, 3).
         matrices, origins: (F, C, 3, 3), (F, C, 3).
     """
-    each = np.array([residuals(frames, faces, matrices[:, c], origins[:, c]) for c in range(matrices.shape[1])])
-    used, labels = np.unique(each.argmin(axis=0), return_inverse=True)
-    return Decomposition(labels, matrices[:, used], origins[:, used], each.min(axis=0))
+    chosen, residual = nearest_clusters(frames, faces, matrices, origins)
+    used = np.flatnonzero(np.bincount(chosen, minlength=matrices.shape[1]))
+    return Decomposition(np.searchsorted(used, chosen), matrices[:, used], origins[:, used], residual)
 
 
 def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: float, rest: int) -> Decomposition:
@@ -147,7 +136,7 @@ def is_better(one: Decomposition, other: Decomposition) -> bool:
 
 def _used(frames: np.ndarray, faces: np.ndarray, rest: int) -> tuple[np.ndarray, np.ndarray]:
     """The vertices of some triangles in the rest pose and in every frame."""
-    own = frames[:, np.unique(faces)]
+    own = frames[:, np.bincount(faces.ravel(), minlength=frames.shape[1]) > 0]
     return own[rest], own
 
 

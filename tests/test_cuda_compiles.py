@@ -22,7 +22,10 @@ from wrt.builders.kdtree.events.clipped_events import CLIPPED_EVENTS
 from wrt.builders.kdtree.events.event_lists import EVENTS
 from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
 from wrt.builders.kdtree.scan import exact_planes
+from wrt.builders.kdtree.scan.reference_levels import make_decide
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.builders.kdtree.scan.scan_method import scanning
+from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
 from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
@@ -90,6 +93,16 @@ def test_module(name, tmp_path):
 @pytest.mark.parametrize("method", KDTREE_METHODS, ids=lambda method: method.search.key)
 def test_kdtree_subtrees(method, tmp_path):
     assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
+
+
+@pytest.mark.parametrize("search", KDTREE_SEARCHES, ids=lambda search: search.key)
+def test_kdtree_levels(search, tmp_path):
+    assert ".entry" in compile_to_ptx(make_decide(ReferenceLists, search).module, tmp_path)
+
+
+@pytest.mark.parametrize("dtype", [wp.vec3, wp.vec3d])
+def test_placement(dtype, tmp_path):
+    assert ".entry" in compile_to_ptx(make_shift(dtype).module, tmp_path)
 
 
 BVH_KERNELS = {

@@ -120,6 +120,19 @@ def test_octree_in_slices_and_within_bounds(monkeypatch):
     assert len(octree.build_octree(structs, *root, 3)[0]) == len(shallow)
 
 
+def test_octree_whose_lists_have_the_same_hash(monkeypatch):
+    """Lists are told apart by what is in them, whatever their hashes."""
+    low, high = np.full(3, 10.0), np.full(3, 14.0)
+    structs = [region_of(area, low, high).struct(np.full(3, 12.0), 1e-5) for area in random_areas(30, low, high)]
+    root = np.full(3, -9.0), np.full(3, 9.0)
+    child, lists = octree.build_octree(structs, *root, 4)
+    for same in (lambda values: np.zeros(len(values), np.uint64), lambda values: values.astype(np.uint64) % np.uint64(3)):
+        monkeypatch.setattr(octree, "hash64", same)
+        again, same_lists = octree.build_octree(structs, *root, 4)
+        np.testing.assert_array_equal(child, again)
+        assert [one.tolist() for one in lists] == [one.tolist() for one in same_lists]
+
+
 def test_what_regions_enclose_is_not_cut():
     """A cell is a leaf above the last level if all regions that touch it hold it whole."""
     low, high = np.full(3, 10.0), np.full(3, 14.0)

@@ -1,18 +1,16 @@
-"""Exact sweep SAH build of a bounding volume hierarchy: the reference for the binned build.
+"""Exact sweep SAH build of a bounding volume hierarchy: the judge of the binned one.
 
-**Problem.** Bins approximate the best plane. An exact build is needed to measure what they lose.
+**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right leaves the area of every
+suffix, a sweep from the left tries all n - 1 partitions of each axis; the best one's sides are marked, and the three lists
+are partitioned in order, so that they stay sorted (Goldsmith and Salmon 1987 for the cost; the three sorted lists as in
+Pharr, Jakob and Humphreys 2016, section 4.3, are older than any of their descriptions).
 
-**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right computes the area of every
-suffix, and a sweep from the left evaluates all n - 1 partitions of each axis. The sides of the best one are marked, and the
-three lists are partitioned stably, so that they stay sorted. (The cost is that of Goldsmith and Salmon 1987.)
+Large nodes are split level by level, parallel over chunks of their lists (`sweep_levels`); the others are tasks, each of which
+builds a subtree depth first.
 
-**Data.** Three lists of triangle ids, sorted by centroid, and the areas of the suffixes of one list (`Workspace`).
+**Complexity.** O(N log N) for a balanced tree. The tree is the same for any number of threads, chunks and tasks.
 
-**Phases** of a node, in `build_by_sweep`: stop, `search`, `partition`, emit.
-
-**Complexity.** O(N log N) for a balanced tree. One thread.
-
-The build shares only the cost model, the stop rules and the collapse with the other builders.
+It shares the cost model, the stop rules and the collapse with the other builders, and nothing else.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
@@ -20,106 +18,68 @@ References:
         ACM Transactions on Graphics 26(1), 2007.
 """
 
-from time import perf_counter
-
-import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area, middle, must_halve, price_of_areas
+from wrt.builders.bvh.phases.binary_tree import (
+    LEAF,
+    BinaryTree,
+    Frame,
+    empty_tree,
+    half_area,
+    middle,
+    must_halve,
+    price_of_areas,
+)
 from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse
 from wrt.builders.bvh.phases.reinsertion import find_places, reinsert
+from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
+from wrt.builders.bvh.phases.sweep_lists import (
+    Partition,
+    SweepLists,
+    area_of,
+    emit_keys,
+    empty_box,
+    grown,
+    mark_sides,
+    sorted_lists,
+    store_box,
+)
 from wrt.builders.cost import leaf_cost
-from wrt.builders.tree import BuildStats, Bvh
-from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.builders.tree import Bvh, Phases
+from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
-from wrt.kernels.runtime.launch import launch, load
-from wrt.kernels.simd.boxes import INFINITY, greatest, least
+from wrt.kernels.runtime.launch import get_num_threads, launch, load
+from wrt.kernels.simd.boxes import INFINITY
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 STACK = MAX_WIDE_DEPTH + 1
 
+TASKS_PER_THREAD = 2
+"""A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
 
-@wp.struct
-class Waiting:
-    """A node that is not built yet."""
-
-    node: int
-    first: int
-    count: int
-    depth: int
-
-
-@wp.struct
-class Workspace:
-    """Memory of the build."""
-
-    sorted: wp.array2d(dtype=int)
-    """(3, triangles) ids by centroid along each axis, then by id. The lists of a node are the same range of each row."""
-    spare: wp.array(dtype=int)
-    """(triangles,) the right side of a list while it is partitioned."""
-    on_left: wp.array(dtype=wp.uint8)
-    """(triangles,) 1 for triangles on the left of the chosen partition."""
-    suffix: wp.array(dtype=float)
-    """(triangles,) half areas of the boxes of all triangles from each position to the end of the node's list."""
-    stack: wp.array(dtype=Waiting)
-
-
-@wp.struct
-class Partition:
-    """The best partition found."""
-
-    price: float
-    axis: int
-    left: int
-    """Triangles on the left."""
+LEAST_LARGE = 4096
+"""Triangles below which a node is not worth more than one thread."""
 
 
 @wp.func
-def area_of(low: wp.vec3, high: wp.vec3):
-    """Half the surface area of a box."""
-    size = high - low
-    return size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
-
-
-@wp.func
-def triangle_low(boxes: Boxes, triangle: int):
-    """Lower corner of a triangle's box."""
-    return wp.vec3(boxes.low[0, triangle], boxes.low[1, triangle], boxes.low[2, triangle])
-
-
-@wp.func
-def triangle_high(boxes: Boxes, triangle: int):
-    """Upper corner of a triangle's box."""
-    return wp.vec3(boxes.high[0, triangle], boxes.high[1, triangle], boxes.high[2, triangle])
-
-
-@wp.func
-def search(rules: BuildRules, boxes: Boxes, work: Workspace, item: Waiting):
+def search(rules: BuildRules, lists: SweepLists, frame: Frame):
     """The partition of least cost; ties go to the smaller axis, then to the smaller left side."""
     best = Partition()
     best.price = INFINITY
     for axis in range(3):
-        low = wp.vec3(INFINITY, INFINITY, INFINITY)
-        high = -low
-        for k in range(item.count - 1):
-            i = item.first + item.count - 1 - k
-            triangle = work.sorted[axis, i]
-            low = least(low, triangle_low(boxes, triangle))
-            high = greatest(high, triangle_high(boxes, triangle))
-            work.suffix[i] = area_of(low, high)
-        low = wp.vec3(INFINITY, INFINITY, INFINITY)
-        high = -low
-        for left in range(1, item.count):
-            triangle = work.sorted[axis, item.first + left - 1]
-            low = least(low, triangle_low(boxes, triangle))
-            high = greatest(high, triangle_high(boxes, triangle))
+        box = empty_box()
+        for k in range(frame.count - 1):
+            i = frame.first + frame.count - 1 - k
+            box = grown(box, lists, lists.sorted[axis, frame.buffer + i])
+            lists.suffix[axis, i] = area_of(box)
+        box = empty_box()
+        for left in range(1, frame.count):
+            i = frame.first + left
+            box = grown(box, lists, lists.sorted[axis, frame.buffer + i - 1])
             price = price_of_areas(
-                area_of(low, high),
-                leaf_cost(rules.cost, left),
-                work.suffix[item.first + left],
-                leaf_cost(rules.cost, item.count - left),
+                area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
             )
             if price < best.price:
                 best.price = price
@@ -129,113 +89,110 @@ def search(rules: BuildRules, boxes: Boxes, work: Workspace, item: Waiting):
 
 
 @wp.func
-def partition(work: Workspace, item: Waiting, best: Partition):
+def partition(lists: SweepLists, frame: Frame, best: Partition):
     """Partitions the three lists of a node stably."""
-    for i in range(item.first, item.first + item.count):
-        work.on_left[work.sorted[best.axis, i]] = wp.where(i < item.first + best.left, wp.uint8(1), wp.uint8(0))
+    mark_sides(lists, frame, best, frame.first, frame.first + frame.count)
     for axis in range(3):
-        left = int(item.first)
+        left = frame.buffer + frame.first
         right = int(0)
-        for i in range(item.first, item.first + item.count):
-            triangle = work.sorted[axis, i]
-            if work.on_left[triangle] == wp.uint8(1):
-                work.sorted[axis, left] = triangle
+        for i in range(frame.buffer + frame.first, frame.buffer + frame.first + frame.count):
+            triangle = lists.sorted[axis, i]
+            if lists.on_left[triangle] == wp.uint8(1):
+                lists.sorted[axis, left] = triangle
                 left += 1
             else:
-                work.spare[right] = triangle
+                lists.spare[frame.first + right] = triangle
                 right += 1
         for i in range(right):
-            work.sorted[axis, left + i] = work.spare[i]
+            lists.sorted[axis, left + i] = lists.spare[frame.first + i]
 
 
 @wp.func
-def write_box(boxes: Boxes, work: Workspace, item: Waiting, tree: BinaryTree):
+def write_box(lists: SweepLists, frame: Frame, tree: BinaryTree):
     """Writes the box of a node's triangles."""
-    low = wp.vec3(INFINITY, INFINITY, INFINITY)
-    high = -low
-    for i in range(item.first, item.first + item.count):
-        low = least(low, triangle_low(boxes, work.sorted[0, i]))
-        high = greatest(high, triangle_high(boxes, work.sorted[0, i]))
-    for axis in range(3):
-        tree.box[item.node * 8 + axis] = low[axis]
-        tree.box[item.node * 8 + 4 + axis] = -high[axis]
+    box = empty_box()
+    for i in range(frame.first, frame.first + frame.count):
+        box = grown(box, lists, lists.sorted[0, frame.buffer + i])
+    store_box(tree.box, frame.node, box)
 
 
 @wp.kernel
 def build_by_sweep(
-    first: int, rules: BuildRules, boxes: Boxes, work: Workspace, tree: BinaryTree, subtrees: wp.array(dtype=wp.vec2i)
+    first: int,
+    rules: BuildRules,
+    lists: SweepLists,
+    tasks: wp.array(dtype=Frame),
+    stack: wp.array2d(dtype=Frame),
+    tree: BinaryTree,
+    subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """One item. subtrees: (1,) range of the pairs made."""
-    next_pair = int(1)
-    item = Waiting()
-    item.count = work.sorted.shape[1]
+    """Item: a task. stack: (tasks, STACK). subtrees: (tasks,) the pairs made."""
+    number = first + wp.tid()
+    frame = tasks[number]
+    begin = frame.first + 1
+    next_pair = frame.first + 1
     waiting = int(0)
     building = bool(True)
     while building:
         # stop, search
-        write_box(boxes, work, item, tree)
-        tree.range[item.node] = wp.vec2i(item.first, item.count)
-        area = half_area(tree.box, item.node)
+        write_box(lists, frame, tree)
+        tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
+        area = half_area(tree.box, frame.node)
         best = Partition()
         best.price = INFINITY
-        split = item.count > rules.grain
-        if split and area > 0.0 and not must_halve(item.depth, item.count):
-            best = search(rules, boxes, work, item)
+        split = frame.count > rules.grain
+        if split and area > 0.0 and not must_halve(frame.depth, frame.count):
+            best = search(rules, lists, frame)
         if not split:
             # emit
-            tree.pair[item.node] = LEAF
-            for i in range(item.first, item.first + item.count):
-                tree.order[i] = work.sorted[0, i]
+            tree.pair[frame.node] = LEAF
+            for i in range(frame.first, frame.first + frame.count):
+                tree.order[i] = lists.sorted[0, frame.buffer + i]
             waiting -= 1
             building = waiting >= 0
             if building:
-                item = work.stack[waiting]
+                frame = stack[number, waiting]
         else:
             # partition
             if best.price == INFINITY:
-                best.left = middle(item.count, rules.cost.width_bits)
-            partition(work, item, best)
-            tree.pair[item.node] = next_pair
-            right = item
+                best.left = middle(frame.count, rules.cost.width_bits)
+            partition(lists, frame, best)
+            tree.pair[frame.node] = next_pair
+            right = frame
             right.node = 2 * next_pair + 1
             right.first += best.left
             right.count -= best.left
             right.depth += 1
-            work.stack[waiting] = right
+            stack[number, waiting] = right
             waiting += 1
-            item.node = 2 * next_pair
-            item.count = best.left
-            item.depth += 1
+            frame.node = 2 * next_pair
+            frame.count = best.left
+            frame.depth += 1
             next_pair += 1
-    subtrees[0] = wp.vec2i(1, next_pair)
+    subtrees[number] = wp.vec2i(begin, next_pair)
 
 
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
-    """Builds the tree on the device that holds the boxes, in one thread."""
-    device, count = triangles.boxes.low.device, triangles.count
-    load([build_by_sweep, find_places], device)
-    stats = BuildStats()
-    start = perf_counter()
-    centroids = triangles.boxes.low.numpy() + triangles.boxes.high.numpy()
-    work = Workspace()
-    work.sorted = wp.array(np.argsort(centroids, axis=1, kind="stable"), dtype=int, device=device)
-    work.spare = wp.empty(count, dtype=int, device=device)
-    work.on_left = wp.empty(count, dtype=wp.uint8, device=device)
-    work.suffix = wp.empty(count, dtype=float, device=device)
-    work.stack = wp.empty(STACK, dtype=Waiting, device=device)
+    """Builds the tree on the device that holds the boxes."""
+    device, count, rules = triangles.boxes.low.device, triangles.count, config.struct()
+    load([emit_keys, bound_chunks, build_by_sweep, find_places], device)
+    phase, threads = Phases(device), get_num_threads()
+    large = max(LEAST_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
     tree = empty_tree(count, device)
-    subtrees = wp.empty(1, dtype=wp.vec2i, device=device)
-    launch(build_by_sweep, 1, [config.struct(), triangles.boxes, work, tree, subtrees], device=device)
-    wp.synchronize_device(device)
-    stats.seconds["sweep"] = perf_counter() - start
-    binary = BinaryBuild(tree, subtrees, None, wp.empty(16 * count, dtype=float, device=device))
+    with phase("sort"):
+        lists = sorted_lists(triangles)
+    with phase("top levels"):
+        frames, top = split_top(rules, lists, tree, large)
+    with phase("subtrees"):
+        tasks = wp.array(frames, dtype=Frame, device=device)
+        stack = wp.empty((len(tasks), STACK), dtype=Frame, device=device)
+        subtrees = wp.empty(len(tasks), dtype=wp.vec2i, device=device)
+        inputs = [rules, lists, tasks, stack, tree, subtrees]
+        launch(build_by_sweep, len(tasks), inputs, device=device, chunk=1, chunks_per_thread=len(tasks))
+    above = wp.array(top, dtype=int, device=device) if len(top) else None
+    binary = BinaryBuild(tree, subtrees, above, wp.empty(16 * count, dtype=float, device=device))
     if config.reinsertion:
-        start = perf_counter()
-        binary = reinsert(binary, count, config, stats)
-        wp.synchronize_device(device)
-        stats.seconds["reinsertion"] = perf_counter() - start
-    start = perf_counter()
-    result = collapse(binary, triangles, config, stats)
-    wp.synchronize_device(device)
-    stats.seconds["collapse"] = perf_counter() - start
-    return result
+        with phase("reinsertion"):
+            binary = reinsert(binary, count, config, phase.stats)
+    with phase("collapse"):
+        return collapse(binary, triangles, config, phase.stats)

@@ -103,6 +103,41 @@ class AreaLists:
             self.bytes += len(key)
         return self._numbers[key]
 
+    def numbers(self, cells: Cells, chosen: np.ndarray) -> np.ndarray:
+        """The numbers of the lists of a slice of cells: few cells have a list that none before them has."""
+        sizes = np.diff(cells.begin)[chosen]
+        ends = np.cumsum(sizes)
+        areas = cells.area[np.repeat(cells.begin[:-1][chosen] - (ends - sizes), sizes) + np.arange(sizes.sum())]
+        first, inverse = first_of_equal_lists(areas, ends - sizes, sizes)
+        numbers = np.empty(len(first), dtype=np.int32)
+        for one in np.argsort(first):
+            numbers[one] = self.number(areas[ends[first[one]] - sizes[first[one]] : ends[first[one]]])
+        return numbers[inverse]
+
+
+def first_of_equal_lists(values: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of N lists, one after the other in `values`, of ascending integers from 0 on: the first of each group of equal ones, and
+    each list's group.
+
+    Lists of the same hash are compared; if any two of them differ, each list is a group of its own.
+    """
+    hashes = np.append(np.uint64(0), np.cumsum(hash64(np.arange(values.max(initial=0) + 1))[values]))  # modulo 2^64
+    _, first, inverse = np.unique(hashes[begin + sizes] - hashes[begin], return_index=True, return_inverse=True)
+    same = first[inverse]
+    if (sizes == sizes[same]).all() and (
+        values == values[np.repeat(begin[same] - begin, sizes) + np.arange(len(values))]
+    ).all():
+        return first, inverse
+    return np.arange(len(begin)), np.arange(len(begin))
+
+
+def hash64(values: np.ndarray) -> np.ndarray:
+    """uint64 hashes of integers (Steele, Lea, Flood: Fast splittable pseudorandom number generators, OOPSLA 2014)."""
+    z = (values.astype(np.uint64) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
 
 def build_octree(
     structs: Sequence[Region], low: np.ndarray, high: np.ndarray, depth: int
@@ -128,8 +163,8 @@ def build_octree(
         divided = cells.is_mixed & (level < depth)
         words = np.empty(len(cells), dtype=np.int32)
         words[divided] = total + 8 * np.arange(divided.sum())
-        for cell in np.flatnonzero(~divided):
-            words[cell] = ~lists.number(cells.area[cells.begin[cell] : cells.begin[cell + 1]])
+        leaves = slices(np.flatnonzero(~divided), np.diff(cells.begin))
+        words[~divided] = ~np.concatenate([lists.numbers(cells, chosen) for chosen in leaves])
         levels.append(words)
         total += 8 * int(divided.sum())
         if not divided.any():

@@ -1,29 +1,22 @@
-"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark and Stoll 2006).
+"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark, Stoll 2006; survey, section 4.2).
 
-**Problem.** Evaluating the cost at every end of every box is expensive, and a few evenly spaced samples miss its steps.
+**Problem.** The cost along an axis is known exactly only at every end of every box; a few evenly spaced samples miss its steps.
 
-**Algorithm.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. A first scan of the node
-takes 8 evenly spaced samples per axis. C_L - C_R increases from -n to n, and 8 more samples go where it increases most: of 8
-levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the samples of a segment
-divide it evenly. A second scan counts at all 16 samples. Between two samples C_L and C_R are interpolated linearly. The areas
-of both sides are linear too, so the cost is a quadratic, whose minimum is tried along with the samples. Nodes of at most 36
-triangles are searched exactly (`exact_planes`). One thread.
+**Algorithm.** Let C_L and C_R be the triangles to the left and to the right of a plane. A first scan of the node takes 8 evenly
+spaced samples an axis. C_L - C_R climbs from -n to n; 8 more samples go where it climbs most: of 8 levels evenly spaced from
+-n to n, each gives one sample to the segment in which it is crossed, and the samples of a segment divide it evenly. A second
+scan counts at all 16. Between two samples C_L and C_R are taken as linear; the areas of both sides are, so the cost is a
+quadratic, whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
 
-**Data.** One list of references per node (`reference_lists`).
+**Complexity.** O(N) a level: two scans, the second of which compares with 16 planes at a time.
 
-**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search`, which calls `place_samples`,
-`count_samples` and `search_axis` for each axis. Classify and partition: `reference_lists.divide`, one pass
-over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for inner nodes.
-
-**Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
-
-**What we changed.** The samples divide the box of a node's triangles, not the node's own box, so its faces, which cut off empty
-space, are candidate planes too. The quadratic ignores that leaves are counted in blocks; the cost of its minimum does not.
+**What we changed.** The samples divide the box of a node's triangles instead of the node's own, so its faces, which cut off
+empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the price of its minimum does not.
 
 References:
     W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 import warp as wp
@@ -34,8 +27,7 @@ from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, place
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scan_method import scanning
-from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -163,18 +155,15 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     best = no_split()
     for axis in range(3):
         place_samples(lists, number, frame, axis)
-        # the first scan's counts of later axes are stored behind those of this axis and of earlier ones
+        # the first scan's counts of later axes lie behind those of this one and of earlier ones
         count_samples(lists, number, frame.first[0], frame.triangles, axis, 6 * bins)
         best = search_axis(cost, lists, number, frame, axis, 6 * bins, best)
     return best
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree on the device that holds the boxes, on a single thread."""
+    """Builds the tree on the device that holds the boxes."""
+    values = values_for(int(EXACT))
     return build_scanning(
-        triangles,
-        config,
-        one_task(
-            scanning(search, config.split_clipping), triangles.count, values_for(int(EXACT)), int(UNIFORM) + 1, 2 * int(SAMPLES)
-        ),
+        triangles, config, shared_out(search, triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES))
     )

@@ -41,8 +41,9 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases import in_place_levels as level_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode, Membership
+from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.phases.membership import Membership
 from wrt.builders.tree import KdTree, Phases, StopLimits
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import array_of_structs
@@ -67,9 +68,6 @@ SPARE_ROOM = 1.5
 LAUNCHED = 8
 """Chunks of items per thread: enough to balance the load, because claiming a chunk costs almost nothing."""
 
-TRIANGLES = 1 << 11
-"""Least number of triangles in a chunk of the classification."""
-
 EVENTS_PER_NODE = 256
 """Events of a chunk per live node; a chunk stores a few hundred bytes for each live node."""
 
@@ -82,7 +80,7 @@ KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    if config.split_clipping:  # the levels that clip must not depend on the number of threads
+    if config.split_clipping:  # which levels clip is not to depend on the threads
         return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
     tasks = TASKS_PER_THREAD * get_num_threads()
     return build_in_place(triangles, config, max(tasks, min(2 * tasks, LEAST_TASKS)))
@@ -107,7 +105,7 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: 
         spare *= 2.0
     with builder.phase("assemble"):
         nodes, primitive = assemble(builder.levels[:-1], room, results, config.cost.width)
-    boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.first, membership.node]
+    boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.node, membership.shared]
     work = [*arrays_of(lists), room.parts.nodes, room.parts.primitive]
     builder.phase.stats.reserve(*boxes, *work, nodes, primitive)
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
@@ -147,30 +145,30 @@ class InPlaceBuilder:
 
     def build_levels(self, events: Events, least_tasks: int) -> Membership:
         """Builds level after level until there are enough live nodes; returns the nodes that contain each triangle."""
-        count = self.triangles.count
         membership = Membership()
-        membership.first = wp.array(np.arange(count + 1, dtype=np.int32), dtype=int, device=self.device)
-        membership.node = wp.zeros(count, dtype=int, device=self.device)
+        membership.node = wp.zeros(self.triangles.count, dtype=int, device=self.device)
+        membership.shared = wp.empty(1, dtype=int, device=self.device)
         open_nodes = 1
         while 0 < open_nodes < least_tasks and len(self.levels) < MAX_LEVELS:
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(2, dtype=int, device=self.device)
             self.run(level_phase.new_generation, 1, self.live, children, counts)
-            total, open_nodes = map(int, counts.numpy())  # the only host round trip of a level
+            total, open_nodes = map(int, counts.numpy())
             membership = self.reclassify(membership)
             self.levels.append(self.live.numpy())
             self.live = children[:total]
-        self.levels.append(self.live.numpy())
         self.count_members(membership)
+        self.levels.append(self.live.numpy())
         return membership
 
     def count_members(self, membership: Membership) -> None:
         """Sets the triangle counts of the last level's nodes to the actual numbers, because what is copied to them must fit.
         The counts of a sweep may differ if there is NaN."""
-        last = self.levels[-1]
-        last["triangles"] = np.bincount(membership.node.numpy(), minlength=len(last))
-        self.live = wp.array(last, dtype=LiveNode, device=self.device)
+        chunks = -(-self.triangles.count // CHUNK)
+        self.members = wp.empty((chunks, len(self.live)), dtype=int, device=self.device)
+        self.run(fill_phase.count_task_triangles, chunks, self.triangles.count, membership, self.members)
+        self.run(fill_phase.total_triangles, len(self.live), self.members, self.live, chunk=64)
 
     def split_level(self, events: Events, membership: Membership) -> None:
         """Finds the split of every live node."""
@@ -188,16 +186,17 @@ class InPlaceBuilder:
 
     def reclassify(self, membership: Membership) -> Membership:
         """Computes the triangles' nodes on the next level."""
-        count = self.triangles.count
-        counts = wp.zeros(count + 1, dtype=int, device=self.device)
-        boxes = self.triangles.boxes
-        self.run(level_phase.count_members, count, boxes, self.live, membership, counts, chunk=TRIANGLES)
-        new = Membership()
-        new.first = wp.empty(count + 1, dtype=int, device=self.device)
-        wp.utils.array_scan(counts, new.first, inclusive=False)
-        new.node = wp.empty(int(new.first[-1:].numpy()[0]), dtype=int, device=self.device)
-        self.run(level_phase.fill_members, count, boxes, self.live, membership, new, chunk=TRIANGLES)
-        return new
+        count, boxes, device = self.triangles.count, self.triangles.boxes, self.device
+        chunks = -(-count // CHUNK)
+        counts = wp.empty(chunks, dtype=int, device=device)
+        refined = Membership()
+        refined.node = wp.empty(count, dtype=int, device=device)
+        self.run(level_phase.count_shared, chunks, count, boxes, self.live, membership, refined, counts)
+        room = counts.numpy()
+        places = wp.array(np.cumsum(room) - room, dtype=int, device=device)
+        refined.shared = wp.empty(max(1, int(room.sum())), dtype=int, device=device)
+        self.run(level_phase.refine_members, chunks, count, boxes, self.live, membership, refined, places)
+        return refined
 
     def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
         """Makes one task of each live node: its triangles, events and working memory. Also returns the roots of the tasks."""
@@ -215,9 +214,10 @@ class InPlaceBuilder:
         count, device = self.triangles.count, self.device
         chunks = -(-count // CHUNK)
         places = wp.empty((chunks, len(tasks)), dtype=int, device=device)
-        local = wp.empty(len(membership.node), dtype=int, device=device)
-        self.run(fill_phase.count_task_triangles, chunks, count, membership, places)
-        self.run(fill_phase.scan_task_triangles, len(tasks), tasks, places, chunk=64)
+        local = Membership()
+        local.node = wp.empty(count, dtype=int, device=device)
+        local.shared = wp.empty(len(membership.shared), dtype=int, device=device)
+        self.run(fill_phase.scan_task_triangles, len(tasks), tasks, self.members, places, chunk=64)
         self.run(fill_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, lists)
         chunks = cut_events(events, len(tasks))
         places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)

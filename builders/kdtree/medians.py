@@ -1,20 +1,12 @@
-"""Median splits: a node is halved in space or in number; the cost only decides when to stop (Fussell and Subramanian 1988).
+"""Median splits: a node is halved, in space or in number, and the cost only says when to stop (survey, chapter 4).
 
-**Problem.** A search for the cheapest plane takes most of the time of a build.
+**Algorithm.** The spatial median is the middle of the node's box along an axis; the object median is the plane with as many
+triangles on one side as on the other, here the median of the boxes' middles. The axis is the longest of the node, or x, y, z in
+turn (`KdTreeConfig.axis`): the longest was long thought the better one, and Wald (2004) found that it need not be. An axis
+on which no plane divides the node is passed over.
 
-**Algorithm.** The spatial median is the middle of the node's box along an axis. The object median is the plane with equally
-many triangles on both sides, here the median of the boxes' centres. The axis is the longest of the node, or x, y, z in turn
-(`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be. An axis on
-which no plane divides the node is skipped. One thread.
-
-**Data.** One list of references per node (`reference_lists`).
-
-**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search_space` or `search_objects`. Classify and partition:
-`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for
-inner nodes.
-
-**Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
-average, for the object median.
+**Complexity.** O(N) a level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N)
+on average, for the other.
 
 **What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
 (`wrt.builders.tree.StopRules`), so that trees differ by their planes alone.
@@ -23,7 +15,7 @@ References:
     D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
     C. A. R. Hoare: Algorithm 65: Find. Communications of the ACM 4(7), 1961.
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (chapter 4).
+    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
 """
 
 import warp as wp
@@ -32,8 +24,7 @@ from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides
-from wrt.builders.kdtree.scan.scan_method import scanning
-from wrt.builders.kdtree.scan.scanning import build_scanning, one_task
+from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_float
@@ -93,7 +84,7 @@ def select(lists: ReferenceLists, number: int, count: int, rank: int):
                 lists.value[number, j] = swapped
                 i += 1
                 j -= 1
-        # [begin, j] <= pivot <= [i, end], and all values between equal the pivot
+        # [begin, j] <= pivot <= [i, end], and what lies between is the pivot
         if rank <= j:
             end = j
         elif rank >= i:
@@ -126,12 +117,10 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
 
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree of spatial medians on the device that holds the boxes, on a single thread."""
-    return build_scanning(triangles, config, one_task(scanning(search_space, config.split_clipping), triangles.count, values=1))
+    """Builds the tree of spatial medians on the device that holds the boxes."""
+    return build_scanning(triangles, config, shared_out(search_space, triangles, config, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
-    """Builds the tree of object medians on the device that holds the boxes, on a single thread."""
-    return build_scanning(
-        triangles, config, one_task(scanning(search_objects, config.split_clipping), triangles.count, values=triangles.count)
-    )
+    """Builds the tree of object medians on the device that holds the boxes."""
+    return build_scanning(triangles, config, shared_out(search_objects, triangles, config, values=None))

@@ -36,8 +36,9 @@ def checked_vertices(vertices: Any) -> np.ndarray:
         raise ValueError(f"vertices must have shape (V, 3), got {array.shape}; reshape to one point a row")
     kept = array.dtype.type in (np.float32, np.float64)
     array = frozen(array.astype(array.dtype.type if kept else np.float64, copy=False))
-    finite = np.isfinite(array).all(axis=1)
-    if not finite.all():
+    each = np.isfinite(array)
+    if not each.all():
+        finite = each.all(axis=1)
         first = int(np.argmin(finite))
         raise ValueError(
             f"vertices must be finite: {int((~finite).sum())} of {len(array)} are NaN or infinite, the first is "

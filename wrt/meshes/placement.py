@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.layout.mesh_placement import relative_to
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.meshes.mesh import TriangleMesh
 
@@ -104,12 +105,6 @@ def _outlier(meshes: Sequence[TriangleMesh], middle: np.ndarray | None = None) -
     mesh = meshes[number]
     label = f" ({mesh.name!r})" if mesh.name else ""
     return f"vertex {vertex} of mesh {number}{label}, {mesh.vertices[vertex].tolist()},"
-
-
-def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(V, 3) float32: vertices relative to a point. Vertices that no triangle uses may become infinite."""
-    with np.errstate(over="ignore"):
-        return (vertices - center).astype(np.float32)
 
 
 def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:

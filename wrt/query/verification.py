@@ -29,6 +29,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wrt.execution.query_kinds import ANY, CLOSEST, Query
+from wrt.kernels.query.nearest64 import corner_rows, nearest_hits
+from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
 from wrt.rays.rays import Rays
@@ -174,7 +176,8 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     parts = [make(rng, vertices[faces], size) for make, size in zip(KINDS.values(), sizes, strict=True)]
     origins, directions = (np.concatenate(values).astype(np.float32) for values in zip(*parts, strict=True))
     origins, directions = origins.astype(np.float64), directions.astype(np.float64)
-    check = Check(scene, vertices, faces, origins, directions)
+    with use_threads(scene.num_threads):
+        check = Check(scene, vertices, faces, origins, directions)
     kind_of = np.repeat(np.arange(len(KINDS)), sizes)
 
     def by_kind(marked: np.ndarray) -> dict[str, int]:
@@ -214,7 +217,8 @@ class Check:
         hits = closest_hits(scene, rays, Query(CLOSEST))
         occluded = ray_values(scene, rays, Query(ANY), "occluded")
         self.primitive, self.t = hits.batch.primitive.numpy(), hits.t.astype(np.float64)
-        self.expected, self.t_expected = nearest64(vertices, faces, origins, directions)
+        self.corners = corner_rows(vertices, faces)
+        self.expected, self.t_expected = nearest_hits(self.corners, origins, directions)
         low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
         self.tolerance = TOLERANCE * np.maximum(np.abs(low - origins), np.abs(high - origins)).max(axis=1)
         self.lengths = np.linalg.norm(directions, axis=1)
@@ -262,7 +266,7 @@ class Check:
         angles = np.arange(8) * (np.pi / 4)
         around = np.cos(angles)[:, None] * across + np.sin(angles)[:, None] * np.cross(direction, across)
         origins = self.origins[ray] + 2.0 * self.tolerance[ray] * around
-        _, found = nearest64(self.vertices, self.faces, origins, np.tile(self.directions[ray], (8, 1)))
+        _, found = nearest_hits(self.corners, origins, np.tile(self.directions[ray], (8, 1)))
         return bool((found * self.lengths[ray] < t * self.lengths[ray] - self.t_tolerance[ray]).all())
 
     def t_error(self) -> float:
@@ -287,28 +291,7 @@ def nearest64(
     vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nearest hits at t >= 0 by brute force in float64, edges included: ((N,) triangle or -1, (N,) t or inf)."""
-    triangle, t = np.full(len(origins), -1), np.full(len(origins), np.inf)
-    columns, corners = np.ascontiguousarray(vertices.T), np.ascontiguousarray(faces.T)
-    for ray, (origin, direction) in enumerate(zip(origins, directions, strict=True)):
-        z = int(np.abs(direction).argmax())
-        if not 0.0 < abs(direction[z]) < np.inf:
-            continue
-        x, y = (z + 1) % 3, (z + 2) % 3
-        depth = (columns[z] - origin[z]) / direction[z]
-        px = (columns[x] - origin[x]) - direction[x] * depth
-        py = (columns[y] - origin[y]) - direction[y] * depth
-        # seen along the ray: a triangle all of whose corners are on one side of an axis through 0 does not hold 0
-        side = (px > 0) + 2 * (px < 0) + 4 * (py > 0) + 8 * (py < 0).astype(np.uint8)
-        chosen = np.flatnonzero((side[corners[0]] & side[corners[1]] & side[corners[2]]) == 0)
-        qx, qy, along = (values[corners[:, chosen]] for values in (px, py, depth))
-        areas = np.stack([qx[i] * qy[j] - qy[i] * qx[j] for i, j in ((1, 2), (2, 0), (0, 1))])
-        total = areas.sum(axis=0)
-        inside = ((areas >= 0).all(axis=0) | (areas <= 0).all(axis=0)) & (total != 0)
-        at = (areas[:, inside] * along[:, inside]).sum(axis=0) / total[inside]
-        at[at < 0] = np.inf
-        if at.min(initial=np.inf) < np.inf:
-            t[ray], triangle[ray] = at.min(), chosen[inside][at.argmin()]
-    return triangle, t
+    return nearest_hits(corner_rows(vertices, faces), origins, directions)
 
 
 # -- rays --------------------------------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.execution.query_kinds import AUTO
 from wrt.execution.scene_state import Settings, new_mark
+from wrt.kernels.layout.mesh_placement import relative_to
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes, relative_to
+from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene, as_settings
 
@@ -286,5 +287,5 @@ def as_maps(transforms: Any, frames: int) -> tuple[np.ndarray, np.ndarray]:
 
 def triangle_corners(mesh: TriangleMesh, center: np.ndarray) -> np.ndarray:
     """(2, T, 3) float32: the corners of the triangles' boxes, rounded as in a `Scene`."""
-    points = relative_to(center, mesh.vertices)[mesh.faces]
-    return np.array([points.min(axis=1), points.max(axis=1)])
+    a, b, c = relative_to(center, mesh.vertices)[mesh.faces.T]
+    return np.array([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)])

@@ -104,9 +104,5 @@ def sorted_events(triangles: TriangleBoxes) -> Events:
     events.value = wp.empty((3, 4 * count), dtype=int, device=device)
     events.count = wp.vec3i(*(int(2 * count - n) for n in total))
     launch(emit_events, chunks, [boxes, count, before, wp.vec3i(*map(int, total)), events], device=device, chunk=1)
-    if device.is_cpu:
-        sort_rows(events.position, events.value, events.count)
-    else:
-        for axis in range(3):
-            wp.utils.radix_sort_pairs(events.position[axis], events.value[axis], int(events.count[axis]))
+    sort_rows(events.position, events.value, events.count)
     return events

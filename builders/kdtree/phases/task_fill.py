@@ -10,35 +10,47 @@ import warp as wp
 
 from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import CHUNK, Events, event_position, event_value
-from wrt.builders.kdtree.phases.in_place_levels import LiveNode, Membership
+from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
-from wrt.kernels.layout.unchecked import load_int, store_pair
+from wrt.builders.kdtree.phases.membership import Membership, member, member_count
+from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
 def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
-    """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, tasks)."""
+    """Item: a chunk of triangles. counts: (chunks, live nodes)."""
     chunk = first + wp.tid()
     row = counts[chunk]
     for task in range(counts.shape[1]):
         row[task] = 0
-    begin = chunk * CHUNK
-    end = wp.min(triangles, begin + CHUNK)
-    for m in range(membership.first[begin], membership.first[end]):
-        row[load_int(membership.node, m)] += 1
+    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
+        own = load_int(membership.node, triangle)
+        for m in range(member_count(membership, own)):
+            row[member(membership, own, m)] += 1
 
 
 @wp.kernel
-def scan_task_triangles(first: int, tasks: wp.array(dtype=Task), counts: wp.array2d(dtype=int)):
+def total_triangles(first: int, counts: wp.array2d(dtype=int), live: wp.array(dtype=LiveNode)):
+    """Item: a live node. Has it hold as many triangles as there are in it, by the counts of all chunks."""
+    index = first + wp.tid()
+    total = int(0)
+    for chunk in range(counts.shape[0]):
+        total += counts[chunk, index]
+    node = live[index]
+    node.triangles = total
+    live[index] = node
+
+
+@wp.kernel
+def scan_task_triangles(first: int, tasks: wp.array(dtype=Task), counts: wp.array2d(dtype=int), places: wp.array2d(dtype=int)):
     """Item: a task. Turns counts of chunks into positions in `EventLists.triangle`."""
     task = first + wp.tid()
     place = tasks[task].triangles_first
     for chunk in range(counts.shape[0]):
-        count = counts[chunk, task]
-        counts[chunk, task] = place
-        place += count
+        places[chunk, task] = place
+        place += counts[chunk, task]
 
 
 @wp.kernel
@@ -48,19 +60,33 @@ def fill_task_triangles(
     membership: Membership,
     tasks: wp.array(dtype=Task),
     places: wp.array2d(dtype=int),
-    local: wp.array(dtype=int),
+    local: Membership,
     lists: EventLists,
 ):
-    """Item: a chunk of triangles. Copies their ids. local: the triangle's index within the task, for each membership."""
+    """Item: a chunk of triangles. local: the triangles' indices within their tasks, where `membership` has the tasks; it has no
+    entries of its own in `Membership.shared` for how many there are."""
     chunk = first + wp.tid()
     row = places[chunk]
     for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
-        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
-            task = load_int(membership.node, m)
+        own = load_int(membership.node, triangle)
+        for m in range(member_count(membership, own)):
+            task = member(membership, own, m)
             place = row[task]
             row[task] = place + 1
             lists.triangle[place] = triangle
-            local[m] = place - tasks[task].triangles_first
+            index = place - tasks[task].triangles_first
+            if own >= 0:
+                store_int(local.node, triangle, index)
+            else:
+                store_int(local.shared, ~own + 1 + m, index)
+
+
+@wp.func
+def local_index(local: Membership, own: int, triangle: int, number: int):
+    """What `fill_task_triangles` wrote of a triangle in one of its tasks; own: its node in `membership`."""
+    if own >= 0:
+        return load_int(local.node, triangle)
+    return load_int(local.shared, ~own + 1 + number)
 
 
 @wp.kernel
@@ -73,9 +99,9 @@ def count_task_events(first: int, events: Events, membership: Membership, counts
     for task in range(counts.shape[2]):
         row[task] = 0
     for i in range(chunk * events.chunk, wp.min(events.count[axis], (chunk + 1) * events.chunk)):
-        triangle = event_value(events, axis, i) >> 2
-        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
-            row[load_int(membership.node, m)] += 1
+        own = load_int(membership.node, event_value(events, axis, i) >> 2)
+        for m in range(member_count(membership, own)):
+            row[member(membership, own, m)] += 1
 
 
 @wp.kernel
@@ -102,7 +128,7 @@ def fill_task_events(
     first: int,
     events: Events,
     membership: Membership,
-    local: wp.array(dtype=int),
+    local: Membership,
     places: wp.array3d(dtype=int),
     lists: EventLists,
 ):
@@ -115,11 +141,13 @@ def fill_task_events(
         position = event_position(events, axis, i)
         value = event_value(events, axis, i)
         triangle = value >> 2
-        for m in range(load_int(membership.first, triangle), load_int(membership.first, triangle + 1)):
-            task = load_int(membership.node, m)
+        own = load_int(membership.node, triangle)
+        for m in range(member_count(membership, own)):
+            task = member(membership, own, m)
             place = row[task]
             row[task] = place + 1
-            store_pair(lists.event, place, wp.vec2i(wp.cast(position, wp.int32), (load_int(local, m) << 2) | (value & 3)))
+            index = local_index(local, own, triangle, m)
+            store_pair(lists.event, place, wp.vec2i(wp.cast(position, wp.int32), (index << 2) | (value & 3)))
 
 
 @wp.kernel

@@ -1,20 +1,24 @@
-"""The top levels of a build that scans references: all large nodes of a level at once, parallel over chunks of references.
+"""The top of a build that scans references: all large nodes of a level at once, parallel over chunks of their references.
 
     search      every chunk bins its references (`bins`); every node merges the bins of its chunks, and stops or splits
-    classify    every chunk counts its references on both sides of its node's plane, and computes their boxes
-    emit        the host lists the children and computes the write positions of the chunks; the only host round trip of a level
+    classify    every chunk counts its references on both sides of its node's plane, and finds their boxes
+    emit        the host lists the children, and says where each chunk has to write; this is the one round trip of a level
     partition   every chunk moves its references to the next level's buffer, in order
 
-A node that is small enough, or is a leaf, waits for the end of the levels; its references are copied unchanged. Counts and
-minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same split as in a
-task.
+A builder may search in another way than by bins (`make_decide`): then every node is searched by one thread.
+
+A node that is small enough, or that stays a leaf, waits for the end of the levels; its references move along unchanged. Counts
+and minima are the same in any grouping, so neither chunks nor threads show in the result, and a node gets the split that a
+task would give it.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
         scenes. Computer Graphics Forum 26(3), 2007.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import warp as wp
@@ -154,6 +158,27 @@ def decide(
         nodes[index] = node
 
 
+@cache
+def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
+    """The kernel whose item is a live node, and which searches it as a task does; search: as of `subtrees.Method`."""
+
+    def decide_by_search(
+        first: int, cost: SplitCost, limits: StopLimits, memory: memory_type, nodes: wp.array(dtype=LiveRange)
+    ):
+        index = first + wp.tid()
+        node = nodes[index]
+        if not node.finished:
+            node.split = search(cost, memory, index, node.frame)
+            frame = node.frame
+            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+            node.finished = below.bad_splits < 0
+            if below.bad_splits >= 0:
+                node.frame.path = below
+            nodes[index] = node
+
+    return wp.kernel(decide_by_search, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
 @wp.kernel
 def measure_chunks(
     first: int,
@@ -218,8 +243,12 @@ class TopLevels:
     references: wp.array
 
 
-def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> TopLevels:
-    """Makes the references and splits large nodes until there are none."""
+Decide = Callable[[np.ndarray, wp.array, wp.array, wp.array], None]
+"""(nodes of the level, the same and their chunks on the device, their references): finds splits, and stops or splits."""
+
+
+def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules, decide: Decide | None = None) -> TopLevels:
+    """Makes the references and splits large nodes until there are none; decide: None for a search by bins."""
     count, device = triangles.count, triangles.boxes.low.device
     references = wp.empty(8 * count, dtype=float, device=device)
     inputs = [triangles.boxes, count, CHUNK, references]
@@ -227,7 +256,7 @@ def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules)
     nodes = root_level(triangles, rules)
     levels = []
     while not nodes["finished"].all():
-        nodes, children, references = split_level(nodes, references, config, triangles, rules)
+        nodes, children, references = split_level(nodes, references, decide or binning(triangles, config, rules), rules.large)
         levels.append(nodes)
         nodes = children
     return TopLevels([*levels, nodes], references)
@@ -246,25 +275,34 @@ def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
     return nodes
 
 
-def split_level(
-    nodes: np.ndarray, references: wp.array, config: KdTreeConfig, triangles: TriangleBoxes, rules: LevelRules
-) -> tuple[np.ndarray, np.ndarray, wp.array]:
+def binning(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> Decide:
+    """A search by bins, in parallel over chunks."""
+
+    def search(nodes: np.ndarray, live: wp.array, parts: wp.array, references: wp.array) -> None:
+        device, slots = references.device, len(parts)
+        counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
+        sampling = [rules.bins, rules.sampled]
+        inputs = [*sampling, references, live, parts, counter]
+        launch(bin_chunks, slots, inputs, device=device, chunk=1, chunks_per_thread=EVEN)
+        rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
+        launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, PLANES // rules.bins))
+
+    return search
+
+
+def split_level(nodes: np.ndarray, references: wp.array, decide: Decide, large: int) -> tuple[np.ndarray, np.ndarray, wp.array]:
     """Splits one level; returns its nodes with their splits, the next level's nodes, and their references."""
     device = references.device
     chunks = cut_chunks(nodes)
     slots = len(chunks)
     live = wp.array(nodes, dtype=LiveRange, device=device)
     parts = wp.array(chunks, dtype=Chunk, device=device)
-    counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
     measured = wp.empty(slots, dtype=Sides, device=device)
-    sampling = [rules.bins, rules.sampled]
     even = {"device": device, "chunk": 1, "chunks_per_thread": EVEN}
-    launch(bin_chunks, slots, [*sampling, references, live, parts, counter], **even)
-    rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
-    launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, PLANES // rules.bins))
+    decide(nodes, live, parts, references)
     launch(measure_chunks, slots, [references, live, parts, measured], **even)
     nodes, sides = live.numpy(), measured.numpy()
-    children = next_level(nodes, sides, rules.large)
+    children = next_level(nodes, sides, large)
     place_chunks(chunks, nodes, children, sides)
     target = wp.empty(8 * int(children["frame"]["count"][:, 0].sum()), dtype=float, device=device)
     parts = wp.array(chunks, dtype=Chunk, device=device)

@@ -1,11 +1,12 @@
-"""A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
+"""A build that scans references: top levels by all threads together, then a pool of tasks, one a subtree.
 
-This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `subtrees` builds the
-others with the builder's own search, and `assembly` combines the parts. A builder without parallel levels makes the whole tree
-one task, and runs on one thread.
+What is common to the builders that search by scanning: `reference_levels` splits large nodes, `subtrees` builds the others with
+the builder's own search, `assembly` puts the parts together. A search that is not cut into chunks is the work of one thread for
+each large node, whose list all threads divide then (`shared_out`): two threads wait for each other at the root's search alone.
 """
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -14,18 +15,29 @@ from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
+from wrt.builders.kdtree.scan.reference_levels import Decide, LevelRules, TopLevels, bin_chunks, make_decide, split_top
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
-from wrt.kernels.runtime.launch import launch, load, specialise
+from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 SPARE_ROOM = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
+
+
+LEAST_VALUES = 16
+"""Floats that a search may write down in any node."""
+
+TASKS_PER_THREAD = 2
+"""A node of more than its share of triangles, if there were so many tasks a thread, is split before there are tasks."""
+
+LEAST_LARGE = 1 << 13
+"""Triangles below which a node is not worth more than one thread."""
 
 
 @wp.kernel
@@ -44,24 +56,33 @@ def copy_lists(
 
 @dataclass(frozen=True)
 class Scan:
-    """The builder-specific part of a scanning build.
+    """What a builder that scans supplies.
 
     Attributes:
         method: how subtrees are built.
         levels: how the top is split.
-        values: floats that a search in a node of the largest task writes.
-        counters: counters that it needs in addition to those of the bins.
+        values: floats that a search in a node writes down; None for as many as it has triangles, but at least LEAST_VALUES.
+        counters: counters that it needs behind those of the bins.
+        search: the method's, where large nodes are searched by it too; None for bins.
     """
 
     method: Method
     levels: LevelRules
-    values: int
+    values: int | None
     counters: int = 0
+    search: wp.Function | None = None
 
 
-def one_task(method: Method, triangles: int, values: int, bins: int = 1, counters: int = 0) -> Scan:
-    """A build on one thread: the whole tree is one task."""
-    return Scan(method, LevelRules(large=triangles, bins=bins, sampled=0), values, counters)
+def shared_out(
+    search: wp.Function, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
+) -> Scan:
+    """A build that searches nodes of all sizes in the same way; values, bins, counters: as of `Scan`.
+
+    Only tasks clip: where that is asked for, the whole tree is one task, lest the number of threads show in the result."""
+    threads, large = get_num_threads(), triangles.count
+    if threads > 1 and not config.split_clipping:
+        large = max(LEAST_LARGE, large // (TASKS_PER_THREAD * threads))
+    return Scan(scanning(search, config.split_clipping), LevelRules(large, bins, sampled=0), values, counters, search)
 
 
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
@@ -69,7 +90,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     phase = Phases(triangles.boxes.low.device)
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
-        top = split_top(triangles, config, scan.levels)
+        top = split_top(triangles, config, scan.levels, searching(triangles, config, scan))
     spare = SPARE_ROOM
     while True:
         with phase("subtrees"):
@@ -84,6 +105,34 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
 
 
+def searching(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Decide | None:
+    """How large nodes are searched; None for bins."""
+    if scan.search is None:
+        return None
+    kernel = specialise(partial(make_decide, ReferenceLists), scan.search)
+
+    def decide(nodes: np.ndarray, live: wp.array, parts: wp.array, references: wp.array) -> None:
+        lists = search_lists(references, nodes["frame"]["triangles"], config, scan)
+        inputs = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), lists, live]
+        launch(kernel, len(nodes), inputs, device=references.device, chunk=1)
+
+    return decide
+
+
+def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, scan: Scan) -> ReferenceLists:
+    """Lists in `references`, and room to search for nodes of such sizes."""
+    count, device = len(sizes), references.device
+    values = max(LEAST_VALUES, int(sizes.max())) if scan.values is None else scan.values
+    lists = ReferenceLists()
+    lists.rules.bins = scan.levels.bins
+    lists.rules.sampled = scan.levels.sampled
+    lists.rules.round_robin = config.axis == ROUND_ROBIN
+    lists.reference = references
+    lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
+    lists.value = wp.empty((count, values), dtype=float, device=device)
+    return lists
+
+
 def build_tasks(
     top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
@@ -91,13 +140,8 @@ def build_tasks(
     device, roots = top.references.device, top.levels[-1]["frame"].copy()
     count = len(roots)
     room = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
-    lists = ReferenceLists()
-    lists.rules.bins = scan.levels.bins
-    lists.rules.sampled = scan.levels.sampled
-    lists.rules.round_robin = config.axis == ROUND_ROBIN
-    lists.reference = wp.empty(8 * room.entries, dtype=float, device=device)
-    lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
-    lists.value = wp.empty((count, scan.values), dtype=float, device=device)
+    entries = wp.empty(8 * room.entries, dtype=float, device=device)
+    lists = search_lists(entries, roots["triangles"], config, scan)
     if config.split_clipping:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
         lists.pad = PAD * triangles.size

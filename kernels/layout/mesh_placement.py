@@ -1,0 +1,45 @@
+"""Vertices relative to a point, subtracted in float64 and rounded to float32 once."""
+
+from functools import cache
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import as_device, launch, specialise
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+CHUNK = 4096
+"""Vertices that are worth a chunk of their own."""
+
+
+@cache
+def make_shift(dtype: type) -> wp.Kernel:
+    """The kernel for vertices of a type, vec3 or vec3d."""
+
+    def shift_vertices(
+        first: int,
+        center: wp.vec3d,
+        vertices: wp.array(dtype=dtype),
+        relative: wp.array(dtype=wp.vec3),
+    ):
+        """Item: a vertex."""
+        i = first + wp.tid()
+        relative[i] = wp.vec3(wp.vec3d(vertices[i]) - center)
+
+    return wp.kernel(shift_vertices, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(V, 3) float32: vertices relative to a point. Those that no triangle uses may come to be infinite.
+
+    Args:
+        center: (3,) float64.
+        vertices: (V, 3) float32 or float64.
+    """
+    device, dtype = as_device("cpu"), wp.vec3 if vertices.dtype == np.float32 else wp.vec3d
+    given = wp.array(vertices, dtype=dtype, device=device, copy=False)
+    relative = wp.empty(len(vertices), dtype=wp.vec3, device=device)
+    inputs = [wp.vec3d(*map(float, center)), given, relative]
+    launch(specialise(make_shift, dtype), len(vertices), inputs, device=device, chunk=CHUNK)
+    return relative.numpy()

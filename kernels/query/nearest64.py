@@ -1,0 +1,158 @@
+"""Nearest hits by brute force in float64: every triangle, by the watertight test's arithmetic (Woop, Benthin, Wald 2013).
+
+The reference that scenes are checked against (`Scene.verify`). A triangle's corners are sheared so that the ray is the third
+axis; the ray meets the triangle, edges included, if it is on the same side of all three edges. Threads and blocks of rays never
+change an answer.
+
+References:
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+"""
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import as_device, get_num_threads, launch
+from wrt.kernels.simd.lanes import FOR_LANES
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+LANES = 8
+"""Triangles that are tested at a time."""
+
+TILE = wp.constant(1024)
+"""Triangles that stay in the cache while each ray of a block is tested against them; a multiple of LANES."""
+
+MOST_RAYS = 8
+"""Rays of a block."""
+
+
+@wp.struct
+class Nearest:
+    """The nearest hit so far."""
+
+    t: wp.float64
+    triangle: int
+    """-1: none."""
+
+
+@wp.func_native(
+    FOR_LANES
+    + f"""
+    constexpr int W = {LANES};
+    const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
+    const int x = (z + 1) % 3, y = (z + 2) % 3;
+    const double ox = origin.c[x], oy = origin.c[y], oz = origin.c[z];
+    const double dx = direction.c[x], dy = direction.c[y], dz = direction.c[z];
+    const size_t row = corners.shape[1];
+    double least[W];
+    int which[W];
+    WRT_FOR_LANES(j) {{ least[j] = far; which[j] = -1; }}
+    for (int first = begin; first < end; first += W) {{
+        double px[3][W], py[3][W], depth[3][W];
+        for (int corner = 0; corner < 3; ++corner) {{
+            const double* const from = corners.data + (size_t)corner * 3 * row + first;
+            WRT_FOR_LANES(j) {{
+                depth[corner][j] = (from[z * row + j] - oz) / dz;
+                px[corner][j] = (from[x * row + j] - ox) - dx * depth[corner][j];
+                py[corner][j] = (from[y * row + j] - oy) - dy * depth[corner][j];
+            }}
+        }}
+        WRT_FOR_LANES(j) {{
+            // all corners on one side of an axis through the ray: it does not meet the triangle, whatever rounding says below
+            const bool beside = ((px[0][j] > 0) & (px[1][j] > 0) & (px[2][j] > 0))
+                | ((px[0][j] < 0) & (px[1][j] < 0) & (px[2][j] < 0))
+                | ((py[0][j] > 0) & (py[1][j] > 0) & (py[2][j] > 0))
+                | ((py[0][j] < 0) & (py[1][j] < 0) & (py[2][j] < 0));
+            const double a = px[1][j] * py[2][j] - py[1][j] * px[2][j];
+            const double b = px[2][j] * py[0][j] - py[2][j] * px[0][j];
+            const double c = px[0][j] * py[1][j] - py[0][j] * px[1][j];
+            const double total = a + b + c;
+            const bool same = ((a >= 0) & (b >= 0) & (c >= 0)) | ((a <= 0) & (b <= 0) & (c <= 0));
+            const double t = (a * depth[0][j] + b * depth[1][j] + c * depth[2][j]) / total;
+            const bool better = !beside & same & (total != 0) & !(t < 0) & (t < least[j]);
+            least[j] = better ? t : least[j];
+            which[j] = better ? first + j : which[j];
+        }}
+    }}
+    for (int j = 0; j < W; ++j)
+        if (least[j] < found.t || (least[j] == found.t && which[j] >= 0 && which[j] < found.triangle)) {{
+            found.t = least[j];
+            found.triangle = which[j];
+        }}
+"""
+)
+def test_tile(
+    corners: wp.array2d(dtype=wp.float64),
+    begin: int,
+    end: int,
+    origin: wp.vec3d,
+    direction: wp.vec3d,
+    z: int,
+    found: wp.ref[Nearest],
+):
+    """Tests the triangles begin .. end - 1; of equally near ones the first counts. z: as of `longest_axis`."""
+    ...
+
+
+@wp.func
+def longest_axis(direction: wp.vec3d):
+    """The axis along which a ray is longest; -1 if it is no ray: zero, infinite or NaN."""
+    size = wp.vec3d(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
+    axis = wp.where(size[1] > size[0], 1, 0)
+    axis = wp.where(size[2] > size[axis], 2, axis)
+    valid = size[axis] > wp.float64(0.0)
+    for other in range(3):
+        valid = valid and size[other] < wp.float64(wp.static(float("inf")))
+    return wp.where(valid, axis, -1)
+
+
+@wp.kernel
+def find_nearest(
+    first: int,
+    size: int,
+    corners: wp.array2d(dtype=wp.float64),
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3d),
+    hits: wp.array(dtype=Nearest),
+):
+    """Item: a block of `size` rays."""
+    begin = (first + wp.tid()) * size
+    end = wp.min(begin + size, origins.shape[0])
+    for tile in range(0, corners.shape[1], TILE):
+        tile_end = wp.min(tile + TILE, corners.shape[1])
+        for ray in range(begin, end):
+            direction = directions[ray]
+            z = longest_axis(direction)
+            if z >= 0:
+                found = hits[ray]
+                test_tile(corners, tile, tile_end, origins[ray], direction, z, found)
+                hits[ray] = found
+
+
+def corner_rows(vertices: np.ndarray, faces: np.ndarray) -> wp.array:
+    """(9, T) float64: x, y, z of the first corners, of the second and of the third.
+
+    Padded to whole lanes with triangles without area, which no ray hits."""
+    rows = np.zeros((9, -(-len(faces) // LANES) * LANES))
+    for corner in range(3):
+        for axis in range(3):
+            np.take(vertices[:, axis], faces[:, corner], out=rows[3 * corner + axis, : len(faces)])
+    return wp.array(rows, dtype=wp.float64, device=as_device("cpu"), copy=False)
+
+
+def nearest_hits(corners: wp.array, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest hits at t >= 0, edges included: ((N,) int triangle or -1, (N,) float64 t or inf).
+
+    Args:
+        corners: as of `corner_rows`.
+        origins, directions: (N, 3) float64.
+    """
+    count, device = len(origins), corners.device
+    rays = [wp.array(np.ascontiguousarray(a, dtype=np.float64), dtype=wp.vec3d, device=device) for a in (origins, directions)]
+    start = np.zeros(count, dtype=Nearest.numpy_dtype())
+    start["t"], start["triangle"] = np.inf, -1
+    hits = wp.array(start, dtype=Nearest, device=device)
+    size = max(1, min(MOST_RAYS, count // (4 * get_num_threads())))
+    launch(find_nearest, -(-count // size), [size, corners, *rays, hits], device=device, chunk=1, longest=64)
+    found = hits.numpy()
+    return found["triangle"].astype(np.int64), found["t"].copy()
