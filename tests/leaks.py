@@ -32,7 +32,7 @@ from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_config import CLOSEST, COUNT
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.insert(0, str(Path(__file__).parent / "support"))
 from hostile_bodies import Body, bodies
 
 RECORDS = Path(__file__).resolve().parents[1] / "notebooks" / "records"

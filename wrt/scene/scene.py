@@ -353,7 +353,12 @@ class Scene(Queries):
         return handle_of(self.state)
 
     def triangles(self, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
-        """The triangles in the order of the tree's leaves, as the plan's triangle test stores them (`records_of`)."""
+        """The triangles in the order of the tree's leaves, as the plan's triangle test stores them.
+
+        Args:
+            plan: whose triangle test and tree are meant.
+            rays: those whose shared origin the records depend on; None for tests whose records depend on none.
+        """
         return records_of(self.state, plan, rays)
 
 

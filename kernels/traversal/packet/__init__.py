@@ -11,8 +11,8 @@ keep everything that any ray may hit, and the keys of boxes must not be later th
 intervals bound the rounded values too. The cullings that use planes are widened by more than rounding can move a hit. Culling
 therefore never changes the hits (`wrt.kernels.simd.boxes`, the consistency rule).
 
-To add a culling, write its file and add one line to `CULLINGS`; tests, command line and benchmarks use the table. `twins` has a
-scalar form of each loop over W boxes or triangles, in plain Warp, for reading and for comparison in tests.
+To add a culling, write its file and add one line to `CULLINGS`; tests, command line and benchmarks use the table. The
+tests have a scalar form of each loop over W boxes or triangles, in plain Warp (tests/support/scalar_cullings.py).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.

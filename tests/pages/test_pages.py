@@ -16,8 +16,8 @@ import warp as wp
 
 import wrt
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-NOT_RUN = {"adding.md": "tests/test_adding.py follows it"}
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+NOT_RUN = {"adding.md": "tests/pages/test_adding.py follows it"}
 GATHERED = ("notebooks", "records", "_build")
 """Folders that a build of the site makes in docs/."""
 

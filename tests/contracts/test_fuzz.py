@@ -19,7 +19,7 @@ from fuzz import driver
 from fuzz.cases import CORPUS, Case
 from fuzz.child import Job, case_of
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SHORT = {"meshes": 150, "rays": 6, "files": 60}
 """Cases of a short run."""
 

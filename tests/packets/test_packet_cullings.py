@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from packet_loops import BLOCKS, LOAD, OPTIONS, TWIN_OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
-
-from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
-from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core.packet_cells import enter_box
-from wrt.kernels.traversal.packet.culling.twins import (
+from scalar_cullings import (
     corner_rays_keep,
     enter_frustum,
     every_ray_keeps,
@@ -19,6 +15,10 @@ from wrt.kernels.traversal.packet.culling.twins import (
     side_planes_keep,
     vertex_keeps,
 )
+
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.packet.core.packet_cells import enter_box
 from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS

@@ -9,7 +9,7 @@ import pytest
 
 from wrt.cli import main
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "promises.md"
 ROWS = [
     line for line in PAGE.read_text().splitlines() if line.startswith("| ") and "---" not in line and "we promise" not in line

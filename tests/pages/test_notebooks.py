@@ -22,7 +22,7 @@ RATIO = re.compile(r"\b\d+\.\d+x\b|\b\d+(?:\.\d+)? times\b|\d %")
 QUOTED = re.compile(r"paper|thesis|report|et al|\((?:19|20)\d\d\b")
 """A paragraph that names the source of its figures."""
 
-NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "notebooks").glob("*.ipynb"))
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 
 
 def test_there_are_notebooks():

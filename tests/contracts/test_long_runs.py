@@ -10,7 +10,7 @@ import pytest
 
 from wrt.kernels.runtime import pool as pools
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(autouse=True)

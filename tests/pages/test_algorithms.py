@@ -27,7 +27,7 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-PAGE = (Path(__file__).resolve().parents[1] / "docs" / "algorithms.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "algorithms.md").read_text(encoding="utf-8")
 
 TABLES: dict[str, Iterable[str]] = {
     "Accelerators": ACCELERATORS,

@@ -246,7 +246,7 @@ from test_launch import Step, count_visits, launch_loop, use_threads
 signal.signal(signal.SIGALRM, signal.default_int_handler)
 visits, numbers = wp.zeros(64, dtype=int, device="cpu"), wp.array([64], dtype=int, device="cpu")
 for _ in range(20):
-    signal.setitimer(signal.ITIMER_REAL, 0.05, 0.5)
+    signal.setitimer(signal.ITIMER_REAL, 0.05, 5.0)
     try:
         with use_threads(2):
             launch_loop([[Step(count_visits, [visits])]], numbers, visits.device)

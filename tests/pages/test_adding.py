@@ -24,7 +24,7 @@ from wrt.bench.studies.kdtrees.kdtree_pictures import color_of
 from wrt.builders.kdtree import KDTREE_BUILDERS, KdTreeBuilder
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "adding.md").read_text(encoding="utf-8")
 
 TABLES = {"KDTREE_BUILDERS": KDTREE_BUILDERS, "TRIANGLE_TESTS": TRIANGLE_TESTS}
@@ -176,7 +176,7 @@ def test_rows_fit_the_page_of_algorithms(name):
 
 PLUGIN = """
 import sys
-sys.path.insert(0, {tests!r})
+sys.path[:0] = {tests!r}
 import wrt
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -188,7 +188,8 @@ TRIANGLE_TESTS["dot_products"] = TRIANGLE_TESTS["badouel"]
 
 def test_the_named_tests_run(tmp_path):
     """`pytest -k NAME` selects tests in each file that the page names for it, and in no file that it is silent about."""
-    (tmp_path / "two_more_keys.py").write_text(PLUGIN.format(tests=str(ROOT / "tests")), encoding="utf-8")
+    paths = [str(ROOT / "tests"), str(ROOT / "tests" / "support")]
+    (tmp_path / "two_more_keys.py").write_text(PLUGIN.format(tests=paths), encoding="utf-8")
     names = f"({' or '.join(EXAMPLES)}) and not test_adding"
     options = ["--collect-only", "-q", "-p", "two_more_keys", "-p", "no:cacheprovider", "-k", names, str(ROOT / "tests")]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}

@@ -6,7 +6,7 @@ Moeller and Trumbore in float64, and says which rays are *clear*: none of their 
 angle or to an end of the ray that float32 decides. Clear rays must be answered exactly as the oracle says; of the others the
 queries must agree with one another.
 
-`WRT_PROPERTY_EXAMPLES=5000 pytest tests/test_properties.py` looks further, at other examples each time.
+`WRT_PROPERTY_EXAMPLES=5000 pytest tests/contracts/test_properties.py` looks further, at other examples each time.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ import pytest
 
 import wrt
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 ROOMS = {"kernels": "wrt.kernels", "builders": "wrt.builders", "wrt": "wrt"}
 MAY_IMPORT = {
     "kernels": ("wrt.kernels",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -100,4 +101,4 @@ def test_first_queries_at_a_time():
         "asked = list(queries(wrt.Scene(wrt.scenes.build('teapot', level=3), device='cpu')).values())\n"
         "from_threads(lambda number: asked[number + 1]())\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=__file__.rpartition("/")[0])
+    subprocess.run([sys.executable, "-c", code], check=True, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
