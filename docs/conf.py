@@ -1,11 +1,16 @@
 """How Sphinx builds the site: `sphinx-build -W --keep-going -b html docs OUT`, after `pip install -e ".[docs]"`."""
 
 import shutil
+import sys
 from pathlib import Path
 
 import wrt
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import drawings  # noqa: E402
+
 ROOT = HERE.parent
 
 project = "wrt"
@@ -65,4 +70,13 @@ def setup(app) -> None:
     app.connect("autodoc-process-docstring", as_restructured_text, priority=400)
 
 
+def draw_pictures() -> None:
+    """Draws what the architecture page shows."""
+    folder = HERE / "drawn"
+    folder.mkdir(exist_ok=True)
+    drawings.draw_rooms(folder / "rooms.svg")
+    drawings.draw_query(folder / "query.svg")
+
+
 gather_pages()
+draw_pictures()

@@ -1,0 +1,72 @@
+"""The architecture: no circle of imports, small folders, no file name twice, and a short way from a query to its kernel."""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+
+import import_graph
+import numpy as np
+import pytest
+
+import wrt
+from wrt.kernels.runtime.launch import PreparedLaunch
+
+MOST_FILES = 13
+"""Files of a folder, beside its __init__.py."""
+
+MOST_MODULES = 8
+"""Modules on the way from `Scene.intersect` to the launch of its kernel."""
+
+
+def test_no_circle_of_modules():
+    assert not import_graph.circle(import_graph.imports())
+
+
+def test_no_circle_of_rooms():
+    assert not import_graph.circle(import_graph.room_imports())
+
+
+def test_a_circle_would_be_found():
+    assert import_graph.circle({"a": {"b"}, "b": {"c"}, "c": {"a"}})
+    assert not import_graph.circle({"a": {"b", "c"}, "b": {"c"}, "c": set()})
+
+
+def test_folders_are_small():
+    counts = Counter(path.parent.relative_to(import_graph.ROOT) for path in import_graph.modules().values())
+    crowded = {str(folder): count - 1 for folder, count in counts.items() if count - 1 > MOST_FILES}
+    assert not crowded
+
+
+def test_names_of_files_occur_once():
+    names = Counter(path.name for path in import_graph.modules().values() if not path.name.startswith("__"))
+    assert not [name for name, count in names.items() if count > 1]
+
+
+@pytest.mark.parametrize("count", [1, 5000])
+def test_way_of_a_query(monkeypatch, count):
+    """Through few modules, and from a higher one to a lower one: each imports the next, directly or through others."""
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device="cpu")
+    rays = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+    scene.intersect(rays * 9, -rays)
+    ways, launch = [], PreparedLaunch.run
+
+    def run(*args, **options):
+        way, frame = [], sys._getframe()
+        while frame is not None and frame.f_code is not test_way_of_a_query.__code__:
+            name = frame.f_globals["__name__"]
+            if name.startswith("wrt.") and name not in way[-1:]:
+                way.append(name)
+            frame = frame.f_back
+        ways.append(way[::-1])
+        return launch(*args, **options)
+
+    monkeypatch.setattr(PreparedLaunch, "run", run)
+    scene.intersect(rays * 9, -rays)
+    assert ways
+    floor = import_graph.floors(import_graph.imports())
+    for way in ways:
+        way = [*way, PreparedLaunch.__module__]
+        assert way[0] == "wrt.query.api"
+        assert len(way) <= MOST_MODULES, way
+        assert [floor[name] for name in way] == sorted((floor[name] for name in way), reverse=True), way
