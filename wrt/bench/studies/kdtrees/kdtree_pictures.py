@@ -173,7 +173,7 @@ def draw_histograms(
     bounds = ["0", *(f"{block * k + 1}-{block * (k + 1)}" for k in range(blocks - 1)), f"> {block * (blocks - 1)}"]
     sizes.set_xticks(range(blocks + 1), bounds)
     sizes.set(xlabel="triangles of a leaf", ylabel="leaves, %")
-    sizes.margins(y=0.4)
+    sizes.margins(y=0.6)
     sizes.legend(fontsize=7, ncol=2, loc="upper right", title="share of lanes filled", title_fontsize=7)
     depths.set(xlabel="depth of a leaf", ylabel="leaves, %")
 
