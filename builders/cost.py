@@ -147,14 +147,14 @@ def no_split():
 
 
 LEAF_COST = """
-    const auto leaf_price = [&](int triangles) {
+    const auto leaf_cost = [&](int triangles) {
         return cost.block * (float)((triangles + (1 << cost.unit_bits) - 1) >> cost.unit_bits);
     };
 """
-"""Head of a native function of a `SplitCost` named cost. leaf_price is `leaf_cost`."""
+"""Head of a native function with a `SplitCost` named cost: defines a lambda leaf_cost with the value of `leaf_cost`."""
 
 
-@wp.func_native(LEAF_COST + "return leaf_price(triangles);")
+@wp.func_native(LEAF_COST + "return leaf_cost(triangles);")
 def leaf_cost(cost: SplitCost, triangles: int) -> float:
     """Cost of a leaf."""
     ...
@@ -183,18 +183,19 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
 PLANE_COST = (
     LEAF_COST
     + """
-    const auto plane_price = [&](float position, int left, int right) {
+    const auto plane_cost = [&](float position, int left, int right) {
         const float area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area;
         const float area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area;
-        const float price = frame.base + (area_left * leaf_price(left) + area_right * leaf_price(right));
-        return left == 0 || right == 0 ? price * cost.empty_factor : price;
+        const float split_cost = frame.base + (area_left * leaf_cost(left) + area_right * leaf_cost(right));
+        return left == 0 || right == 0 ? split_cost * cost.empty_factor : split_cost;
     };
 """
 )
-"""Head of a native function of a `SplitCost` named cost and an `AxisFrame` named frame. plane_price is `plane_cost`."""
+"""Head of a native function with a `SplitCost` named cost and an `AxisFrame` named frame: defines a lambda plane_cost with the
+value of `plane_cost`."""
 
 
-@wp.func_native(PLANE_COST + "return plane_price(position, left, right);")
+@wp.func_native(PLANE_COST + "return plane_cost(position, left, right);")
 def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int) -> float:
     """Cost of a split into children with these numbers of triangles."""
     ...
@@ -204,9 +205,9 @@ def plane_cost(cost: SplitCost, frame: AxisFrame, position: float, left: int, ri
 def cheaper_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int, planar_left: bool, best: Split):
     """`best`, or a split at `position` if that is strictly inside the box and costs less."""
     if position > frame.low and position < frame.high:
-        price = plane_cost(cost, frame, position, left, right)
-        if price < best.cost:
-            best.cost = price
+        candidate = plane_cost(cost, frame, position, left, right)
+        if candidate < best.cost:
+            best.cost = candidate
             best.axis = frame.axis
             best.position = position
             best.planar_left = planar_left

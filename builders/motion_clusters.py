@@ -26,17 +26,17 @@ import numpy as np
 
 from wrt.builders.motion_residuals import nearest_clusters
 
-MOST_ROUNDS = 12
+MAX_ROUNDS = 12
 """Most rounds of assigning and fitting for a given number of clusters."""
 
-PULL = 1e-3
+ROTATION_WEIGHT = 1e-3
 """Weight of the rotation relative to the spread of the vertices in the fit. Small, so that it acts only where the fit is
 singular."""
 
-LEAST_GAIN = 1e-3
+MIN_IMPROVEMENT = 1e-3
 """Relative decrease of the residual motion below which a round is rejected."""
 
-MOST_STRETCH = 1e3
+MAX_CONDITION = 1e3
 """Condition number, or shrink factor, of a map from which on its rotation is used instead."""
 
 
@@ -73,15 +73,15 @@ def fit_maps(rest: np.ndarray, frames: np.ndarray) -> tuple[np.ndarray, np.ndarr
     flip = np.ones((len(frames), 3))
     flip[:, 2] = np.sign(np.linalg.det(u @ vt))
     rotation = (u * flip[:, None]) @ vt
-    pull = max(PULL * np.trace(spread) / 3, np.finfo(np.float64).tiny)
-    maps = np.linalg.solve(spread + pull * np.eye(3), np.swapaxes(moved + pull * rotation, 1, 2)).swapaxes(1, 2)
+    weight = max(ROTATION_WEIGHT * np.trace(spread) / 3, np.finfo(np.float64).tiny)
+    maps = np.linalg.solve(spread + weight * np.eye(3), np.swapaxes(moved + weight * rotation, 1, 2)).swapaxes(1, 2)
     sizes = np.linalg.svd(maps, compute_uv=False)
-    flat = ~(sizes[:, 2] * MOST_STRETCH > np.maximum(sizes[:, 0], 1.0))
+    flat = ~(sizes[:, 2] * MAX_CONDITION > np.maximum(sizes[:, 0], 1.0))
     maps[flat] = rotation[flat]
     return maps, origins
 
 
-def assigned(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> Decomposition:
+def assign_triangles(frames: np.ndarray, faces: np.ndarray, matrices: np.ndarray, origins: np.ndarray) -> Decomposition:
     """Assigns each triangle to the cluster in which it needs the smallest boxes. Clusters without triangles are removed.
 
     Args:
@@ -105,11 +105,11 @@ def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: f
         rest: the frame from which maps start.
     """
     whole = [fit_maps(*_used(frames, faces, rest))]
-    found = assigned(frames, faces, *_stacked(whole))
+    found = assign_triangles(frames, faces, *_stacked(whole))
     while True:
-        for _ in range(MOST_ROUNDS):
+        for _ in range(MAX_ROUNDS):
             members = [np.flatnonzero(found.labels == c) for c in range(found.matrices.shape[1])]
-            better = assigned(frames, faces, *_stacked([fit_maps(*_used(frames, faces[own], rest)) for own in members]))
+            better = assign_triangles(frames, faces, *_stacked([fit_maps(*_used(frames, faces[own], rest)) for own in members]))
             if not is_better(better, found):
                 break
             found = better
@@ -118,7 +118,7 @@ def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: f
             return found
         seed = np.isin(faces, faces[found.residual.argmax()]).any(axis=1)
         matrices, origins = fit_maps(*_used(frames, faces[seed], rest))
-        more = assigned(
+        more = assign_triangles(
             frames,
             faces,
             np.concatenate([found.matrices, matrices[:, None]], axis=1),
@@ -131,7 +131,7 @@ def decompose(frames: np.ndarray, faces: np.ndarray, clusters: int, threshold: f
 
 def is_better(one: Decomposition, other: Decomposition) -> bool:
     """Whether `one` has clearly less residual motion. Fitting minimises another measure than assigning, so it may have more."""
-    return one.residual.sum() < (1.0 - LEAST_GAIN) * other.residual.sum()
+    return one.residual.sum() < (1.0 - MIN_IMPROVEMENT) * other.residual.sum()
 
 
 def _used(frames: np.ndarray, faces: np.ndarray, rest: int) -> tuple[np.ndarray, np.ndarray]:

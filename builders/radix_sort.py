@@ -21,7 +21,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 DIGITS = wp.constant(256)
 PASSES = 4
 
-LEAST_CHUNK = 4096
+MIN_CHUNK = 4096
 """Least number of keys in a chunk."""
 
 CHUNKS_PER_THREAD = 2
@@ -154,7 +154,7 @@ def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:
         for row in range(3):
             wp.utils.radix_sort_pairs(keys[row], values[row], int(count[row]))
         return
-    size = max(LEAST_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
+    size = max(MIN_CHUNK, -(-3 * most // (CHUNKS_PER_THREAD * get_num_threads())))
     chunks = max(1, -(-most // size))
     places = wp.empty((3, int(DIGITS) * chunks), dtype=int, device=device)
     scan = PreparedLaunch(scan_digits, [places], device)

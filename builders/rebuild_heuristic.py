@@ -36,7 +36,7 @@ from math import inf
 
 import numpy as np
 
-MOST_SUBTREES = 16
+MAX_SUBTREES = 16
 """Most parts of one node that are rebuilt separately; for more, the whole node is rebuilt, as every build has a fixed cost."""
 
 Part = tuple[int, ...]
@@ -45,23 +45,23 @@ Part = tuple[int, ...]
 Children = Callable[[int], tuple[np.ndarray, np.ndarray]]
 """node -> its inner children (or all of them), and the probabilities that a ray that meets the node meets them."""
 
-Together = Callable[[int, np.ndarray, np.ndarray], float]
+JoinedCost = Callable[[int, np.ndarray, np.ndarray], float]
 """(node, some of its children, the cost of each when built) -> estimate of their share of the node's cost, rebuilt as one."""
 
 Triangles = Callable[[int], np.ndarray]
 """node -> ids of the triangles below it, each once."""
 
-LEAST_SHARE = 1.0 / 32.0
+MIN_HIT_PROBABILITY = 1.0 / 32.0
 """Share of the rays that meet the root; good nodes that fewer rays meet are not searched."""
 
 
-def worn_subtrees(
+def degraded_subtrees(
     now: np.ndarray,
     built: np.ndarray,
     children: Children,
     tolerance: float,
     *,
-    together: Together = lambda node, siblings, costs: inf,
+    joined_cost: JoinedCost = lambda node, siblings, costs: inf,
     triangles: Triangles | None = None,
 ) -> list[Part]:
     """The parts to rebuild, none below another; [] if the tree is good, [(0,)] to rebuild the whole tree.
@@ -71,26 +71,26 @@ def worn_subtrees(
         built: (nodes,) its cost when it was built.
         children: children of a node.
         tolerance: ratio of current cost to built cost above which a node is degraded.
-        together: for trees in which several children of a node can be rebuilt as one.
+        joined_cost: for trees in which several children of a node can be rebuilt as one.
         triangles: for trees in which a triangle can be below several nodes, none of which is below another.
     """
 
     def search(node: int, share: float) -> list[Part]:
         below, probability = children(node)
-        worn, limit, parts = now[below] > tolerance * built[below], tolerance * built[node], []
-        sought = worn | (share * probability >= LEAST_SHARE)
+        degraded, limit, parts = now[below] > tolerance * built[below], tolerance * built[node], []
+        visited = degraded | (share * probability >= MIN_HIT_PROBABILITY)
         if now[node] > limit:
-            others = now[node] - (probability * now[below])[worn].sum()
-            if others + (probability * built[below])[worn].sum() > limit:
-                siblings = below[worn]
-                if len(siblings) < 2 or others + together(node, siblings, built[siblings]) > limit:
+            others = now[node] - (probability * now[below])[degraded].sum()
+            if others + (probability * built[below])[degraded].sum() > limit:
+                siblings = below[degraded]
+                if len(siblings) < 2 or others + joined_cost(node, siblings, built[siblings]) > limit:
                     return [(node,)]
                 parts.append(tuple(siblings.tolist()))
-                sought &= ~worn
-        found = [search(int(below[place]), share * float(probability[place])) for place in np.flatnonzero(sought)]
+                visited &= ~degraded
+        found = [search(int(below[i]), share * float(probability[i])) for i in np.flatnonzero(visited)]
         parts += [part for below_child in found for part in below_child]
         several = sum(map(bool, found)) > 1
-        if len(parts) > MOST_SUBTREES or (several and triangles is not None and more_work(parts, node, triangles)):
+        if len(parts) > MAX_SUBTREES or (several and triangles is not None and more_work(parts, node, triangles)):
             return [(node,)]
         return parts
 

@@ -52,7 +52,7 @@ class StopRules:
     A node becomes a leaf if no plane splits it, or if it has reached the greatest depth, the least number of triangles or the
     least size. It also becomes a leaf if its best split is bad and its ancestors have used up the allowance of bad splits: a
     bad split may lead to good ones (Wald and Havran 2006 call the alternative a local minimum), but not repeatedly. Finally, a
-    node is not split if the splits on its path would have multiplied its triangles by 64 (`Descent`).
+    node is not split if the splits on its path would have multiplied its triangles by 64 (`PathState`).
 
     Attributes:
         max_depth: greatest depth of a leaf, 0 (the root is a leaf) to 64; None for 8 + 1.3 log2(triangles), a bound of the form
@@ -105,7 +105,7 @@ class StopRules:
 
 
 @wp.struct
-class Descent:
+class PathState:
     """Allowances that the splits between the root and a node have used up; zeros at the root."""
 
     bad_splits: int
@@ -114,12 +114,12 @@ class Descent:
 
 
 @wp.func
-def descend(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: Descent, split: Split, size: wp.vec3):
+def advance_path(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: PathState, split: Split, size: wp.vec3):
     """The allowances of the children of a node whose box has this size. `bad_splits` is -1 if the node becomes a leaf instead.
 
     The bound on the growth of every path bounds the references of all leaves together, to the same multiple of the triangles.
     """
-    below = Descent()
+    below = PathState()
     below.bad_splits = -1
     large = triangles > limits.leaf_triangles and not (wp.max(size[0], wp.max(size[1], size[2])) <= limits.least_size)
     if large and depth < limits.depth and split.cost < INFINITY:

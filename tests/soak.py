@@ -26,7 +26,7 @@ import wrt
 from .records import write_record
 
 THREADS = 4
-MOST_GROWTH = 0.02
+MAX_MEMORY_GROWTH = 0.02
 """Share of the memory after the first tenth by which the last tenth may be higher: what an allocator does not give back."""
 
 
@@ -170,7 +170,7 @@ def main(minutes: float, seed: int, record: Path | None) -> None:
 
         load = run(minutes, seed, tell)
     growth = load.growth()
-    failed = bool(load.errors) or growth > MOST_GROWTH
+    failed = bool(load.errors) or growth > MAX_MEMORY_GROWTH
     count, kinds = sum(load.done.values()), len(load.done)
     lines = [
         f"`python -m tests.soak --minutes {minutes:g} --seed {seed}`: {count:,} jobs of {kinds} kinds by {THREADS} threads, "

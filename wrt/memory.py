@@ -25,7 +25,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
 
-LEAST_BYTES = 1 << 20
+MIN_BYTES = 1 << 20
 """Smaller arrays are allocated by Warp."""
 
 GRAIN = 1 << 21
@@ -63,34 +63,34 @@ class BlockPool:
         self.kept_bytes = kept_bytes
         # reentrant: the garbage collector may free an array, which returns a block, while a block is taken
         self._lock = threading.RLock()
-        self._waiting: OrderedDict[int, np.ndarray] = OrderedDict()
+        self._free: OrderedDict[int, np.ndarray] = OrderedDict()
 
     @property
-    def waiting_bytes(self) -> int:
+    def free_bytes(self) -> int:
         """Bytes of all free blocks."""
         with self._lock:
-            return sum(block.nbytes for block in self._waiting.values())
+            return sum(block.nbytes for block in self._free.values())
 
     def take(self, size: int) -> np.ndarray:
         """A block of at least `size` bytes; a reused one has at most twice as many."""
         size = -(-size // GRAIN) * GRAIN
         with self._lock:
-            fitting = [(block.nbytes, key) for key, block in self._waiting.items() if size <= block.nbytes <= 2 * size]
+            fitting = [(block.nbytes, key) for key, block in self._free.items() if size <= block.nbytes <= 2 * size]
             if fitting:
-                return self._waiting.pop(min(fitting)[1])
+                return self._free.pop(min(fitting)[1])
         return large_pages(size)
 
     def give_back(self, block: np.ndarray) -> None:
         """Returns an unused block to the pool."""
         with self._lock:
-            self._waiting[id(block)] = block
-            while self._waiting and self.waiting_bytes > self.kept_bytes:
-                self._waiting.popitem(last=False)
+            self._free[id(block)] = block
+            while self._free and self.free_bytes > self.kept_bytes:
+                self._free.popitem(last=False)
 
     def release(self) -> None:
         """Frees all free blocks."""
         with self._lock:
-            self._waiting.clear()
+            self._free.clear()
 
 
 _pool = BlockPool()
@@ -99,7 +99,7 @@ _pool = BlockPool()
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     """A flat array with undefined contents; its memory may be reused."""
     size = count * wp.types.type_size_in_bytes(dtype)
-    if not device.is_cpu or size < LEAST_BYTES:
+    if not device.is_cpu or size < MIN_BYTES:
         return wp.empty(count, dtype=dtype, device=device)
     block = _pool.take(size)
 

@@ -50,13 +50,13 @@ from wrt.kernels.runtime.launch_loop import Step, launch_loop
 TASKS_PER_THREAD = 4
 """Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
-LEAST_LARGE = 4096
+MIN_LARGE = 4096
 """Triangles below which a single thread builds a node: the fixed cost of the launches of a level would exceed the gain."""
 
 CHUNKS_PER_THREAD = 4
 """Chunks per thread on a level; several, so that threads finish together."""
 
-LEAST_CHUNK = 2048
+MIN_CHUNK = 2048
 """Least number of triangles in a chunk."""
 
 NODES, CHUNKS = 0, 1
@@ -93,8 +93,8 @@ class BinnedBuilder:
         self.phase = Phases(self.device)
         self.tree = empty_tree(triangles.count, self.device)
         threads = get_num_threads()
-        self.chunk = max(LEAST_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
-        self.large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
+        self.chunk = max(MIN_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
+        self.large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
         self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
         """Two buffers of references."""
         self.top: wp.array | None = None

@@ -128,7 +128,7 @@ def measure_boxes(
         areas = project(view, *(wp.array(corner, dtype=wp.vec3, device="cpu") for corner in (low, high))).astype(np.float64)
         overlaps[node_box] = _overlaps(tree, flat.low, flat.high, view, areas[1:], lanes)
     probability = areas / areas[0] if areas[0] > 0.0 else np.ones(len(areas))
-    price = np.where(is_leaf, triangles * triangle_cost, width * box_cost)
+    node_cost = np.where(is_leaf, triangles * triangle_cost, width * box_cost)
     return BoxMeasures(
         parent=np.append(-1, node_box[box_node]),
         level=np.append(0, flat.depth[box_node] + 1),
@@ -138,7 +138,7 @@ def measure_boxes(
         high=high + center,
         area=areas,
         hit_probability=probability,
-        cost=probability * price,
+        cost=probability * node_cost,
         overlap_area=overlaps[:, 0],
         smaller_area=overlaps[:, 1],
     )

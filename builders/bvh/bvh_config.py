@@ -12,7 +12,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 MAX_BINS = 32
 """Most bins along an axis; sizes the scratch memory."""
 
-LEAST_GRAIN = 4
+MIN_GRAIN = 4
 """Least capacity, in triangles, of a leaf of the binary tree; applies where blocks are narrower."""
 
 LEAF_BLOCKS = 3
@@ -21,7 +21,7 @@ LEAF_BLOCKS = 3
 MAX_ROUNDS = 1000
 """Largest number of reinsertion rounds that can be requested. Reinsertion converges in a few dozen rounds."""
 
-LEAST_MAX_LEAF = 8
+MIN_LEAF_LIMIT = 8
 """Least default for the triangles of a leaf; applies where LEAF_BLOCKS blocks hold fewer."""
 
 
@@ -75,7 +75,7 @@ class BvhConfig:
     @property
     def leaf_limit(self) -> int:
         """Most triangles in a leaf."""
-        return self.max_leaf_triangles or max(LEAST_MAX_LEAF, LEAF_BLOCKS * self.cost.width)
+        return self.max_leaf_triangles or max(MIN_LEAF_LIMIT, LEAF_BLOCKS * self.cost.width)
 
     def struct(self) -> BuildRules:
         """The values for a kernel."""
@@ -84,5 +84,5 @@ class BvhConfig:
         rules.bins = self.bins
         rules.max_leaf = self.leaf_limit
         block = self.cost.width // 2 if self.reinsertion else self.cost.width
-        rules.grain = min(self.leaf_limit, max(LEAST_GRAIN, block))
+        rules.grain = min(self.leaf_limit, max(MIN_GRAIN, block))
         return rules

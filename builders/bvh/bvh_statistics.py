@@ -101,9 +101,9 @@ def bvh_statistics(tree: Bvh, triangle_count: int, cost: SurfaceAreaCost) -> Bvh
     inner_areas = np.append(half_area(flat.low[flat.is_inner], flat.high[flat.is_inner]), root)
     leaf_areas = half_area(flat.low[flat.is_leaf], flat.high[flat.is_leaf])
     if root > 0.0:
-        price = (cost.traversal * inner_areas.sum() + (leaf_weights * leaf_areas).sum()) / root
+        sah_cost = (cost.traversal * inner_areas.sum() + (leaf_weights * leaf_areas).sum()) / root
     else:
-        price = cost.traversal * len(inner_areas) + leaf_weights.sum()
+        sah_cost = cost.traversal * len(inner_areas) + leaf_weights.sum()
     return BvhStatistics(
         nodes=len(flat.child),
         leaves=len(sizes),
@@ -111,5 +111,5 @@ def bvh_statistics(tree: Bvh, triangle_count: int, cost: SurfaceAreaCost) -> Bvh
         block_fill=float(triangle_count / len(tree.primitive)),
         depth_histogram=np.bincount((flat.depth[:, None] + 1 + 0 * flat.child)[flat.is_leaf]),
         leaf_size_histogram=np.bincount(sizes),
-        sah_cost=float(price),
+        sah_cost=float(sah_cost),
     )

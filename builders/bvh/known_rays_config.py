@@ -74,7 +74,7 @@ class ProjectedConfig:
         return self.bvh.cost
 
 
-FELL_BACK = wp.constant(8)
+USED_FALLBACK = wp.constant(8)
 """Flag in `KnownRays.tried`: no axis of sufficient quality had an acceptable plane."""
 
 
@@ -93,7 +93,7 @@ class KnownRays:
     parent_weight: wp.array(dtype=float)
     """(triangles,) weight of the node to which a pair belongs."""
     tried: wp.array(dtype=wp.uint8)
-    """(2 * triangles,) for each binary node whose axes were chosen: bit k if axis k was tried, FELL_BACK; else 0."""
+    """(2 * triangles,) for each binary node whose axes were chosen: bit k if axis k was tried, USED_FALLBACK; else 0."""
 
 
 def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:

@@ -28,10 +28,10 @@ import warp as wp
 
 from wrt.builders.bvh.binned_bvh import BinnedBuilder
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
-from wrt.builders.bvh.known_rays_config import FELL_BACK, KnownRays, ProjectedConfig, known_rays
+from wrt.builders.bvh.known_rays_config import USED_FALLBACK, KnownRays, ProjectedConfig, known_rays
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
-from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, halvings, price_of_areas
-from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Placement, Plane, Scratch, no_plane
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, halvings, split_cost
+from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Binning, Plane, Scratch, no_plane
 from wrt.builders.bvh.phases.collapse import BinaryBuild
 from wrt.builders.bvh.phases.split_axes import axis_order, longest_axis
 from wrt.builders.cost import leaf_cost
@@ -174,11 +174,9 @@ def try_axis(
     for b in range(1, bins):
         left = load_int(scratch.left, first + b)
         if left > 0 and left < count:
-            price = price_of_areas(
-                weights[b], leaf_cost(rules.cost, left), weights[bins + b], leaf_cost(rules.cost, count - left)
-            )
-            if price < best.plane.price:
-                best.plane.price = price
+            cost = split_cost(weights[b], leaf_cost(rules.cost, left), weights[bins + b], leaf_cost(rules.cost, count - left))
+            if cost < best.plane.cost:
+                best.plane.cost = cost
                 best.plane.axis = axis
                 best.plane.bin = b
                 best.plane.left = left
@@ -198,7 +196,7 @@ def mixture_at(rays: KnownRays, depth: int):
 
 @wp.func
 def cheapest_by_projection(
-    rules: BuildRules, rays: KnownRays, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
+    rules: BuildRules, rays: KnownRays, binning: Binning, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
     """The plane of least cost on the axes that are tried (Falcone 2024, Algorithm 5.1)."""
     best = Attempt()
@@ -217,7 +215,7 @@ def cheapest_by_projection(
         i = int(0)
         while i < 6:  # the axes in their order; then all of them, if no plane has been found
             axis = wp.where(i < 3, order.axis[i % 3], i - 3)
-            found = best.plane.price < INFINITY
+            found = best.plane.cost < INFINITY
             if i < 3:
                 last = unaware or order.quality[i] < rays.axes.least_quality
                 axis = wp.where(last, longest, axis)
@@ -226,10 +224,10 @@ def cheapest_by_projection(
             else:
                 i = wp.where(found, 6, i)
             if i < 6 and (tried >> axis) & 1 == 0:
-                best = try_axis(rules, mixture, scratch, slot, axis, placement.bins, frame.count, boxes, weights, best)
+                best = try_axis(rules, mixture, scratch, slot, axis, binning.bins, frame.count, boxes, weights, best)
                 tried |= 1 << axis
             if i < 3 and last:
-                tried |= FELL_BACK
+                tried |= USED_FALLBACK
             i = wp.where(i < 3 and last, 3, i + 1)
         rays.tried[frame.node] = wp.uint8(tried)
     return best.plane

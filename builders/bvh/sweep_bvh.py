@@ -1,4 +1,4 @@
-"""Exact sweep SAH build of a bounding volume hierarchy: the judge of the binned one.
+"""Exact sweep SAH build of a bounding volume hierarchy: the reference for the binned one.
 
 **Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right leaves the area of every
 suffix, a sweep from the left tries all n - 1 partitions of each axis; the best one's sides are marked, and the three lists
@@ -28,8 +28,8 @@ from wrt.builders.bvh.phases.binary_tree import (
     empty_tree,
     half_area,
     middle,
-    must_halve,
-    price_of_areas,
+    must_split_at_median,
+    split_cost,
 )
 from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse
 from wrt.builders.bvh.phases.reinsertion import find_places, reinsert
@@ -40,7 +40,7 @@ from wrt.builders.bvh.phases.sweep_lists import (
     area_of,
     emit_keys,
     empty_box,
-    grown,
+    enlarged,
     mark_sides,
     sorted_lists,
     store_box,
@@ -59,7 +59,7 @@ STACK = MAX_WIDE_DEPTH + 1
 TASKS_PER_THREAD = 2
 """A node of more than its share of triangles, if there were so many tasks per thread, is split by all threads together."""
 
-LEAST_LARGE = 4096
+MIN_LARGE = 4096
 """Triangles below which a node is not worth more than one thread."""
 
 
@@ -67,22 +67,22 @@ LEAST_LARGE = 4096
 def search(rules: BuildRules, lists: SweepLists, frame: Frame):
     """The partition of least cost; ties go to the smaller axis, then to the smaller left side."""
     best = Partition()
-    best.price = INFINITY
+    best.cost = INFINITY
     for axis in range(3):
         box = empty_box()
         for k in range(frame.count - 1):
             i = frame.first + frame.count - 1 - k
-            box = grown(box, lists, lists.sorted[axis, frame.buffer + i])
+            box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
             lists.suffix[axis, i] = area_of(box)
         box = empty_box()
         for left in range(1, frame.count):
             i = frame.first + left
-            box = grown(box, lists, lists.sorted[axis, frame.buffer + i - 1])
-            price = price_of_areas(
+            box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i - 1])
+            cost = split_cost(
                 area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
             )
-            if price < best.price:
-                best.price = price
+            if cost < best.cost:
+                best.cost = cost
                 best.axis = axis
                 best.left = left
     return best
@@ -112,7 +112,7 @@ def write_box(lists: SweepLists, frame: Frame, tree: BinaryTree):
     """Writes the box of a node's triangles."""
     box = empty_box()
     for i in range(frame.first, frame.first + frame.count):
-        box = grown(box, lists, lists.sorted[0, frame.buffer + i])
+        box = enlarged(box, lists, lists.sorted[0, frame.buffer + i])
     store_box(tree.box, frame.node, box)
 
 
@@ -139,9 +139,9 @@ def build_by_sweep(
         tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
         area = half_area(tree.box, frame.node)
         best = Partition()
-        best.price = INFINITY
+        best.cost = INFINITY
         split = frame.count > rules.grain
-        if split and area > 0.0 and not must_halve(frame.depth, frame.count):
+        if split and area > 0.0 and not must_split_at_median(frame.depth, frame.count):
             best = search(rules, lists, frame)
         if not split:
             # emit
@@ -154,7 +154,7 @@ def build_by_sweep(
                 frame = stack[number, waiting]
         else:
             # partition
-            if best.price == INFINITY:
+            if best.cost == INFINITY:
                 best.left = middle(frame.count, rules.cost.width_bits)
             partition(lists, frame, best)
             tree.pair[frame.node] = next_pair
@@ -177,7 +177,7 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     device, count, rules = triangles.boxes.low.device, triangles.count, config.struct()
     load([emit_keys, bound_chunks, build_by_sweep, find_places], device)
     phase, threads = Phases(device), get_num_threads()
-    large = max(LEAST_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
+    large = max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
     tree = empty_tree(count, device)
     with phase("sort"):
         lists = sorted_lists(triangles)

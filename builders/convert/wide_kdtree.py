@@ -15,8 +15,8 @@ division already exists and only has to be converted.
 2. place: cells, and the position of every node in a binary tree (`wrt.builders.bvh.phases.binary_tree`), from the root down.
    Empty cells get no node, and their siblings replace their parents: a ray that meets only empty cells of a node is done with
        it;
-3. divide: the triangles below a cell of at most `TOGETHER` blocks are listed, each once, and divided like those of a BVH
-   (`wrt.builders.bvh.phases.bvh_subtrees`), by their boxes, clipped to the cell;
+3. divide: the triangles below a cell of at most `MAX_UNDIVIDED_BLOCKS` blocks are listed, each once, and divided like those of
+   a BVH (`wrt.builders.bvh.phases.bvh_subtrees`), by their boxes, clipped to the cell;
 4. join: the boxes of inner nodes, from the leaves up;
 5. collapse to nodes of W children (`wrt.builders.bvh.phases.collapse`).
 
@@ -61,18 +61,18 @@ from wrt.kernels.runtime.launch import launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-TOGETHER = 32
+MAX_UNDIVIDED_BLOCKS = 32
 """Blocks of references up to which a node is not divided by its planes: a compromise between duplicate references and the
 kd-tree's own structure (notebooks/records/2026-11-21-wide-kdtree.md)."""
 
-RUN = 32
+LISTS_PER_ITEM = 32
 """Lists that one thread divides one after the other, in the same scratch memory."""
 
-TOO_MANY = wp.constant(1 << 24)
+NO_LEAF = wp.constant(1 << 24)
 """Number of references that exceeds every leaf of a wide tree: it keeps nodes with children in two cells from becoming
 leaves."""
 
-NOWHERE = wp.constant(-1)
+NO_POSITION = wp.constant(-1)
 """Position of a node below one that is kept whole."""
 
 SLOTS = wp.constant(2048)
@@ -91,7 +91,7 @@ class Cells:
     high: wp.array(dtype=wp.vec3)
     references: wp.array(dtype=wp.vec2i)
     """(nodes,) the first reference of the leaves below, and their number."""
-    place: wp.array(dtype=int)
+    position: wp.array(dtype=int)
     """(nodes,) its node of the binary tree. An inner node with an empty child shares it with the other child."""
     parted: wp.array(dtype=int)
     """(parted,) nodes of the binary tree with children in two cells, parents before children; sized for all nodes."""
@@ -132,9 +132,9 @@ def divide_cell(cells: Cells, at: int, node: wp.vec2i):
 
 
 @wp.func
-def move_in(cells: Cells, node: int, place: int, first_reference: int):
+def set_position(cells: Cells, node: int, position: int, first_reference: int):
     """Sets the position of a node."""
-    cells.place[node] = place
+    cells.position[node] = position
     cells.references[node] = wp.vec2i(first_reference, cells.references[node][1])
 
 
@@ -146,33 +146,33 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
     whole = int(0)
     for at in range(nodes.shape[0]):
         node = nodes[at]
-        place = cells.place[at]
+        position = cells.position[at]
         references = cells.references[at]
         left = at + 1
         right = kdtree.right_child(node)
         is_leaf = kdtree.split_axis(node) == LEAF
-        is_whole = place != NOWHERE and (is_leaf or references[1] <= most)
+        is_whole = position != NO_POSITION and (is_leaf or references[1] <= most)
         if is_whole and references[1] > 0:
             cells.whole[whole] = at
             whole += 1
-        if (is_whole or place == NOWHERE) and not is_leaf:
-            cells.place[left] = NOWHERE
-            cells.place[right] = NOWHERE
+        if (is_whole or position == NO_POSITION) and not is_leaf:
+            cells.position[left] = NO_POSITION
+            cells.position[right] = NO_POSITION
         elif not is_leaf:
             divide_cell(cells, at, node)
             on_left = cells.references[left][1]
             if on_left > 0 and on_left < references[1]:
                 pair = references[0] + on_left
-                tree.pair[place] = pair
-                tree.range[place] = wp.vec2i(references[0], TOO_MANY)
-                cells.parted[parted] = place
+                tree.pair[position] = pair
+                tree.range[position] = wp.vec2i(references[0], NO_LEAF)
+                cells.parted[parted] = position
                 cells.pairs[parted] = pair
                 parted += 1
-                move_in(cells, left, 2 * pair, references[0])
-                move_in(cells, right, 2 * pair + 1, pair)
+                set_position(cells, left, 2 * pair, references[0])
+                set_position(cells, right, 2 * pair + 1, pair)
             else:
-                move_in(cells, left, place, references[0])
-                move_in(cells, right, place, references[0])
+                set_position(cells, left, position, references[0])
+                set_position(cells, right, position, references[0])
     cells.totals[0] = parted
     cells.totals[1] = whole
 
@@ -203,9 +203,9 @@ def is_new(table: wp.array(dtype=int), triangle: int):
     slot = int((wp.uint32(number) * GOLDEN) >> wp.uint32(21))  # Fibonacci hashing
     while table[slot] != 0 and table[slot] != number:
         slot = (slot + 1) & (SLOTS - 1)
-    fresh = table[slot] == 0
+    is_first = table[slot] == 0
     table[slot] = number
-    return fresh
+    return is_first
 
 
 @wp.func
@@ -232,10 +232,10 @@ def gather(
             triangles = kdtree.leaf_triangles(nodes[below])
             for i in range(triangles):
                 triangle = primitive[kdtree.first_block(nodes[below]) * list_width + i]
-                fresh = triangle >= 0
-                if several and fresh:
-                    fresh = is_new(table, triangle)
-                if fresh:
+                is_first = triangle >= 0
+                if several and is_first:
+                    is_first = is_new(table, triangle)
+                if is_first:
                     write_clipped(boxes, triangle, low, high, references, first + count)
                     count += 1
             listed -= triangles
@@ -266,10 +266,10 @@ def divide_lists(
     """Item: a run of nodes that are kept whole. list_width: width of the kd-tree's blocks. triangles: references of all leaves.
     The other arguments are those of `wrt.builders.bvh.phases.bvh_subtrees`, with scratch memory per run."""
     run = first + wp.tid()
-    for number in range(run * RUN, wp.min((run + 1) * RUN, subtrees.shape[0])):
+    for number in range(run * LISTS_PER_ITEM, wp.min((run + 1) * LISTS_PER_ITEM, subtrees.shape[0])):
         at = cells.whole[number]
         task = Frame()
-        task.node = cells.place[at]
+        task.node = cells.position[at]
         task.first = cells.references[at][0]
         task.count = gather(nodes, primitive, list_width, boxes, cells, at, references)
         range_box(references, task.first, task.count, tree.box, task.node)
@@ -288,23 +288,25 @@ def join_boxes(first: int, cells: Cells, tree: BinaryTree):
             tree.box[cells.parted[at] * 8 + component] = wp.min(left, right)
 
 
-def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, together: int = TOGETHER) -> Bvh:
+def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undivided_blocks: int = MAX_UNDIVIDED_BLOCKS) -> Bvh:
     """Converts a tree to nodes of `config.cost.width` children, on the CPU. Tree and triangles must be on the CPU too.
 
     Args:
         tree: a finished tree with nodes in depth-first order.
         triangles: the triangles of the tree.
         config: cost of nodes and blocks.
-        together: a node with at most as many references as fit into this number of blocks is divided by its triangles' boxes,
-            not by its planes; 0: the tree is converted down to its leaves.
+        undivided_blocks: a node with at most as many references as fit into this number of blocks is divided by its triangles'
+            boxes, not by its planes; 0: the tree is converted down to its leaves.
 
     Raises:
-        ValueError: `together` is out of its range, or there would be more than `wrt.kernels.layout.bvh_nodes.MAX_BLOCKS`
-            blocks.
+        ValueError: `undivided_blocks` is out of its range, or there would be more than
+            `wrt.kernels.layout.bvh_nodes.MAX_BLOCKS` blocks.
     """
     device, nodes, most = tree.nodes.device, tree.nodes, int(SLOTS) // 2 // config.cost.width
-    if not 0 <= together <= most:
-        raise ValueError(f"together is {together}; it must be from 0 to {most}, at most {most} blocks of {config.cost.width}")
+    if not 0 <= undivided_blocks <= most:
+        raise ValueError(
+            f"undivided_blocks is {undivided_blocks}; it must be from 0 to {most}, at most {most} blocks of {config.cost.width}"
+        )
     phase = Phases(device)
     with phase("place"):
         cells = _empty_cells(tree)
@@ -314,10 +316,10 @@ def wide_form(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, togethe
         if count == 0:  # the root is a leaf
             for array in (binary.pair, binary.range, binary.box):
                 array.zero_()
-        launch(place_nodes, 1, [nodes, together * config.cost.width, cells, binary], device=device)
+        launch(place_nodes, 1, [nodes, undivided_blocks * config.cost.width, cells, binary], device=device)
         parted, whole = cells.totals.numpy().tolist()
     with phase("divide"):
-        runs = -(-whole // RUN)
+        runs = -(-whole // LISTS_PER_ITEM)
         references = wp.empty(16 * max(count, 1), dtype=float, device=device)  # two buffers
         scratch, domain = make_scratch(runs, device), wp.empty(8 * STACK * runs, dtype=float, device=device)
         stack = wp.empty((runs, STACK), dtype=Frame, device=device)
@@ -339,7 +341,7 @@ def _empty_cells(tree: KdTree) -> Cells:
     cells.low[:1].fill_(tree.low)
     cells.high[:1].fill_(tree.high)
     cells.references = wp.empty(count, dtype=wp.vec2i, device=device)
-    cells.place = wp.zeros(count, dtype=int, device=device)
+    cells.position = wp.zeros(count, dtype=int, device=device)
     cells.parted, cells.pairs, cells.whole = (wp.empty(count, dtype=int, device=device) for _ in range(3))
     cells.totals = wp.zeros(2, dtype=int, device=device)
     return cells

@@ -3,7 +3,7 @@
 A cell is a leaf if every region that touches it encloses it, or at the greatest depth. Other cells are divided into eight. A
 child is tested only against the regions that touch its parent, all pairs of a slice of cells in one launch. So a level costs
 one test per pair, not cells times areas. A leaf's word holds the number of the list of areas that touch it, and each distinct
-list is stored once. Where many regions overlap, nearly every leaf has its own long list, so an octree that exceeds MOST_BYTES
+list is stored once. Where many regions overlap, nearly every leaf has its own long list, so an octree that exceeds MAX_BYTES
 is rejected.
 """
 
@@ -18,7 +18,7 @@ import warp as wp
 from wrt.kernels.influence.region_tests import APART, TOUCHING, Region, classify_pairs
 from wrt.kernels.runtime.launch import launch
 
-MOST_BYTES = 1 << 30
+MAX_BYTES = 1 << 30
 """Most memory of an octree during its build, without the current slice: the size of a full one of eight levels with short
 lists."""
 
@@ -153,7 +153,7 @@ def build_octree(
         depth: most levels below the root.
 
     Raises:
-        ValueError: the octree would take more than MOST_BYTES.
+        ValueError: the octree would take more than MAX_BYTES.
     """
     count = len(structs)
     regions = wp.array(list(structs), dtype=Region, device="cpu")
@@ -173,9 +173,9 @@ def build_octree(
         for parents in slices(np.flatnonzero(divided), 8 * np.diff(cells.begin)):
             parts.append(cells.children(parents, regions))
             held += parts[-1].bytes
-            if held > MOST_BYTES:
+            if held > MAX_BYTES:
                 raise ValueError(
-                    f"the octree over {count} influence areas takes more than {MOST_BYTES >> 20} MB at level {level + 1} of "
+                    f"the octree over {count} influence areas takes more than {MAX_BYTES >> 20} MB at level {level + 1} of "
                     f"{depth}; pass depth={level} to wrt.RayAwareBvh, or top_level='array'"
                 )
         cells = Cells.joined(parts)

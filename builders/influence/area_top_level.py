@@ -5,7 +5,7 @@ so a look-up misses no area. Near the surface of a region, a leaf also lists it 
 points; here the look-up tests the region itself, because the hits depend on it. A depth of 0 gives the thesis' other structure:
 an array of the regions with their boxes. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
 
-**Triangles of an area.** All triangles whose boxes touch the region moved outward by `margin_of`; see
+**Triangles of an area.** All triangles whose boxes touch the region moved outward by `triangle_margin`; see
 `wrt.kernels.influence.area_assignment` for the reason. The list contains every triangle that has a vertex, an edge or an
 interior point in the region, and some of which only the box reaches into it.
 
@@ -42,7 +42,7 @@ MARGIN = 2.0**-17
 """Widening of a region for its triangles, relative to the greatest reach of a ray that starts in it: eight times the ray's
 slack."""
 
-TOUCH = 2.0**-20
+LOOKUP_MARGIN = 2.0**-20
 """Rounding of a ray's origin, relative to the largest coordinate of the scene and of the point through which the rays pass."""
 
 
@@ -67,12 +67,12 @@ def region_of(area: InfluenceArea, low: np.ndarray, high: np.ndarray) -> Region:
     return Frustum(eye=area.position, forward=tuple(forward), fov_x=area.fov[0], fov_y=area.fov[1], near=0.0, far=far, up=up)
 
 
-def touch_of(areas: Sequence[InfluenceArea], center: np.ndarray) -> float:
+def lookup_margin(areas: Sequence[InfluenceArea], center: np.ndarray) -> float:
     """Widening of regions for the look-up, so that rounding its origin never takes a ray out of its area."""
-    return TOUCH * float(max(np.abs(center).max(), *(np.abs(area.position).max() for area in areas)))
+    return LOOKUP_MARGIN * float(max(np.abs(center).max(), *(np.abs(area.position).max() for area in areas)))
 
 
-def margin_of(region: Region, touch: float, low: np.ndarray, high: np.ndarray) -> float:
+def triangle_margin(region: Region, touch: float, low: np.ndarray, high: np.ndarray) -> float:
     """Greatest distance from the region to the box of a triangle that a ray inside it can meet, rounding included.
 
     Args:
@@ -93,12 +93,12 @@ def triangles_in(region: Region, touch: float, triangles: TriangleBoxes) -> np.n
         triangles: boxes of all triangles, on the CPU.
     """
     low, high = triangles.low + triangles.center, triangles.high + triangles.center
-    struct = region.struct(triangles.center, margin_of(region, touch, low, high))
+    struct = region.struct(triangles.center, triangle_margin(region, touch, low, high))
     result = classify_boxes([struct], triangles.boxes.low.numpy().T, triangles.boxes.high.numpy().T)
     return np.flatnonzero(result[:, 0] != APART).astype(np.int32)
 
 
-def boxes_of(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
+def select_boxes(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
     """The boxes of the triangles `ids`, at least one."""
     boxes, device = Boxes(), triangles.boxes.low.device
     low, high = (np.ascontiguousarray(a.numpy()[:, ids]) for a in (triangles.boxes.low, triangles.boxes.high))

@@ -11,7 +11,7 @@ quadratic, whose minimum is tried along with the samples. Nodes of at most 36 tr
 **Complexity.** O(N) a level: two scans, the second of which compares with 16 planes at a time.
 
 **What we changed.** The samples divide the box of a node's triangles instead of the node's own, so its faces, which cut off
-empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the price of its minimum does not.
+empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the cost of its minimum does not.
 
 References:
     W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
@@ -25,9 +25,9 @@ from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_s
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, place
+from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
+from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -151,7 +151,7 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     if frame.triangles <= EXACT:
         return search_exactly(cost, lists, number, frame)
     bins = lists.rules.bins
-    bin_range(lists.reference, frame.first[0], frame.triangles, 1, place(frame, bins), lists.counter, number)
+    bin_range(lists.reference, frame.first[0], frame.triangles, 1, make_binning(frame, bins), lists.counter, number)
     best = no_split()
     for axis in range(3):
         place_samples(lists, number, frame, axis)
@@ -165,5 +165,5 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     values = values_for(int(EXACT))
     return build_scanning(
-        triangles, config, shared_out(search, triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES))
+        triangles, config, uniform_scan(search, triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES))
     )

@@ -29,7 +29,7 @@ from wrt.builders.kdtree.medians import first_axis, median_position
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
+from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.simd.boxes import INFINITY
@@ -55,7 +55,7 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
 
 
 @wp.func
-def cut_off(cost: SplitCost, frame: Frame, best: Split):
+def try_box_faces(cost: SplitCost, frame: Frame, best: Split):
     """The better of `best` and the planes at the faces of the triangles' box."""
     for axis in range(3):
         along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
@@ -73,9 +73,9 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
         if frame.triangles > 0 and split.cost == INFINITY:
             split = search_axis(cost, lists, number, frame, axis)
         axis = (axis + 1) % 3
-    return cut_off(cost, frame, split)
+    return try_box_faces(cost, frame, split)
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_scanning(triangles, config, shared_out(search, triangles, config, values=None, counters=2 * int(SAMPLES)))
+    return build_scanning(triangles, config, uniform_scan(search, triangles, config, values=None, counters=2 * int(SAMPLES)))

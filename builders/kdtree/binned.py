@@ -9,7 +9,7 @@ share, each of which builds a subtree depth first (`subtrees`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.descend`. Search: `search`, by bins or exactly. Classify and partition:
+**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, by bins or exactly. Classify and partition:
 `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for
 inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
 
@@ -33,7 +33,7 @@ from wrt.builders.cost import SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, place
+from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, sample_step
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.builders.kdtree.scan.scan_method import scanning
@@ -51,7 +51,7 @@ SAMPLED = 10_000
 TASKS_PER_THREAD = 2
 """Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
-LEAST_LARGE = 1 << 15
+MIN_LARGE = 1 << 15
 """Triangles below which a single thread builds a node: the host's fixed cost per level exceeds the gain of splitting it
 together (notebooks/records/2026-11-22-binned-kdtree-tasks.md)."""
 
@@ -65,7 +65,9 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     if frame.triangles <= lists.rules.bins:
         return search_exactly(cost, lists, number, frame)
     step = sample_step(frame.triangles, lists.rules.sampled)
-    bin_range(lists.reference, frame.first[0], frame.triangles, step, place(frame, lists.rules.bins), lists.counter, number)
+    bin_range(
+        lists.reference, frame.first[0], frame.triangles, step, make_binning(frame, lists.rules.bins), lists.counter, number
+    )
     return best_bin_plane(cost, frame, lists.counter, number, lists.rules.bins, step)
 
 
@@ -77,7 +79,7 @@ def method(config: KdTreeConfig) -> Method:
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
-    large = max(LEAST_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
+    large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
     if config.split_clipping:  # the levels that clip must not depend on the number of threads
         large = CLIPPED_LARGE
     return build_scanning(triangles, config, Scan(method(config), LevelRules(large, BINS, SAMPLED), values_for(BINS)))

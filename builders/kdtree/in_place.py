@@ -53,7 +53,7 @@ TASKS_PER_THREAD = 2
 """Live nodes per thread at which the build switches to subtrees, with many threads. Small, because every level that the threads
 split together costs each of them a pass over memory (notebooks/records/2026-11-22-scaling.md)."""
 
-LEAST_TASKS = 8
+MIN_TASKS = 8
 """Live nodes at which the build switches to subtrees, with few threads; enough to balance their load."""
 
 CLIPPED_TRIANGLES = 1 << 12
@@ -65,7 +65,7 @@ MAX_LEVELS = 12
 SPARE_ROOM = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
-LAUNCHED = 8
+ITEM_CHUNKS_PER_THREAD = 8
 """Chunks of items per thread: enough to balance the load, because claiming a chunk costs almost nothing."""
 
 EVENTS_PER_NODE = 256
@@ -83,7 +83,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     if config.split_clipping:  # which levels clip is not to depend on the threads
         return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
     tasks = TASKS_PER_THREAD * get_num_threads()
-    return build_in_place(triangles, config, max(tasks, min(2 * tasks, LEAST_TASKS)))
+    return build_in_place(triangles, config, max(tasks, min(2 * tasks, MIN_TASKS)))
 
 
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
@@ -141,7 +141,7 @@ class InPlaceBuilder:
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
-        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=LAUNCHED)
+        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=ITEM_CHUNKS_PER_THREAD)
 
     def build_levels(self, events: Events, least_tasks: int) -> Membership:
         """Builds level after level until there are enough live nodes; returns the nodes that contain each triangle."""
@@ -153,7 +153,7 @@ class InPlaceBuilder:
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(2, dtype=int, device=self.device)
-            self.run(level_phase.new_generation, 1, self.live, children, counts)
+            self.run(level_phase.emit_children, 1, self.live, children, counts)
             total, open_nodes = map(int, counts.numpy())
             membership = self.reclassify(membership)
             self.levels.append(self.live.numpy())
@@ -175,12 +175,12 @@ class InPlaceBuilder:
         nodes = len(self.live)
         chunks = cut_events(events, nodes)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
-        reached = wp.empty((3, nodes), dtype=float, device=self.device)
+        least_known_cost = wp.empty((3, nodes), dtype=float, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
         sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
         self.run(level_phase.count_events, 3 * chunks, events, membership, counts)
-        self.run(level_phase.scan_chunks, 3 * nodes, self.cost, events, self.live, counts, reached, chunk=16)
-        work = [membership, self.live, counts, reached, frames, sweeps]
+        self.run(level_phase.scan_chunks, 3 * nodes, self.cost, events, self.live, counts, least_known_cost, chunk=16)
+        work = [membership, self.live, counts, least_known_cost, frames, sweeps]
         self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
         self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
 

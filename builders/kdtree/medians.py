@@ -24,7 +24,7 @@ from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides
-from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
+from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_float
@@ -118,9 +118,9 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
 
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of spatial medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, shared_out(search_space, triangles, config, values=1))
+    return build_scanning(triangles, config, uniform_scan(search_space, triangles, config, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of object medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, shared_out(search_objects, triangles, config, values=None))
+    return build_scanning(triangles, config, uniform_scan(search_objects, triangles, config, values=None))

@@ -16,11 +16,11 @@ References:
 
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.scan.scanning import build_scanning, shared_out
+from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_scanning(triangles, config, shared_out(search_exactly, triangles, config, values_for(triangles.count)))
+    return build_scanning(triangles, config, uniform_scan(search_exactly, triangles, config, values_for(triangles.count)))

@@ -9,7 +9,7 @@ its triangles.
 **Data.** A list of triangle ids per node on the path from the root, and the events of the current node and axis (`Workspace`).
 
 **Phases** of a node. Search: `find_plane`, which calls `list_events`, `merge_sort` and `sweep_axis` for each axis. Stop:
-`wrt.builders.tree.descend`. Classify, partition, emit: `build_serially`.
+`wrt.builders.tree.advance_path`. Classify, partition, emit: `build_serially`.
 
 **Complexity.** O(N log^2 N): a sort of O(N log N) at each of O(log N) levels. One thread.
 
@@ -33,7 +33,7 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import BuildStats, Descent, KdTree, StopLimits, descend
+from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, advance_path
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
@@ -44,7 +44,7 @@ STACK = kdtree.MAX_TREE_DEPTH + 1
 
 
 @wp.struct
-class Waiting:
+class PendingNode:
     """A node whose triangles are listed and that is not built yet."""
 
     low: wp.vec3
@@ -52,7 +52,7 @@ class Waiting:
     first: int
     """Start of its list in `Workspace.triangle`."""
     triangles: int
-    path: Descent
+    path: PathState
     depth: int
     parent: int
     """Index of the node whose right child it is; -1 if it is a left child or the root."""
@@ -68,7 +68,7 @@ class Workspace:
     """Events of the current node and axis, in two buffers of equal size for the sort."""
     value: wp.array(dtype=int)
     """triangle << 2 | type."""
-    stack: wp.array(dtype=Waiting)
+    stack: wp.array(dtype=PendingNode)
     nodes: wp.array(dtype=wp.vec2i)
     primitive: wp.array(dtype=int)
     used: wp.array(dtype=int)
@@ -113,7 +113,7 @@ def merge_sort(work: Workspace, count: int):
 
 
 @wp.func
-def list_events(boxes: Boxes, work: Workspace, node: Waiting, axis: int):
+def list_events(boxes: Boxes, work: Workspace, node: PendingNode, axis: int):
     """Writes the events of the node's triangles; returns their number."""
     count = int(0)
     for i in range(node.first, node.first + node.triangles):
@@ -163,7 +163,7 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
 
 
 @wp.func
-def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: Waiting):
+def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode):
     """The best plane of a node."""
     best = no_split()
     for axis in range(3):
@@ -175,7 +175,7 @@ def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: Waiting):
 
 
 @wp.kernel
-def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes, root: Waiting, work: Workspace):
+def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes, root: PendingNode, work: Workspace):
     """One item: the whole build. The caller has listed all triangles as the root's."""
     width = 1 << cost.width_bits
     node = root
@@ -196,7 +196,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
             parent = work.nodes[node.parent]
             work.nodes[node.parent] = kdtree.inner_node(kdtree.split_axis(parent), kdtree.split_position(parent), nodes)
         split = find_plane(cost, boxes, work, node)
-        below = descend(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
+        below = advance_path(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
         if below.bad_splits < 0:
             work.nodes[nodes] = kdtree.leaf_node(lanes / width, node.triangles)
             for i in range(node.triangles):
@@ -253,7 +253,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on a single thread."""
     start = perf_counter()
     device, count, width = triangles.boxes.low.device, triangles.count, config.cost.width
-    root = Waiting()
+    root = PendingNode()
     root.low, root.high = wp.vec3(*triangles.low), wp.vec3(*triangles.high)
     root.triangles = count
     root.parent = -1
@@ -263,7 +263,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         work.triangle = wp.empty(room, dtype=int, device=device)
         work.position = wp.empty(4 * count, dtype=float, device=device)
         work.value = wp.empty(4 * count, dtype=int, device=device)
-        work.stack = wp.empty(STACK, dtype=Waiting, device=device)
+        work.stack = wp.empty(STACK, dtype=PendingNode, device=device)
         work.nodes = wp.empty(room, dtype=wp.vec2i, device=device)
         work.primitive = wp.empty(room + room % width + width, dtype=int, device=device)
         work.used = wp.zeros(3, dtype=int, device=device)

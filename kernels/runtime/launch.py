@@ -389,4 +389,4 @@ def as_device(device: str | wp.Device | None) -> wp.Device:
         return wp.get_device(device)
     except (ValueError, RuntimeError) as error:
         names = ", ".join(str(d) for d in wp.get_devices())
-        raise ValueError(f"device {device!r} is not there ({error}); choose from {names}") from None
+        raise ValueError(f"device {device!r} does not exist ({error}); choose from {names}") from None

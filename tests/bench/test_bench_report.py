@@ -134,7 +134,7 @@ def test_the_command_writes_tables_figures_and_a_picture(tmp_path):
         (["no_such_file.ply"], "built-in scenes are teapot"),
         (["teapot", "--workload", "fog"], "'fog' is not one of 'far'"),
         (["teapot", "--peer", "nobody"], "'nobody' is not one of 'wrt'"),
-        (["teapot", "--device", "cuda:99"], "'cuda:99' does not exist; choose from cpu"),
+        (["teapot", "--device", "cuda:99"], "device 'cuda:99' does not exist; choose from cpu"),
         (["teapot", "--size", "6"], "multiple of 4"),
         (["teapot", "--rounds", "0"], "--rounds"),
         (["teapot", "--threads", "0"], "--threads"),

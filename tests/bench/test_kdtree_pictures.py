@@ -19,7 +19,7 @@ from wrt.bench.studies.kdtrees.kdtree_pictures import (
     label_points,
     leaves_of,
     rectangles,
-    waiting_cells,
+    unbuilt_cells,
 )
 from wrt.builders.kdtree import KDTREE_BUILDERS
 
@@ -102,7 +102,7 @@ def test_a_lazy_tree_is_drawn_with_what_waits(tmp_path):
     assert 0 < part.built_cells < part.cells
     assert 0 < part.seen <= part.triangles < 0.8
     (low, high), _ = leaves_of(scene)
-    waiting = waiting_cells(scene)
+    waiting = unbuilt_cells(scene)
     volume = sum((high - low).prod(axis=1).sum() for low, high in ((low, high), waiting))
     assert volume == pytest.approx((stadium.bounds[1] - stadium.bounds[0]).prod(), rel=1e-4)
     figure = figure_of()

@@ -26,7 +26,7 @@ def test_rays_of_a_case_are_of_its_area(kind):
         rays = case.rays(256)
         assert wrt.Scene(case.mesh).intersect(rays, traversal="single").is_hit.all()
         scene = wrt.Scene(case.mesh, wrt.RayAwareBvh(areas=[case.area]))
-        assert wrt.break_even(scene, rays).alone == 0.0
+        assert wrt.break_even(scene, rays).unassigned_share == 0.0
 
 
 def test_scenes():
@@ -112,7 +112,7 @@ def test_searches_find_what_the_build_finds():
     area = Case("random", SMALL, "plane", "oblique").area
     for accelerator in (wrt.Bvh(), wrt.ProjectedBvh(areas=area)):
         nodes = Searches(SMALL, 75, accelerator)
-        np.testing.assert_array_equal(nodes.run(), nodes.nodes.numpy()["plane"]["price"])
+        np.testing.assert_array_equal(nodes.run(), nodes.nodes.numpy()["plane"]["cost"])
         assert nodes.count == 4
         assert np.isfinite(nodes.run()).all()
 

@@ -114,9 +114,9 @@ def test_threads_and_tasks_do_not_show(width, monkeypatch):
     with use_threads(1):
         reference, _ = build(mesh, width=width)
     for threads, large, chunk, levels in ((2, 4096, 2048, 32), (2, 200, 64, 32), (5, 70, 33, 32), (5, 64, 1000, 3)):
-        monkeypatch.setattr(binned, "LEAST_LARGE", large)
+        monkeypatch.setattr(binned, "MIN_LARGE", large)
         monkeypatch.setattr(binned, "TASKS_PER_THREAD", mesh.triangle_count // large)
-        monkeypatch.setattr(binned, "LEAST_CHUNK", chunk)
+        monkeypatch.setattr(binned, "MIN_CHUNK", chunk)
         monkeypatch.setattr(binned, "CHUNKS_PER_THREAD", mesh.triangle_count // chunk)
         monkeypatch.setattr(binned, "MAX_LEVELS", levels)
         with use_threads(threads):

@@ -232,7 +232,7 @@ def test_threads_and_chunks_do_not_show(builder, monkeypatch):
         reference, _ = build(mesh, builder)
     for threads, chunk, least in ((2, 8192, 4096), (3, 100, 64), (8, 7, 1000)):
         monkeypatch.setattr(reference_levels, "CHUNK", chunk)
-        monkeypatch.setattr(binned, "LEAST_LARGE", least)
+        monkeypatch.setattr(binned, "MIN_LARGE", least)
         with use_threads(threads):
             tree, _ = build(mesh, builder)
         np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())

@@ -11,7 +11,7 @@ import wrt
 from wrt.builders.cost import SplitCost, SurfaceAreaCost, axis_frame, plane_cost
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
-from wrt.builders.kdtree.phases.in_place_levels import may_win
+from wrt.builders.kdtree.phases.in_place_levels import may_contain_best
 from wrt.builders.tree import StopRules
 
 LEAST_COST = [name for name, entry in KDTREE_BUILDERS.items() if entry.least_cost]
@@ -137,7 +137,7 @@ def ask_for_chunks(
     high: wp.array(dtype=wp.vec3),
     share: wp.array(dtype=wp.vec3),
     counts: wp.array2d(dtype=int),
-    reached: wp.array2d(dtype=float),
+    least_known_cost: wp.array2d(dtype=float),
     answers: wp.array2d(dtype=bool),
 ):
     """Item: a node from (0, 0, 0) to `high`, a plane of it, and a chunk around that: share[0] .. share[2] of the axis.
@@ -147,13 +147,13 @@ def ask_for_chunks(
     axis = i % 3
     at = share[i] * high[i][axis]
     along = axis_frame(cost, axis, wp.vec3(), high[i], counts[i, 0])
-    price = plane_cost(cost, along, at[1], counts[i, 1], counts[i, 2])
+    plane = plane_cost(cost, along, at[1], counts[i, 1], counts[i, 2])
     for other in range(3):
-        reached[other, i] = price
-    answers[i, 0] = may_win(cost, along, at[0], at[2], counts[i, 3], counts[i, 4], i, reached)
-    answers[i, 1] = may_win(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, reached)
-    reached[axis, i] = price * 0.999
-    answers[i, 2] = may_win(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, reached)
+        least_known_cost[other, i] = plane
+    answers[i, 0] = may_contain_best(cost, along, at[0], at[2], counts[i, 3], counts[i, 4], i, least_known_cost)
+    answers[i, 1] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, least_known_cost)
+    least_known_cost[axis, i] = plane * 0.999
+    answers[i, 2] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, least_known_cost)
 
 
 @pytest.mark.parametrize("mailbox", [False, True])
@@ -168,9 +168,9 @@ def test_chunks_without_hope_are_those_that_cost_more(mailbox):
     counts = np.stack([total, left, right, left - fewer[0] * left, right - fewer[1] * right], axis=1).astype(np.int32)
     cost = SurfaceAreaCost(width=16, mailbox=mailbox).struct()
     answers = wp.empty((count, 3), dtype=bool, device="cpu")
-    reached = wp.empty((3, count), dtype=float, device="cpu")
+    least_known_cost = wp.empty((3, count), dtype=float, device="cpu")
     inputs = [wp.array(a, dtype=wp.vec3, device="cpu") for a in (high, share)] + [wp.array(counts, dtype=int, device="cpu")]
-    wp.launch(ask_for_chunks, count, [cost, *inputs, reached, answers], device="cpu")
+    wp.launch(ask_for_chunks, count, [cost, *inputs, least_known_cost, answers], device="cpu")
     around, alone, dearer = answers.numpy().T
     assert around.all()
     assert alone.all()

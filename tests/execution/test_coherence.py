@@ -12,7 +12,7 @@ from conftest import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.execution.query_cache import MOST_PLANS
-from wrt.rays.coherence import look_at
+from wrt.rays.coherence import detect_coherence
 
 PAIRS = 64
 
@@ -71,7 +71,7 @@ def test_looks_are_as_numpy_finds():
             if rng.random() < 0.1:
                 spoiled = rng.integers(len(values), size=int(len(values) * rng.random()))
                 values[spoiled] = rng.choice(np.float32([0.0, np.nan, np.inf, 1e30]))
-        found = look_at(arrays_of(origins, directions), wp.get_device("cpu"), is_list=True)
+        found = detect_coherence(arrays_of(origins, directions), wp.get_device("cpu"), is_list=True)
         is_list = len(origins) == 1 and len(directions) >= 4096
         assert found == (*expected_look(origins, directions), expected_columns(directions) if is_list else 0)
         seen.append((*found[:2], found.columns > 0))
@@ -80,7 +80,7 @@ def test_looks_are_as_numpy_finds():
 
 def test_few_rays_are_not_looked_at():
     rays = arrays_of(np.zeros((1, 3)), np.random.default_rng(0).normal(size=(2 * PAIRS - 1, 3)))
-    assert look_at(rays, wp.get_device("cpu"), is_list=True) == (True, False, 0)
+    assert detect_coherence(rays, wp.get_device("cpu"), is_list=True) == (True, False, 0)
 
 
 @pytest.fixture(scope="module")

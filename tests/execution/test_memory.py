@@ -24,10 +24,10 @@ def test_blocks_come_back():
     block = pool.take(3 * GRAIN - 5)
     assert block.nbytes == 3 * GRAIN
     pool.give_back(block)
-    assert pool.waiting_bytes == 3 * GRAIN
+    assert pool.free_bytes == 3 * GRAIN
     assert pool.take(GRAIN) is not block, "less than half as large"
     assert pool.take(2 * GRAIN) is block
-    assert pool.waiting_bytes == 0
+    assert pool.free_bytes == 0
 
 
 def test_no_more_is_kept_than_allowed():
@@ -35,9 +35,9 @@ def test_no_more_is_kept_than_allowed():
     blocks = [pool.take(GRAIN * size) for size in (1, 2, 3)]
     for block in blocks:
         pool.give_back(block)
-    assert pool.waiting_bytes == 3 * GRAIN, "the blocks unused for longest went"
+    assert pool.free_bytes == 3 * GRAIN, "the blocks unused for longest went"
     pool.release()
-    assert pool.waiting_bytes == 0
+    assert pool.free_bytes == 0
 
 
 def test_arrays_share_memory_only_one_after_the_other():
@@ -115,7 +115,7 @@ def test_blocks_begin_at_different_lines_of_the_cache():
 
 def test_records_share_memory_only_one_after_the_other(monkeypatch):
     """Those of a scene are in such a block, which waits for the next scene when nobody holds them."""
-    monkeypatch.setattr(memory, "LEAST_BYTES", 1)
+    monkeypatch.setattr(memory, "MIN_BYTES", 1)
     mesh = wrt.scenes.build("teapot", level=3)
     scene, larger = wrt.Scene(mesh, device="cpu"), wrt.Scene(wrt.TriangleMesh(2.0 * mesh.vertices, mesh.faces), device="cpu")
     plan = scene.explain([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
@@ -124,12 +124,12 @@ def test_records_share_memory_only_one_after_the_other(monkeypatch):
     address, kept = held.ctypes.data, held.copy()
     del scene
     gc.collect()
-    assert memory._pool.waiting_bytes == 0, "the view holds them"
+    assert memory._pool.free_bytes == 0, "the view holds them"
     assert larger.triangles(plan, None).records.ptr != address
     np.testing.assert_array_equal(held, kept)
     del held
     gc.collect()
-    assert memory._pool.waiting_bytes == GRAIN
+    assert memory._pool.free_bytes == GRAIN
     assert wrt.Scene(mesh, device="cpu").triangles(plan, None).records.ptr == address
 
 

@@ -20,7 +20,7 @@ RECORDS = ROOT / "notebooks" / "records"
 SHARES = {"meshes": 0.6, "rays": 0.25, "files": 0.15}
 """Of the time, what each kind gets."""
 
-LEAST_RECORD = 1.0
+MIN_RECORD_MINUTES = 1.0
 """Minutes from which on a run is worth a record."""
 
 
@@ -53,7 +53,7 @@ def main(
         result = run_jobs(jobs, found, lambda state: tell(time.monotonic() - begin, state), processes)
     took = time.monotonic() - begin
     click.echo(summary(result, seed))
-    if record or (record is None and minutes >= LEAST_RECORD and not replay):
+    if record or (record is None and minutes >= MIN_RECORD_MINUTES and not replay):
         path = write_record(result, seed, kinds, processes, took)
         click.echo(f"recorded in {path}")
     raise SystemExit(1 if result.failures else 0)

@@ -21,7 +21,7 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes, triangle_boxes
 from . import floats
 from .cases import Case, WrongAnswer
 
-MOST_REFERENCES = 4096
+MAX_REFERENCES = 4096
 """References that a refilled tree may have."""
 
 KDTREES = tuple(
@@ -147,14 +147,14 @@ def move(tree: Bvh | KdTree, vertices: wp.array, faces: wp.array) -> None:
     boxes = triangle_boxes(vertices, faces)
     shift = np.array([0.0, 1.0, np.float64(boxes.low[0])])
     with np.errstate(all="ignore"):
-        moved = refill(tree, boxes, shift, MOST_REFERENCES)
+        moved = refill(tree, boxes, shift, MAX_REFERENCES)
     if moved is not None:
         check(moved, len(faces), complete=False)
 
 
 def widen(tree: KdTree, boxes: TriangleBoxes, complete: bool) -> None:
     """The tree in nodes of eight children."""
-    from wrt.builders.convert.wide_kdtree import wide_form
+    from wrt.builders.convert.wide_kdtree import to_wide_bvh
 
-    form = wide_form(tree, boxes, wrt.Bvh(width=8).config(8))
+    form = to_wide_bvh(tree, boxes, wrt.Bvh(width=8).config(8))
     check(dataclasses.replace(form), boxes.count, complete)

@@ -106,10 +106,10 @@ def share_small_work() -> None:
     from wrt.builders.kdtree.lazy import triangle_clusters as clusters
     from wrt.builders.kdtree.scan import reference_levels
 
-    bvh.LEAST_LARGE, bvh.LEAST_CHUNK, bvh.TASKS_PER_THREAD = 8, 4, 8
-    streaming.EXACT, clusters.LEAST_CHUNK, clusters.TRIANGLES_PER_CELL = 12, 16, 1
+    bvh.MIN_LARGE, bvh.MIN_CHUNK, bvh.TASKS_PER_THREAD = 8, 4, 8
+    streaming.EXACT, clusters.MIN_CHUNK, clusters.TRIANGLES_PER_CELL = 12, 16, 1
     lazy.LARGE = reference_levels.CHUNK = 12
-    for name in ("LARGE", "LEAST_LARGE"):
+    for name in ("LARGE", "MIN_LARGE"):
         if hasattr(binned, name):
             setattr(binned, name, 12)
 

@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parents[2]
 LONGEST = 30.0
 """Seconds that a case may take."""
 
-MOST_COMPILING = 90.0
+MAX_COMPILE_SECONDS = 90.0
 """The same for the first cases of a child, in which kernels may be compiled."""
 
 FIRST_CASES = 2000
@@ -79,7 +79,7 @@ class Child:
     @property
     def allowed(self) -> float:
         """Seconds that a case may take by now."""
-        return LONGEST if self.last["done"] > FIRST_CASES else MOST_COMPILING
+        return LONGEST if self.last["done"] > FIRST_CASES else MAX_COMPILE_SECONDS
 
     def end(self) -> None:
         """Stops it."""

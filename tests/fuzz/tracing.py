@@ -1,6 +1,6 @@
 """Scenes of any finite mesh: refused with a clear error, or every tree answers as brute force does, to the bit.
 
-Meshes smaller than `wrt.query.verification.LEAST_EXTENT` become scenes, but answers are not compared: products of
+Meshes smaller than `wrt.query.verification.MIN_EXTENT` become scenes, but answers are not compared: products of
 float32 underflow,
 and the forms of the triangle test may then differ. `Scene.verify` names that.
 """
@@ -13,7 +13,7 @@ import numpy as np
 
 import wrt
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT
-from wrt.query.verification import LEAST_EXTENT
+from wrt.query.verification import MIN_EXTENT
 
 from . import floats
 from .building import KDTREES
@@ -94,7 +94,7 @@ def run_case(case: Case) -> str:
             return "refused"
         if options["form"] != "instances" and not is_admitted(meshes):
             raise WrongAnswer("accepted what float32 cannot hold")
-        if 0.0 < np.ptp(scene.bounds, axis=0).max() < LEAST_EXTENT:
+        if 0.0 < np.ptp(scene.bounds, axis=0).max() < MIN_EXTENT:
             return "too small to compare"
         before = compare(scene, options, arrays["ray_bits"])
         if "moved" in arrays and options["form"] != "instances":
@@ -184,5 +184,5 @@ def move(
             raise WrongAnswer(f"an update is refused without need: {error}") from error
         equal("what is asked after a refused update", compare(scene, options, arrays["ray_bits"]), before)
         return
-    if not 0.0 < np.ptp(scene.bounds, axis=0).max() < LEAST_EXTENT:
+    if not 0.0 < np.ptp(scene.bounds, axis=0).max() < MIN_EXTENT:
         compare(scene, options, arrays["ray_bits"])

@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 import wrt
+import wrt.imaging.rendering
+from wrt.cli import main
 from wrt.imaging.cameras import pixel_offset
 from wrt.scenes import random_triangles
 
@@ -141,6 +144,38 @@ def test_framing_takes_a_scene_and_a_direction():
     np.testing.assert_allclose(one.forward, (0, 1, 0))
     with pytest.raises(TypeError, match=r"wrt\.TriangleMesh or a wrt\.Scene"):
         wrt.PinholeCamera.framing([1, 2], 10, 10)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "off", "glb", "stl"])
+def test_framing_and_wrt_render_agree_on_the_upward_direction(tmp_path, monkeypatch, suffix):
+    """`framing` took z for every file, and `wrt render` y for most: scans were shown from above or in front."""
+    path, seen = tmp_path / f"model.{suffix}", []
+
+    def fake(scene, camera, **options):
+        seen.append(camera)
+        return np.zeros((camera.height, camera.width, 3), dtype=np.float32)
+
+    monkeypatch.setattr(wrt.imaging.rendering, "render", fake)
+    random_triangles(20).save(path)
+    arguments = ["render", path, "-o", tmp_path / "a.png", "--width", 30, "--height", 20, "--device", "cpu"]
+    assert CliRunner().invoke(main, [str(a) for a in arguments]).exit_code == 0
+    mesh = wrt.TriangleMesh.load(path)
+    upward = (0, 0, 1) if suffix == "stl" else (0, 1, 0)
+    given = wrt.PinholeCamera.framing(mesh, 30, 20, fov=35, up=upward)
+    for camera in (*seen, *(wrt.PinholeCamera.framing(geometry, 30, 20, fov=35) for geometry in (mesh, wrt.Scene(mesh)))):
+        np.testing.assert_array_equal(camera.up, given.up)
+        np.testing.assert_array_equal(camera.position, given.position)
+    assert given.up @ upward > 0.9
+    other = wrt.PinholeCamera.framing(mesh, 30, 20, up=(1, 0, 0))
+    assert other.up[0] > 0.9
+
+
+def test_framing_takes_z_if_meshes_differ_in_their_upward_direction():
+    one, two = (
+        wrt.TriangleMesh(random_triangles(5).vertices, random_triangles(5).faces, up=up) for up in ((0, 1, 0), (1, 0, 0))
+    )
+    assert wrt.PinholeCamera.framing(wrt.Scene([one, two]), 8, 8).up[2] > 0.9
+    assert wrt.PinholeCamera.framing(wrt.Scene([one, random_triangles(5)]), 8, 8).up[1] > 0.9
 
 
 def test_framing_a_single_point_of_view_on_a_flat_mesh():

@@ -217,7 +217,7 @@ def test_bench_is_imported_when_called():
         (["render", "-o", "a.png", "--accelerator", "octree"], "'octree' is unknown; choose from auto"),
         (["render", "-o", "a.png", "--traversal", "walk"], "'walk' is unknown; choose from auto, brute"),
         (["render", "-o", "a.png", "--triangle-test", "t"], "'t' is unknown; choose from auto, woop"),
-        (["render", "-o", "a.png", "--device", "tpu"], "'tpu' does not exist; choose from cpu"),
+        (["render", "-o", "a.png", "--device", "tpu"], "device 'tpu' does not exist; choose from cpu"),
         (["render", "-o", "a.png", "--threads", "0"], "'--threads'"),
         (["render", "-o", "a.png", "--ground"], "--ground needs a MODEL"),
         (["render", "-o", "a.xyz"], "unknown extension '.xyz'"),

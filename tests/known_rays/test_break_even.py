@@ -7,7 +7,7 @@ import pytest
 from conftest import SCENES
 
 import wrt
-from wrt.known_rays.break_even import FIND, break_even_share
+from wrt.known_rays.break_even import AREA_LOOKUP_COST, break_even_share
 
 
 def test_share():
@@ -23,7 +23,7 @@ def test_share():
         break_even_share(1.0, 1.0, np.nan)
 
 
-def test_balance():
+def test_break_even_of_an_area():
     """A sun over half of the scene, by the counters of queries; no area; a lamp that no ray runs to."""
     mesh = SCENES["random_triangles"]()
     sun = wrt.PlaneInfluenceArea(position=(0.5, 0.5, 2), direction=(0, 0, -1), width=3, height=3, depth=1.5)
@@ -36,7 +36,7 @@ def test_balance():
     directions = np.concatenate([down.directions, rng.normal(size=(200, 3))])
     report = wrt.break_even(scene, origins, directions)
     (area,) = report.areas
-    assert (area.area, area.share, report.alone, report.rays) == (sun, 0.75, 0.25, 800)
+    assert (area.area, area.share, report.unassigned_share, report.rays) == (sun, 0.75, 0.25, 800)
     hits = plain.intersect(down, traversal="single", counters=True)
     cost = plain.accelerator.config(scene.tree.width).cost
     expected = cost.traversal * hits.counters["nodes"] + cost.block * hits.counters["triangles"] / scene.tree.width
@@ -46,7 +46,7 @@ def test_balance():
     assert (hits.t <= 1.4).mean() <= area.settled <= ((hits.t <= 1.4) | beside).mean()
     with_areas = scene.intersect(down, traversal="single", counters=True).counters
     total = cost.traversal * with_areas["nodes"] + cost.block * with_areas["triangles"] / scene.tree.width
-    assert area.cost_local + (1 - area.settled) * area.cost_miss == pytest.approx(FIND + total.mean())
+    assert area.cost_local + (1 - area.settled) * area.cost_miss == pytest.approx(AREA_LOOKUP_COST + total.mean())
     assert area.pays == (area.ratio > 1.0) == report.pays
     assert report.ratio == pytest.approx(area.ratio)
     text = str(report)

@@ -141,9 +141,9 @@ def test_threads_and_tasks_do_not_show(monkeypatch):
     area = area_of(mesh, "point")
     with use_threads(1):
         reference, _ = build(mesh, area, "facing")
-    monkeypatch.setattr(binned, "LEAST_LARGE", 200)
+    monkeypatch.setattr(binned, "MIN_LARGE", 200)
     monkeypatch.setattr(binned, "TASKS_PER_THREAD", mesh.triangle_count // 200)
-    monkeypatch.setattr(binned, "LEAST_CHUNK", 64)
+    monkeypatch.setattr(binned, "MIN_CHUNK", 64)
     with use_threads(3):
         tree, _ = build(mesh, area, "facing")
     assert_same_tree(tree, reference)
@@ -179,7 +179,7 @@ class Reference:
         return 1 - along / along.sum()
 
     def planes(self, axis: int):
-        """(price, hits, triangles on the left) of each plane of an axis."""
+        """(cost, hits, triangles on the left) of each plane of an axis."""
         centers, bins = self.low + self.high, self.config.bvh.bins
         first, extent = centers[:, axis].min(), np.ptp(centers[:, axis])
         bin_of = np.minimum((centers[:, axis] - first) * (np.float32(bins) / extent), np.float32(bins - 1)).astype(int)
@@ -219,7 +219,7 @@ class Reference:
     ],
 )
 def test_planes_are_those_of_the_published_algorithm(axes, kind, monkeypatch):
-    """The price of the plane taken, in the large nodes of the first levels, is that of the algorithm written out again."""
+    """The cost of the plane taken, in the large nodes of the first levels, is that of the algorithm written out again."""
     mesh = SCENES["random_triangles"]()
     area = area_of(mesh, kind)
     binary = []
@@ -238,8 +238,8 @@ def test_planes_are_those_of_the_published_algorithm(axes, kind, monkeypatch):
             continue
         sides = [order[ranges[child][0] :][: ranges[child][1]] for child in (2 * pairs[node], 2 * pairs[node] + 1)]
         weights = [reference.weigh(low[side].min(axis=0), high[side].max(axis=0)) for side in sides]
-        price = config.cost.of_leaf(np.array([len(side) for side in sides])) @ weights
-        assert price == pytest.approx(reference.best(), rel=1e-3)
+        cost = config.cost.of_leaf(np.array([len(side) for side in sides])) @ weights
+        assert cost == pytest.approx(reference.best(), rel=1e-3)
         nodes += [(2 * pairs[node], depth + 1), (2 * pairs[node] + 1, depth + 1)]
         checked += 1
     assert checked >= 2
@@ -249,7 +249,7 @@ def test_planes_are_those_of_the_published_algorithm(axes, kind, monkeypatch):
 
 
 def test_no_rays_known_is_the_surface_area_tree():
-    """With all rays in all directions, and all axes, the tree is as good as that of `wrt.Bvh`, prices by prices."""
+    """With all rays in all directions, and all axes, the tree is as good as that of `wrt.Bvh`, costs by costs."""
     mesh = SCENES["wood"]()
     trees = wrt.Bvh(width=8), wrt.ProjectedBvh(areas=area_of(mesh, "plane"), others=1.0, width=8)
     costs = [wrt.Scene(mesh, tree).statistics().tree.sah_cost for tree in trees]

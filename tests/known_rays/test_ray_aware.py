@@ -114,7 +114,7 @@ def test_octree_in_slices_and_within_bounds(monkeypatch):
     size = len(child) * octree.CELL_BYTES
     above = sum(its_lists[~word].nbytes for word in shallow[shallow < 0]) + sum(one.nbytes for one in its_lists)
     for bound in (size // 2, size + above):  # too many cells, and too many pairs in those of the last level
-        monkeypatch.setattr(octree, "MOST_BYTES", bound)
+        monkeypatch.setattr(octree, "MAX_BYTES", bound)
         with pytest.raises(ValueError, match=r"octree over 30 influence areas .* pass depth=3 .* or top_level='array'"):
             octree.build_octree(structs, *root, 4)
     assert len(octree.build_octree(structs, *root, 3)[0]) == len(shallow)

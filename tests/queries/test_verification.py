@@ -145,7 +145,7 @@ def test_what_is_in_the_mesh():
     def sorts(vertices, faces):
         return {
             sort: (number, marked.sum())
-            for sort, (number, marked) in verification.sorts_of_triangles(wrt.TriangleMesh(vertices, faces)).items()
+            for sort, (number, marked) in verification.triangle_defects(wrt.TriangleMesh(vertices, faces)).items()
         }
 
     names = list(sorts(box.vertices, box.faces))

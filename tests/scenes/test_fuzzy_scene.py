@@ -9,7 +9,7 @@ from conftest import assert_same_hits, mixed_rays
 from test_cuda_compiles import compile_to_ptx
 
 import wrt
-from wrt.builders.motion_clusters import assigned, decompose, fit_maps, fuzzy_boxes
+from wrt.builders.motion_clusters import assign_triangles, decompose, fit_maps, fuzzy_boxes
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
@@ -140,7 +140,7 @@ def test_fuzzy_boxes_hold_their_triangles():
     mapped = np.linalg.solve(found.matrices[:, 1], (inside - found.origins[:, 1, None]).swapaxes(1, 2)).swapaxes(1, 2)
     assert (mapped >= low).all()
     assert (mapped <= high).all()
-    unused = assigned(frames, TWO.faces, found.matrices[:, [0, 1, 1]], found.origins[:, [0, 1, 1]])
+    unused = assign_triangles(frames, TWO.faces, found.matrices[:, [0, 1, 1]], found.origins[:, [0, 1, 1]])
     assert unused.matrices.shape[1] == 2  # the third is never nearer than the second
 
 

@@ -1,5 +1,7 @@
 """TriangleMesh: what it refuses, what it keeps, what it reads and what it says about a mesh."""
 
+import pickle
+
 import numpy as np
 import pytest
 import trimesh
@@ -212,6 +214,34 @@ def test_save_and_load_keep_the_order(tmp_path, suffix):
     np.testing.assert_allclose(loaded.vertices[loaded.faces], vertices[faces], atol=1e-6)
     if suffix in ("ply", "obj", "off"):
         np.testing.assert_array_equal(loaded.faces, faces)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "obj", "stl", "off", "glb"])
+def test_the_format_says_which_axis_points_up(tmp_path, suffix):
+    TriangleMesh(SQUARE, TWO).save(tmp_path / f"mesh.{suffix}")
+    assert TriangleMesh.load(tmp_path / f"mesh.{suffix}").up == (None if suffix == "stl" else (0.0, 1.0, 0.0))
+
+
+def test_the_upward_direction_follows_the_mesh():
+    """From arrays none is known. Copies keep it, maps move it, and meshes that differ in it have none together."""
+    assert TriangleMesh(SQUARE, TWO).up is None
+    mesh = TriangleMesh(SQUARE, TWO, up=(0, 3, 0))
+    assert mesh.up == mesh.welded().up == pickle.loads(pickle.dumps(mesh)).up == (0.0, 1.0, 0.0)
+    to_z_up = trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0])
+    np.testing.assert_allclose(mesh.transformed(to_z_up).up, (0, 0, 1), atol=1e-15)
+    assert mesh.transformed(np.diag([2.0, 0.0, 2.0, 1.0])).up is None
+    plain = TriangleMesh(SQUARE, TWO)
+    assert plain.transformed(to_z_up).up is None
+    assert TriangleMesh.concatenate([mesh, plain]).up == mesh.up
+    turns = [trimesh.transformations.rotation_matrix(angle, [0, 1, 0]) for angle in (0.1, 2.0)]
+    np.testing.assert_allclose(wrt.Scene([wrt.Instance(mesh, turn) for turn in turns]).flattened().up, (0, 1, 0), atol=1e-15)
+    assert TriangleMesh.concatenate([mesh, TriangleMesh(SQUARE, TWO, up=(1, 0, 0))]).up is None
+
+
+@pytest.mark.parametrize("up", [(0, 0, 0), (0, 1), (0, np.nan, 1), "y"])
+def test_bad_upward_directions_are_refused(up):
+    with pytest.raises(ValueError, match="up must be three"):
+        TriangleMesh(SQUARE, TWO, up=up)
 
 
 def test_save_refuses_unknown_formats(tmp_path):

@@ -294,7 +294,7 @@ BAD_SCENES = {
     "a path": (lambda: wrt.Scene("bunny.ply"), TypeError, "TriangleMesh.load"),
     "accelerator": (lambda: wrt.Scene(trimesh.creation.box(), "octree"), ValueError, "choose from auto, bvh, kdtree"),
     "accelerator type": (lambda: wrt.Scene(trimesh.creation.box(), 7), TypeError, "accelerator must be"),
-    "device": (lambda: wrt.Scene(trimesh.creation.box(), device="cuda:99"), ValueError, "is not there"),
+    "device": (lambda: wrt.Scene(trimesh.creation.box(), device="cuda:99"), ValueError, "does not exist"),
     "device name": (lambda: wrt.Scene(trimesh.creation.box(), device="tpu"), ValueError, "choose from cpu"),
     "threads": (lambda: wrt.Scene(trimesh.creation.box(), num_threads=0), ValueError, "num_threads is 0"),
     "threads type": (lambda: wrt.Scene(trimesh.creation.box(), num_threads=1.5), TypeError, "num_threads must be an int"),

@@ -36,7 +36,7 @@ DESCRIPTIONS = {
 def meshes() -> list[wrt.TriangleMesh]:
     """Two, one in float64 and far away."""
     teapot = wrt.scenes.build("teapot", level=3)
-    far = wrt.TriangleMesh(teapot.vertices.astype(np.float64) * 0.7 + 1e5, teapot.faces[:-100], name="far")
+    far = wrt.TriangleMesh(teapot.vertices.astype(np.float64) * 0.7 + 1e5, teapot.faces[:-100], name="far", up=(0, 1, 0))
     return [wrt.TriangleMesh(teapot.vertices + 1e5, teapot.faces), far]
 
 
@@ -64,7 +64,7 @@ def assert_same(scene: wrt.Scene, other: wrt.Scene) -> None:
     """The same description, the same meshes, the same tree and the same hits."""
     assert (scene.accelerator, scene.triangle_test) == (other.accelerator, other.triangle_test)
     for mesh, twin in zip(scene.meshes, other.meshes, strict=True):
-        assert (mesh.name, mesh.vertices.dtype) == (twin.name, twin.vertices.dtype)
+        assert (mesh.name, mesh.up, mesh.vertices.dtype) == (twin.name, twin.up, twin.vertices.dtype)
         np.testing.assert_array_equal(mesh.vertices, twin.vertices)
         np.testing.assert_array_equal(mesh.faces, twin.faces)
         assert not twin.vertices.flags.writeable
@@ -201,7 +201,7 @@ def test_damaged_and_foreign_files(tmp_path):
         wrt.Scene.load(tmp_path / "nowhere.npz")
     with pytest.raises(FileNotFoundError):
         scene.save(tmp_path / "nowhere" / "scene.npz")
-    with pytest.raises(ValueError, match="device 'cuda:99' is not there"):
+    with pytest.raises(ValueError, match="device 'cuda:99' does not exist"):
         wrt.Scene.load(path, device="cuda:99")
 
 

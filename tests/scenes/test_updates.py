@@ -9,10 +9,10 @@ import warp as wp
 from conftest import assert_same_hits, degenerate_soup, mixed_rays, snapped_soup
 
 import wrt
-from wrt.builders.bvh.update.bvh_grafting import unite_lanes
+from wrt.builders.bvh.update.bvh_grafting import merge_lanes
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.update import refill as refilling
-from wrt.builders.rebuild_heuristic import MOST_SUBTREES, worn_subtrees
+from wrt.builders.rebuild_heuristic import MAX_SUBTREES, degraded_subtrees
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 
@@ -69,7 +69,7 @@ def cluster_scene(kind: str, width: int) -> tuple[wrt.Scene, np.ndarray]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_only_the_worn_subtree_is_built(kind, width):
     """With 8 triangles a block, eight overlapping cells of the one ball were built, 6,790 triangles in all, and all three balls
-    of a node of the BVH. With 16 it was right by chance: there were more than `MOST_SUBTREES` cells.
+    of a node of the BVH. With 16 it was right by chance: there were more than `MAX_SUBTREES` cells.
     """
     scene, vertices = cluster_scene(kind, width)
     scene.update(23, vertices=vertices)
@@ -134,7 +134,7 @@ def test_moved_and_scaled_trees_cost_the_same(kind):
     np.testing.assert_allclose(report.cost_kept, report.cost_built, rtol=0.02)
 
 
-def test_worn_subtrees():
+def test_degraded_subtrees():
     """A tree of 31 nodes, both children met by two thirds of the rays; nodes of level n have cost 5 - n."""
     built = np.array([5.0 - int(np.log2(k)) for k in range(1, 32)])
 
@@ -145,7 +145,7 @@ def test_worn_subtrees():
     def chosen(costs: dict[int, float], tolerance: float = 1.3) -> list[int]:
         now = built.copy()
         now[list(costs)] = list(costs.values())
-        return [node for (node,) in worn_subtrees(now, built, children, tolerance)]
+        return [node for (node,) in degraded_subtrees(now, built, children, tolerance)]
 
     assert chosen({}) == []
     assert chosen({0: 10.0}) == [0]  # by itself
@@ -154,7 +154,7 @@ def test_worn_subtrees():
     assert chosen({0: 9.0, 1: 8.0, 2: 8.0, 6: 9.0}) == [1, 6]
     assert chosen({20: 2.0}) == [20]
     assert chosen(dict.fromkeys(range(15, 31), 2.0)) == list(range(15, 31))
-    assert MOST_SUBTREES == 16
+    assert MAX_SUBTREES == 16
 
 
 def test_worn_siblings_are_built_together():
@@ -162,15 +162,15 @@ def test_worn_siblings_are_built_together():
     built = np.array([6.0, 4.0, 4.0, 4.0, 4.0])
     asked = []
 
-    def chosen(price: float, costs: tuple[float, ...] = (30.0, 9.0, 9.0, 9.0, 4.0), tolerance: float = 1.3) -> list[tuple]:
+    def chosen(estimate: float, costs: tuple[float, ...] = (30.0, 9.0, 9.0, 9.0, 4.0), tolerance: float = 1.3) -> list[tuple]:
         def children(node: int) -> tuple[np.ndarray, np.ndarray]:
             return (np.arange(1, 5), np.array([1.0, 1.0, 1.0, 0.25])) if node == 0 else (np.empty(0, int), np.empty(0))
 
-        def together(node: int, siblings: np.ndarray, costs: np.ndarray) -> float:
+        def joined_cost(node: int, siblings: np.ndarray, costs: np.ndarray) -> float:
             asked.append((node, siblings.tolist(), costs.tolist()))
-            return price
+            return estimate
 
-        return worn_subtrees(np.array(costs), built, children, tolerance, together=together)
+        return degraded_subtrees(np.array(costs), built, children, tolerance, joined_cost=joined_cost)
 
     assert chosen(4.0) == [(1, 2, 3)]  # 30 - 27 + 4 is below 1.3 x 6
     assert chosen(5.0) == [(0,)]
@@ -188,10 +188,10 @@ def test_parts_with_more_triangles_than_the_whole_are_not_built():
         return (np.array([1, 2]), np.ones(2)) if node == 0 else (np.empty(0, int), np.empty(0))
 
     lists = {0: np.arange(10), 1: np.arange(7), 2: np.arange(3, 10)}
-    assert worn_subtrees(now, built, children, 1.3) == [(1,), (2,)]
-    assert worn_subtrees(now, built, children, 1.3, triangles=lists.get) == [(0,)]
+    assert degraded_subtrees(now, built, children, 1.3) == [(1,), (2,)]
+    assert degraded_subtrees(now, built, children, 1.3, triangles=lists.get) == [(0,)]
     lists[2] = np.arange(7, 10)
-    assert worn_subtrees(now, built, children, 1.3, triangles=lists.get) == [(1,), (2,)]
+    assert degraded_subtrees(now, built, children, 1.3, triangles=lists.get) == [(1,), (2,)]
 
 
 def test_lanes_of_siblings_become_one():
@@ -200,7 +200,7 @@ def test_lanes_of_siblings_become_one():
     bounds = np.arange(96.0).reshape(4, 24)
     corners = bounds[0].reshape(2, 3, 4).copy()
     others = bounds[1:].copy()
-    unite_lanes(child, bounds, (2, 3))
+    merge_lanes(child, bounds, (2, 3))
     np.testing.assert_array_equal(child[0], [1, ~(5 << 6 | 3), 2, EMPTY_LANE])
     united = bounds[0].reshape(2, 3, 4)
     np.testing.assert_array_equal(united[..., :2], corners[..., :2])
@@ -208,7 +208,7 @@ def test_lanes_of_siblings_become_one():
     np.testing.assert_array_equal(united[1, :, 2], corners[1, :, 2:].max(axis=1))
     np.testing.assert_array_equal(united[..., 3], [[np.inf] * 3, [-np.inf] * 3])
     np.testing.assert_array_equal(bounds[1:], others)
-    unite_lanes(child, bounds, (1, 2))
+    merge_lanes(child, bounds, (1, 2))
     np.testing.assert_array_equal(child[0], [1, ~(5 << 6 | 3), EMPTY_LANE, EMPTY_LANE])
 
 

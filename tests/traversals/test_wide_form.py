@@ -9,7 +9,7 @@ from conftest import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.builders.bvh.bvh_config import BvhConfig
-from wrt.builders.convert.wide_kdtree import TOGETHER, wide_form
+from wrt.builders.convert.wide_kdtree import MAX_UNDIVIDED_BLOCKS, to_wide_bvh
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.tree import Bvh
@@ -53,12 +53,12 @@ def lists(form: Bvh) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return form.primitive.numpy()[slots], number, box[:, :3], box[:, 3:]
 
 
-@pytest.mark.parametrize("together", [0, 3, TOGETHER])
+@pytest.mark.parametrize("undivided_blocks", [0, 3, MAX_UNDIVIDED_BLOCKS])
 @pytest.mark.parametrize("name", TREES)
-def test_boxes_hold_what_is_below(teapot, name, together):
+def test_boxes_hold_what_is_below(teapot, name, undivided_blocks):
     scene = wrt.Scene(teapot, TREES[name], device="cpu")
     triangles = boxes_of(scene)
-    form = wide_form(scene.tree, triangles, CONFIG, together)
+    form = to_wide_bvh(scene.tree, triangles, CONFIG, undivided_blocks)
     triangle, leaf, low, high = lists(form)
     assert set(triangle) == set(range(teapot.triangle_count))
     assert len(np.unique(np.stack([leaf, triangle]), axis=1).T) == len(triangle)  # a leaf lists nothing twice
@@ -76,7 +76,7 @@ def test_boxes_lie_in_cells(teapot):
     """Followed to its leaves, the tree's cells bound the boxes: each is in that of a leaf which lists all its triangles."""
     scene = wrt.Scene(teapot, wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0), device="cpu")
     config = BvhConfig(SurfaceAreaCost(width=WIDTH, block=20.0), max_leaf_triangles=WIDTH)
-    triangle, leaf, low, high = lists(wide_form(scene.tree, boxes_of(scene), config, together=0))
+    triangle, leaf, low, high = lists(to_wide_bvh(scene.tree, boxes_of(scene), config, undivided_blocks=0))
     flat, primitive = unpack(scene.tree), scene.tree.primitive.numpy()
     cells = [
         (flat.low[at], flat.high[at], {*primitive[flat.first_block[at] * WIDTH :][: flat.triangles[at]].tolist()})
@@ -94,17 +94,19 @@ def test_what_is_listed_together_is_listed_once(teapot):
         wrt.KdTree(builder="binned", width=WIDTH, block_cost=20.0),
         device="cpu",
     )
-    references = [len(lists(wide_form(scene.tree, boxes_of(scene), CONFIG, together))[0]) for together in (0, 8, 32)]
+    references = [
+        len(lists(to_wide_bvh(scene.tree, boxes_of(scene), CONFIG, undivided_blocks))[0]) for undivided_blocks in (0, 8, 32)
+    ]
     assert references[0] == unpack(scene.tree).triangles.sum()
     assert references[0] > references[1] > references[2] > teapot.triangle_count
-    assert 40 < unpack(few.tree).triangles.sum() <= TOGETHER * WIDTH
-    assert sorted(lists(wide_form(few.tree, boxes_of(few), CONFIG))[0]) == list(range(40))
+    assert 40 < unpack(few.tree).triangles.sum() <= MAX_UNDIVIDED_BLOCKS * WIDTH
+    assert sorted(lists(to_wide_bvh(few.tree, boxes_of(few), CONFIG))[0]) == list(range(40))
 
 
 def test_more_together_than_there_is_room_for(teapot):
     scene = wrt.Scene(teapot, BINNED, device="cpu")
-    with pytest.raises(ValueError, match="together is 1000; it must be from 0 to 128"):
-        wide_form(scene.tree, boxes_of(scene), BvhConfig(SurfaceAreaCost(width=8)), 1000)
+    with pytest.raises(ValueError, match="undivided_blocks is 1000; it must be from 0 to 128"):
+        to_wide_bvh(scene.tree, boxes_of(scene), BvhConfig(SurfaceAreaCost(width=8)), 1000)
 
 
 def test_threads_do_not_show(teapot):
@@ -112,7 +114,7 @@ def test_threads_do_not_show(teapot):
     forms = []
     for threads in (1, 3):
         with use_threads(threads):
-            forms.append(wide_form(scene.tree, boxes_of(scene), CONFIG))
+            forms.append(to_wide_bvh(scene.tree, boxes_of(scene), CONFIG))
     for name in ("bounds", "child", "primitive"):
         np.testing.assert_array_equal(*(getattr(form, name).numpy() for form in forms))
 

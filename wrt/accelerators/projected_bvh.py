@@ -87,8 +87,8 @@ class ProjectedBvh:
 
         Bins are 32 along an axis instead of 40. areas: as in the class; changes: other attributes, by name.
         """
-        prices = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
-        return cls(areas=areas, **prices | {"axes": "facing", "bins": 32, "others": 0.0} | changes)
+        costs = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
+        return cls(areas=areas, **costs | {"axes": "facing", "bins": 32, "others": 0.0} | changes)
 
     def config(self, width: int) -> ProjectedConfig:
         """The builder's configuration; `width` is used where the description leaves it open."""
@@ -102,9 +102,9 @@ class ProjectedBvh:
         block, unit = (0.5 if width >= 8 else 1.5) if self.block_cost is None else self.block_cost, None
         if self.triangle_cost is not None:
             block, unit = self.triangle_cost, 1
-        prices = SurfaceAreaCost(traversal=self.traversal_cost, block=block, width=width, unit=unit)
+        costs = SurfaceAreaCost(traversal=self.traversal_cost, block=block, width=width, unit=unit)
         return ProjectedConfig(
-            bvh=BvhConfig(prices, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles),
+            bvh=BvhConfig(costs, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles),
             rays=RayDistribution(self.areas, self.shares, self.others if self.cost == "pah" else 1.0),
             axes=lookup(AXIS_CHOICES, self.axes, "axes") if isinstance(self.axes, str) else self.axes,
             nodes=NodeRules(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 TOP_LEVELS = ("auto", "octree", "array")
 
-MOST_IN_ARRAY = 16
+MAX_ARRAY_AREAS = 16
 """Largest number of areas that are searched as an array, which is then faster than an octree
 (notebooks/records/2026-11-21-influence-areas.md).
 """
@@ -90,7 +90,7 @@ class RayAwareBvh:
     @property
     def octree_depth(self) -> int:
         """Largest number of octree levels below the root; 0 for an array."""
-        is_array = len(self.areas) <= MOST_IN_ARRAY if self.top_level == "auto" else self.top_level == "array"
+        is_array = len(self.areas) <= MAX_ARRAY_AREAS if self.top_level == "auto" else self.top_level == "array"
         return 0 if is_array else self.depth
 
     def config(self, width: int) -> BvhConfig:

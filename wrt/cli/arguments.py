@@ -167,7 +167,7 @@ def start_warp(device: str | None) -> None:
         os.close(null)
     names = [known.alias for known in warp.get_devices()]
     if device is not None and device not in (*names, "cuda" if len(names) > 1 else "cpu"):
-        raise click.BadParameter(f"{device!r} does not exist; choose from {', '.join(names)}", param_hint="--device")
+        raise click.BadParameter(f"device {device!r} does not exist; choose from {', '.join(names)}", param_hint="--device")
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from wrt.cli.arguments import (
-    UP_NAMES,
     UpDirection,
     Vector,
     check_name,
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
-Y_UP_FORMATS = {".glb", ".gltf", ".obj", ".off", ".ply"}
 GROUND_SIZE = 32.0
 """Side of the ground under a model, in diagonals of the model's bounding box."""
 
@@ -62,6 +60,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     start_warp(given["device"])
     from wrt.imaging.image_files import check_path, save_image
     from wrt.imaging.rendering import render as render_image
+    from wrt.meshes.up_axis import default_up
 
     try:
         check_path(output)
@@ -69,7 +68,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
         raise click.BadParameter(str(error), param_hint="--output") from None
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
     mesh, builtin = load_mesh(given)
-    up = given["up"] or (builtin.up if builtin else _up_of_file(given["model"]))
+    up = given["up"] or (builtin.up if builtin else default_up(mesh))
     if ground and builtin:
         raise click.UsageError("--ground needs a MODEL; built-in scenes have their own ground")
     scene = make_scene([mesh, _ground(mesh, up)] if ground else mesh, given)
@@ -118,11 +117,6 @@ def _ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:
     low, high = scene.bounds
     inside = ((low < camera.position) & (camera.position < high)).all()
     return 0.1 * float(((high - low) ** 2).sum() ** 0.5) if inside else None
-
-
-def _up_of_file(path: Path) -> tuple[float, ...]:
-    """Up axis by file format: y for formats of computer graphics (in glTF by standard), z for engineering formats."""
-    return UP_NAMES["y" if path.suffix.lower() in Y_UP_FORMATS else "z"]
 
 
 def _ground(mesh: TriangleMesh, up: tuple[float, ...]) -> TriangleMesh:

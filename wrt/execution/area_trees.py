@@ -22,7 +22,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.builders.influence.area_top_level import TopLevel, boxes_of, margin_of, region_of, renumber, touch_of, triangles_in
+from wrt.builders.influence.area_top_level import (
+    TopLevel,
+    lookup_margin,
+    region_of,
+    renumber,
+    select_boxes,
+    triangle_margin,
+    triangles_in,
+)
 from wrt.execution.batch import trace_batch
 from wrt.execution.device_hits import DeviceHits
 from wrt.execution.plan import Plan, way_of
@@ -83,13 +91,13 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
         triangles: bounding boxes of the triangles, on the CPU.
     """
     accelerator, (low, high) = scene.accelerator, scene.bounds
-    touch = touch_of(accelerator.areas, scene.center)
+    touch = lookup_margin(accelerator.areas, scene.center)
     areas, regions, scenes, counts = [], [], [], []
     for area in accelerator.areas:
         region = region_of(area, low, high)
         ids = triangles_in(region, touch, triangles)
         if len(ids):
-            tree = accelerator.build_local(area, boxes_of(triangles, ids), scene.tree.width)
+            tree = accelerator.build_local(area, select_boxes(triangles, ids), scene.tree.width)
             scenes.append(scene.over(renumber(tree, ids, triangles).to(scene.device)))
             areas.append(area)
             regions.append(region)
@@ -99,7 +107,7 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
     top = TopLevel(
         areas, regions, touch, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device
     )
-    margin = max(margin_of(region, touch, low, high) for region in regions)
+    margin = max(triangle_margin(region, touch, low, high) for region in regions)
     corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
     return AreaTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
 

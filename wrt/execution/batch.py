@@ -57,7 +57,7 @@ def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: 
             raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
         trace_rounds(scene, plan, rays, hits, query)
         return
-    if scene.lazy_tree is not None and plan.accelerator != "none" and scene.lazy_tree.current.waiting:
+    if scene.lazy_tree is not None and plan.accelerator != "none" and scene.lazy_tree.current.unbuilt:
         idle = no_work(way_of(plan).counters, scene.device.alias)
 
         def trace_part(some: RayBatch, found: DeviceHits) -> None:

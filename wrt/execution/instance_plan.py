@@ -28,7 +28,7 @@ def choose_for_instances(scene: SceneState, rays: RayBuffers, query: str, cull_b
     alone = "two levels, one ray at a time"
     if scene.accelerator.kind != "bvh" or query == ALL:
         return "single", alone
-    if rays.coherent and rays.laid_out.origin_stride == 0 and query in (CLOSEST, ANY) and not cull_backfaces:
+    if rays.coherent and rays.arrays_or_batch.origin_stride == 0 and query in (CLOSEST, ANY) and not cull_backfaces:
         dense = rays.count * TRIANGLES_PER_RAY >= scene.triangle_count
         return ("packet", f"two levels, {ALIKE}") if dense else ("single", f"{alone}: triangles are small")
     least = (RAYS_PER_INSTANCE if rays.coherent else SCATTERED_PER_INSTANCE) * len(scene.instances)

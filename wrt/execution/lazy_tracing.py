@@ -117,7 +117,7 @@ def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, 
     """Builds up to `most` unbuilt cells that each ray reaches first; returns the numbers of the rays that reach any."""
     from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
 
-    if not snapshot.waiting:
+    if not snapshot.unbuilt:
         return np.zeros(0, dtype=int)
     asked = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
     unfinished = empty(rays.count, wp.bool, tree.device)
@@ -125,5 +125,5 @@ def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, 
     launch(ask_for_cells, rays.count, inputs, device=tree.device, chunk=1024)
     numbers = np.flatnonzero(unfinished.numpy())
     if len(numbers):
-        tree.open(np.flatnonzero(asked.numpy()))
+        tree.build_cells(np.flatnonzero(asked.numpy()))
     return numbers

@@ -62,7 +62,7 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     width = wide_width(scene) if way.wide else scene.width
     if plan.width != width:
         raise ValueError(f"plan.width is {plan.width}, but the scene's tree has width {width}")
-    if plan.shared_origin and (rays.laid_out.origin_stride != 0 or scene.instances):
+    if plan.shared_origin and (rays.arrays_or_batch.origin_stride != 0 or scene.instances):
         raise ValueError(
             "plan.shared_origin is true, but each ray has its own origin; broadcast one origin, in a scene without instances"
         )
@@ -174,7 +174,7 @@ def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
     Raises:
         ValueError: the test needs a shared origin, and each ray has its own.
     """
-    if test.needs_shared_origin and not shares_origin(rays.laid_out):
+    if test.needs_shared_origin and not shares_origin(rays.arrays_or_batch):
         raise ValueError(
             f"triangle_test {test.name!r} needs rays that share their origin; pass a single point as origins, such as "
             "(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose triangle_test='woop'"

@@ -80,7 +80,7 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
         plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
         return chosen_plan(scene, plan, rays, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
-    count, origin_stride = rays.count, rays.laid_out.origin_stride
+    count, origin_stride = rays.count, rays.arrays_or_batch.origin_stride
     one_by_one = traversal == AUTO and (count <= FEW_RAYS or scene.device.is_cuda)
     size = count > 1 if one_by_one else (rays.shape, get_num_threads())
     found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
@@ -151,7 +151,7 @@ def choose_plan(
         triangle_test=test.name,
         width=width,
         coherent=rays.coherent,
-        shared_origin=rays.laid_out.origin_stride == 0 and not scene.instances,
+        shared_origin=rays.arrays_or_batch.origin_stride == 0 and not scene.instances,
         reason=reason,
         cull_backfaces=cull_backfaces,
         **options,
@@ -228,7 +228,7 @@ def choose_culling(scene: SceneState, rays: RayBuffers, way: Traversal, test: Tr
         return "interval"
     if not (way.wide or scene.accelerator.kind == "bvh"):
         return "vertex"
-    narrow = rays.laid_out.origin_stride == 0 and not scene.instances
+    narrow = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
     fine = rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
     return "vertex" if narrow and fine else "transient_frustum"
 

@@ -54,13 +54,13 @@ def wide_tree(scene: SceneState) -> Bvh:
 
 def _make(scene: SceneState) -> Bvh:
     from wrt.accelerators.tree_descriptions import Bvh as Description
-    from wrt.builders.convert.wide_kdtree import wide_form
+    from wrt.builders.convert.wide_kdtree import to_wide_bvh
     from wrt.builders.triangle_boxes import triangle_boxes
 
     host, width, mesh = wp.get_device("cpu"), wide_width(scene), scene.device_mesh
     triangles = triangle_boxes(mesh.vertices.to(host), mesh.faces.to(host), scene.center)
     config = Description(width=width).config(width)
-    return wide_form(scene.tree.to(host), triangles, config).to(scene.device)
+    return to_wide_bvh(scene.tree.to(host), triangles, config).to(scene.device)
 
 
 def can_be_wide(scene: SceneState) -> bool:

@@ -22,6 +22,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.pixel_rays import View, orthographic_origins, pinhole_directions
+from wrt.meshes.up_axis import default_up
 from wrt.rays.rays import Rays
 
 __all__ = ["OrthographicCamera", "PinholeCamera"]
@@ -133,14 +134,16 @@ class PinholeCamera(_Camera):
         *,
         fov: float = 45.0,
         towards: Any = None,
-        up: Any = (0.0, 0.0, 1.0),
+        up: Any = None,
         margin: float = 0.05,
     ) -> PinholeCamera:
         """A camera that shows all of a mesh or scene, as large as the image allows.
 
         Args:
             geometry: a `wrt.TriangleMesh` or `wrt.Scene`.
-            width, height, fov, up: as in the constructor.
+            width, height, fov: as in the constructor.
+            up: as in the constructor; None for the upward direction of the mesh, `wrt.TriangleMesh.up`: y if it was read from
+                a glTF, OBJ, OFF or PLY file. z if it has none, or if those of a scene's meshes differ.
             towards: (3,) viewing direction; None for a view from the front, slightly from the right and above. The front is
                 -y if z is up, and +z if y is up.
             margin: free share of the image along the tightest edges, in [0, 1).
@@ -151,7 +154,7 @@ class PinholeCamera(_Camera):
         """
         if not 0.0 <= margin < 1.0:
             raise ValueError(f"margin is {margin}; it must be in [0, 1)")
-        up = check_point("up", up)
+        up = check_point("up", default_up(geometry) if up is None else up)
         towards = _default_view(up) if towards is None else check_point("towards", towards)
         forward, right, upward = _frame(towards, up)
         height, width = check_whole("height", height, 1), check_whole("width", width, 1)

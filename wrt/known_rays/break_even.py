@@ -12,7 +12,7 @@ C_global. So the area pays if
 the others, so C_miss is not C_global: all three costs are counted, on a sample of the batch.
 
 **Cost** of a ray is the scene's cost model applied to its counted work: nodes visited, and triangles tested in blocks of
-the tree's width, by single rays. Finding the area of a ray is added (`FIND`).
+the tree's width, by single rays. Finding the area of a ray is added (`AREA_LOOKUP_COST`).
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.scene.scene import Scene
 
-FIND = 2.0
+AREA_LOOKUP_COST = 2.0
 """Cost of finding the area of a ray, in node visits (notebooks/records/2026-11-21-influence-areas.md)."""
 
 SAMPLES = 1 << 14
@@ -74,7 +74,7 @@ def break_even_share(cost_local: float, cost_global: float, cost_miss: float) ->
 
 
 @dataclass(frozen=True)
-class AreaBalance:
+class AreaBreakEven:
     """Costs and savings of an area's tree.
 
     Attributes:
@@ -128,12 +128,12 @@ class BreakEven:
 
     Attributes:
         areas: the areas with rays in the batch.
-        alone: share of the rays that belong to no area.
+        unassigned_share: share of the rays that belong to no area.
         rays: number of rays whose work was counted.
     """
 
-    areas: tuple[AreaBalance, ...]
-    alone: float
+    areas: tuple[AreaBreakEven, ...]
+    unassigned_share: float
     rays: int
 
     @property
@@ -150,7 +150,7 @@ class BreakEven:
 
     def __str__(self) -> str:
         head = f"Influence areas {'pay' if self.pays else 'do not pay'}: {self.ratio:.2f} times by the work of {self.rays} rays"
-        return "\n".join([head, *map(str, self.areas), f"{self.alone:.1%} of the rays belong to no area"])
+        return "\n".join([head, *map(str, self.areas), f"{self.unassigned_share:.1%} of the rays belong to no area"])
 
 
 def break_even(
@@ -182,16 +182,16 @@ def break_even(
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
         plan = plan_for(make_plan(scene.state, buffers, "single", AUTO, query), query)
         count = min(check_whole("samples", samples, 1), buffers.count)
-        rays = chosen_of(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
-        return balance(scene.state, plan, rays, query)
+        rays = select_rays(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
+        return count_break_even(scene.state, plan, rays, query)
 
 
-def balance(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
+def count_break_even(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakEven:
     """Counts the work of all rays, by area."""
     local, cuts = scene.area_trees, assign(scene, rays)
     area, rest, count = cuts.area.numpy(), cuts.rest.numpy(), max(rays.count, 1)
     cut, left = with_range(rays, "t_max", cuts.cut), with_range(rays, "t_min", cuts.rest)
-    balances = []
+    found = []
     for number in range(len(local)):
         chosen = np.flatnonzero(area == number)
         if len(chosen):
@@ -199,20 +199,20 @@ def balance(scene: SceneState, plan: Plan, rays: RayBatch, query: str) -> BreakE
             here, hit = costs(local.scenes[number], plan, cut, chosen, query)
             missed = chosen[~hit & np.isfinite(rest[chosen])]
             again, _ = costs(scene, plan, left, missed, query)
-            means = (FIND + here.mean(), whole.mean(), again.mean() if len(missed) else 0.0)
+            means = (AREA_LOOKUP_COST + here.mean(), whole.mean(), again.mean() if len(missed) else 0.0)
             settled = 1.0 - len(missed) / len(chosen)
-            balances.append(AreaBalance(local.areas[number], len(chosen) / count, settled, *map(float, means)))
-    return BreakEven(tuple(balances), float((area == len(local)).sum() / count), rays.count)
+            found.append(AreaBreakEven(local.areas[number], len(chosen) / count, settled, *map(float, means)))
+    return BreakEven(tuple(found), float((area == len(local)).sum() / count), rays.count)
 
 
 def costs(scene: SceneState, plan: Plan, rays: RayBatch, chosen: np.ndarray, query: str) -> tuple[np.ndarray, np.ndarray]:
     """Cost of the chosen rays in a scene's tree, and whether each hits anything."""
-    hits, work = trace_batch(scene, plan, chosen_of(rays, chosen, scene.device), query, True)
+    hits, work = trace_batch(scene, plan, select_rays(rays, chosen, scene.device), query, True)
     counted, cost = work.numpy(), scene.accelerator.config(scene.tree.width).cost
-    price = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
-    return price, hits.occluded.numpy() if query == ANY else hits.primitive.numpy() >= 0
+    ray_cost = cost.traversal * counted["nodes"] + cost.block * counted["triangles"] / scene.tree.width
+    return ray_cost, hits.occluded.numpy() if query == ANY else hits.primitive.numpy() >= 0
 
 
-def chosen_of(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:
+def select_rays(rays: RayBatch, chosen: np.ndarray, device: wp.Device) -> RayBatch:
     """The rays of a batch with these indices."""
     return sort_rays(rays, wp.array(chosen.astype(np.int32), dtype=int, device=device), empty)

@@ -48,25 +48,25 @@ SAMPLES = 2000
 PAIRS = 20_000
 """Random pairs of rays whose meeting points are searched."""
 
-PLACES = 2000
+MAX_MEETING_POINTS = 2000
 """Largest number of meeting points that are clustered; the time of clustering grows with its square."""
 
-LEAST_MEMBERS = 5
+MIN_MEMBERS = 5
 """Smallest number of members of a cluster."""
 
-LEAST_SINE = 1e-3
+MIN_LINE_SINE = 1e-3
 """Smallest sine of the angle between two lines whose meeting point is used."""
 
-MORE = 1.1
+POINT_MARGIN = 1.1
 """Ratio by which a point must explain more rays than a direction."""
 
-FITS = 4
+FIT_ROUNDS = 4
 """Rounds of fitting a point, each to the lines near the previous one."""
 
 PAD = 1.05
 """Factor by which regions are larger than the bounds of the sample."""
 
-WIDE = np.tan(np.radians(70.0))
+WIDE_TANGENT = np.tan(np.radians(70.0))
 """Tangent of half the opening angle of a bundle from which its rays are divided among the sides of a cube."""
 
 
@@ -142,7 +142,7 @@ class InfluenceAreas(Sequence):
         rng = np.random.default_rng(check_whole("seed", seed, 0))
         lines = sample_lines(origins, directions, check_whole("samples", samples, 20), rng)
         box = _check_bounds(bounds, lines.origins)
-        least = max(LEAST_MEMBERS, int(np.ceil(least_share * len(lines))))
+        least = max(MIN_MEMBERS, int(np.ceil(least_share * len(lines))))
         found = find_distributions(lines, float(np.sin(np.radians(tolerance))), least, rng)
         areas, shares = [], []
         for distribution, chosen in found:
@@ -217,7 +217,7 @@ class Radial:
         length = np.linalg.norm(middle)
         frame = frame_of(tuple(middle / length), None) if length > 0.1 else np.eye(3)
         tangents = tangents_of(ways @ frame.T)
-        if tangents is not None and tangents.max() < WIDE:
+        if tangents is not None and tangents.max() < WIDE_TANGENT:
             return [(self._frustum(frame, np.maximum(PAD * tangents, 1e-3), far), len(ways))]
         side = np.abs(ways).argmax(axis=1)
         sign = np.sign(ways[np.arange(len(ways)), side])
@@ -256,7 +256,7 @@ def find_distributions(
         best, most = None, np.zeros(len(rest), dtype=bool)
         for candidate in [*parallel_candidates(left, sine, least), *radial_candidates(left, sine, least, rng)]:
             explained = candidate.explains(left, sine)
-            worth = explained.sum() / (MORE if isinstance(candidate, Radial) and isinstance(best, Parallel) else 1.0)
+            worth = explained.sum() / (POINT_MARGIN if isinstance(candidate, Radial) and isinstance(best, Parallel) else 1.0)
             if worth > most.sum():
                 best, most = candidate, explained
         if best is None or most.sum() < least:
@@ -286,7 +286,7 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
     between = b.origins - a.origins
     cosine = (a.directions * b.directions).sum(axis=1)
     square = 1.0 - cosine * cosine
-    meeting = square > LEAST_SINE**2
+    meeting = square > MIN_LINE_SINE**2
     along_a, along_b = (between * a.directions).sum(axis=1), (between * b.directions).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         s, t = (along_a - cosine * along_b) / square, (cosine * along_a - along_b) / square
@@ -295,12 +295,12 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
     size = np.linalg.norm(np.ptp(lines.origins, axis=0))
     near = max(1e-6 * (size + np.abs(lines.origins).max()), np.finfo(float).tiny)
     meeting &= gap <= sine * np.minimum(np.abs(s), np.abs(t)) + near
-    if meeting.sum() < LEAST_MEMBERS:
+    if meeting.sum() < MIN_MEMBERS:
         return []
-    kept = np.flatnonzero(meeting)[:PLACES]  # pairs are random: any subset will do
+    kept = np.flatnonzero(meeting)[:MAX_MEETING_POINTS]  # pairs are random: any subset will do
     places = (p[kept] + q[kept]) / 2
     expected = PAIRS * len(kept) / meeting.sum() * (least / len(lines)) ** 2
-    labels = cluster(places, 2.0 * sine * size + near, max(LEAST_MEMBERS, int(expected / 4)))
+    labels = cluster(places, 2.0 * sine * size + near, max(MIN_MEMBERS, int(expected / 4)))
     centers = [np.median(places[labels == label], axis=0) for label in range(labels.max() + 1)]
     return [fit_point(Radial(center, near), lines, sine) for center in centers]
 
@@ -308,7 +308,7 @@ def radial_candidates(lines: Lines, sine: float, least: int, rng: np.random.Gene
 def fit_point(start: Radial, lines: Lines, sine: float) -> Radial:
     """The least-squares meeting point of the lines near `start`."""
     best = start
-    for width in np.geomspace(4.0 * sine, sine, FITS):
+    for width in np.geomspace(4.0 * sine, sine, FIT_ROUNDS):
         near = lines[best.explains(lines, width)]
         if len(near) < 2:
             break

@@ -11,7 +11,7 @@ import numpy as np
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
 
-MOST_STRETCH = 1e12
+MAX_CONDITION = 1e12
 """Condition number from which a map counts as singular: its inverse has no reliable digits."""
 
 MAX_SCALE = 2.0**100
@@ -19,7 +19,7 @@ MAX_SCALE = 2.0**100
 
 MAX_MASK = (1 << 32) - 1
 
-FINEST = 2.0**-40
+MIN_RELATIVE_SIZE = 2.0**-40
 """Smallest size of an instance as a share of its distance from the scene's centre: float64 positions within it have 13 bits."""
 
 
@@ -86,7 +86,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
             f"{name} scales by {sizes[2]:.3g} to {sizes[0]:.3g}; float32 represents rays in the mesh's space for factors from "
             f"{1.0 / MAX_SCALE:.3g} to {MAX_SCALE:.3g}; choose another unit of length for the mesh, or for the scene"
         )
-    if not np.linalg.cond(matrix[:3, :3]) < MOST_STRETCH:
+    if not np.linalg.cond(matrix[:3, :3]) < MAX_CONDITION:
         raise ValueError(
             f"{name} is singular and has no inverse to transform rays with: {matrix[:3, :3].tolist()}; transform the mesh "
             "instead, and pass mesh.transformed(transform) to the scene"
@@ -109,7 +109,7 @@ def check_mask(mask: Any, name: str = "mask") -> int:
     return int(mask)
 
 
-def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
+def check_extent(instances: Sequence[Instance], geometry_ids: Sequence[int], meshes: Sequence[TriangleMesh]) -> None:
     """Refuses a scene beyond float32, or so large that float64 does not resolve positions within one of its instances.
 
     Args:
@@ -134,7 +134,7 @@ def check_spread(instances: Sequence[Instance], geometry_ids: Sequence[int], mes
         )
     center = ((middle - half).min(axis=0) + (middle + half).max(axis=0)) / 2
     size, distance = 2.0 * half.max(axis=1), np.abs(middle - center).max(axis=1)
-    lost = (size < FINEST * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])
+    lost = (size < MIN_RELATIVE_SIZE * distance) & (size > 0.0) & np.array([instance.mask != 0 for instance in instances])
     if lost.any():
         worst = int(np.flatnonzero(lost)[0])
         raise ValueError(

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
+from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
     import trimesh
@@ -42,19 +43,23 @@ class TriangleMesh:
         vertices: (V, 3) points, in any unit of length. float32 and float64 are kept; other real types become float64.
         faces: (F, 3) integer vertex indices, zero-based, F >= 1; stored as int32.
         name: a label for messages and tables.
+        up: (3,) the upward direction, of any length: the default of `wrt.PinholeCamera.framing` and `wrt render`. None if it
+            is not known; they then take z.
 
     Both arrays are copied, and the copies are read-only: later changes to the caller's arrays affect neither the mesh nor a
     scene made from it. To move vertices, call `wrt.Scene.update`. Arrays of another mesh are shared, not copied.
 
     Raises:
         TypeError: `vertices` is not real-valued, or `faces` is not an integer array.
-        ValueError: wrong shape, no triangle, NaN or infinite vertices (also unreferenced ones), or an index out of range.
+        ValueError: wrong shape, no triangle, NaN or infinite vertices (also unreferenced ones), an index out of range,
+            or `up` is not three finite numbers that are not all zero.
     """
 
-    def __init__(self, vertices: Any, faces: Any, *, name: str | None = None) -> None:
+    def __init__(self, vertices: Any, faces: Any, *, name: str | None = None, up: Any = None) -> None:
         self._vertices = checked_vertices(vertices)
         self._faces = checked_faces(faces, len(self._vertices))
         self.name = name
+        self._up = checked_up(up)
 
     # -- input and output --------------------------------------------------------------------------------------------------
 
@@ -64,7 +69,7 @@ class TriangleMesh:
 
         Nothing is merged or reordered: primitive ids are the file's triangle order. Files with a scene graph are
         flattened as in `from_trimesh`, in the order of their nodes. Polygons are triangulated by trimesh. Axes and
-        units stay as they are in the file (glTF, for one, has y up).
+        units stay as they are in the file. `up` is y for glTF, OBJ, OFF and PLY files, and None for all others.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -93,9 +98,11 @@ class TriangleMesh:
         if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
             raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
         try:
-            return cls.from_trimesh(loaded, name=path.stem)
+            mesh = cls.from_trimesh(loaded, name=path.stem)
         except ValueError as error:
             raise ValueError(f"'{path}': {error}") from error
+        mesh._up = up_of_format(suffix)
+        return mesh
 
     @classmethod
     def from_trimesh(cls, source: trimesh.Trimesh | trimesh.Scene, *, name: str | None = None) -> TriangleMesh:
@@ -156,6 +163,11 @@ class TriangleMesh:
     def faces(self) -> np.ndarray:
         """(F, 3) int32 vertex indices, read-only."""
         return self._faces
+
+    @property
+    def up(self) -> Direction | None:
+        """Upward direction, a unit vector; None if it is not known."""
+        return self._up
 
     @property
     def vertex_count(self) -> int:
@@ -243,7 +255,7 @@ class TriangleMesh:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the constructor's arguments, so that unpickled meshes are checked and read-only."""
-        return partial(TriangleMesh, name=self.name), (self._vertices, self._faces)
+        return partial(TriangleMesh, name=self.name, up=self._up), (self._vertices, self._faces)
 
     def __repr__(self) -> str:
         label = f"'{self.name}', " if self.name else ""
@@ -265,7 +277,7 @@ class TriangleMesh:
             matrix: (4, 4) real, last row (0, 0, 0, 1).
 
         Returns:
-            A new mesh with the same name.
+            A new mesh with the same name. Its upward direction is mapped, too.
 
         Raises:
             ValueError: wrong shape, not finite, or a perspective last row.
@@ -278,11 +290,14 @@ class TriangleMesh:
         moved = self._vertices @ matrix[:3, :3].T + matrix[:3, 3]
         mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
         faces = self._faces[:, [0, 2, 1]] if mirrored else self._faces
-        return TriangleMesh(moved.astype(self._vertices.dtype, copy=False), faces, name=self.name)
+        up = mapped_up(self._up, matrix[:3, :3])
+        return TriangleMesh(moved.astype(self._vertices.dtype, copy=False), faces, name=self.name, up=up)
 
     @staticmethod
     def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
         """Joins meshes into one called `name`, with triangles in the given order; float64 if any mesh is.
+
+        Its `up` is that of the meshes which have one, and None if these differ.
 
         Raises:
             ValueError: `meshes` is empty.
@@ -293,13 +308,13 @@ class TriangleMesh:
         starts = np.cumsum([0] + [mesh.vertex_count for mesh in meshes[:-1]])
         vertices = np.concatenate([mesh.vertices for mesh in meshes])
         faces = np.concatenate([mesh.faces + np.int64(start) for mesh, start in zip(meshes, starts, strict=True)])
-        return TriangleMesh(vertices, faces, name=name)
+        return TriangleMesh(vertices, faces, name=name, up=common_up(meshes))
 
     def welded(self) -> TriangleMesh:
         """Merges vertices that coincide exactly and drops unused ones; triangles and their order stay the same."""
         faces = _first_of_equal_points(self._vertices)[self._faces]
         kept, faces = np.unique(faces, return_inverse=True)
-        return TriangleMesh(self._vertices[kept], faces.reshape(-1, 3), name=self.name)
+        return TriangleMesh(self._vertices[kept], faces.reshape(-1, 3), name=self.name, up=self._up)
 
 
 # -- checks and measures -----------------------------------------------------------------------------------------------

@@ -185,8 +185,8 @@ class BlockQueries:
             ValueError: as `intersect`; rays without a leading axis, or a bound that is not an amount of memory. Values and
                 types of arrays are checked block by block.
         """
-        asked = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
-        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+        query = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
+        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
 
     def occluded_blocks(
         self,
@@ -203,8 +203,8 @@ class BlockQueries:
         """Occlusion block by block: pairs (rows, bool array), or call `write`; arguments and errors as in
         `intersect_blocks`.
         """
-        asked = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
-        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+        query = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
 
     def count_blocks(
         self,
@@ -221,8 +221,8 @@ class BlockQueries:
         """Numbers of hits block by block: pairs (rows, int32 array), or `write`; arguments and errors as in
         `intersect_blocks`.
         """
-        asked = partial(self.count, traversal=traversal, triangle_test=triangle_test)
-        return Blocks(asked, as_source(origins, directions, t_min, t_max), memory, progress)
+        query = partial(self.count, traversal=traversal, triangle_test=triangle_test)
+        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
@@ -317,20 +317,20 @@ def finished_before_interrupt() -> Iterator[None]:
     if not python_s or threading.current_thread() is not threading.main_thread():
         yield
         return
-    asked = False
+    interrupted = False
 
     def note(number: int, frame: Any) -> None:
-        nonlocal asked
-        if asked:
+        nonlocal interrupted
+        if interrupted:
             raise KeyboardInterrupt
-        asked = True
+        interrupted = True
 
     signal.signal(signal.SIGINT, note)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.default_int_handler)
-    if asked:
+    if interrupted:
         raise KeyboardInterrupt
 
 

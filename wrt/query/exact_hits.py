@@ -18,7 +18,7 @@ from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.memory import empty
 from wrt.query.hits import Hits
-from wrt.rays.ray_arrays import spread
+from wrt.rays.ray_arrays import flatten_shared
 from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
@@ -121,5 +121,5 @@ def _exact_array(values: Any, buffers: RayBuffers, trailing: tuple[int, ...], de
             flat, source = wp.empty(flat.shape, dtype=dtype, device=device), flat
             wp.utils.array_cast(source, flat)
         return flat, 0 if flat.size == 1 else 1
-    flat, stride = spread(np.asarray(values, dtype=np.float64), buffers.shape, trailing)
+    flat, stride = flatten_shared(np.asarray(values, dtype=np.float64), buffers.shape, trailing)
     return wp.array(flat, dtype=dtype, device=device, copy=False), stride

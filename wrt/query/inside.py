@@ -29,7 +29,7 @@ from wrt.execution.query_kinds import ANY, AUTO, COUNT
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
-from wrt.rays.coherence import look_at
+from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 
@@ -48,7 +48,7 @@ def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> An
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)
         aim(buffers.batch, DIRECTIONS[0], scene.device)
-        buffers.scattered = look_at(buffers.batch, scene.device).scattered
+        buffers.scattered = detect_coherence(buffers.batch, scene.device).scattered
         plan = make_plan(scene, buffers, traversal, AUTO, COUNT)
         inside = odd_crossings(scene, plan, buffers)
         if not scene.is_closed:

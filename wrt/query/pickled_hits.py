@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
 
 
-class KeptHits(NamedTuple):
+class HitsState(NamedTuple):
     """The pickled state of hits.
 
     Attributes:
@@ -53,16 +53,16 @@ class KeptHits(NamedTuple):
 class PickledHits(Hits):
     """Unpickled hits, on their scene's device if it exists here, else on the CPU."""
 
-    def __init__(self, kept: KeptHits) -> None:
-        dtype = np.float64 if kept.is_float64 else np.float32
-        self._kept, self._scenes, self.plan, self._num_threads = kept, set(kept.scenes), kept.plan, None
-        self._form = ResultForm(kept.shape, kept.is_warp, dtype)
-        there = {str(device) for device in wp.get_devices()}
-        self._home = wp.get_device(kept.device if kept.device in there else "cpu")
-        for name, values in kept.values.items():
-            setattr(self, name, self._as_given(values) if kept.is_warp else values)
-        if kept.counters is not None:
-            self.counters = kept.counters
+    def __init__(self, state: HitsState) -> None:
+        dtype = np.float64 if state.is_float64 else np.float32
+        self._state, self._scenes, self.plan, self._num_threads = state, set(state.scenes), state.plan, None
+        self._form = ResultForm(state.shape, state.is_warp, dtype)
+        available = {str(device) for device in wp.get_devices()}
+        self._home = wp.get_device(state.device if state.device in available else "cpu")
+        for name, values in state.values.items():
+            setattr(self, name, self._as_given(values) if state.is_warp else values)
+        if state.counters is not None:
+            self.counters = state.counters
 
     def _as_given(self, values: np.ndarray) -> wp.array:
         """A Warp array as queries return it: of vectors if values are rows."""
@@ -75,11 +75,11 @@ class PickledHits(Hits):
     @cached_property
     def batch(self) -> DeviceHits:
         """As in `Hits`."""
-        values = self._kept.values
-        arrays = {"t": values["t"].reshape(-1), "primitive": self._kept.primitive, "uv": values["uv"].reshape(-1, 2)}
+        values = self._state.values
+        arrays = {"t": values["t"].reshape(-1), "primitive": self._state.primitive, "uv": values["uv"].reshape(-1, 2)}
         if self._home.is_cpu:
-            return DeviceHits.of_host(self._kept.primitive.size, self._home, arrays)
-        hits = DeviceHits(self._kept.primitive.size, self._home)
+            return DeviceHits.of_host(self._state.primitive.size, self._home, arrays)
+        hits = DeviceHits(self._state.primitive.size, self._home)
         hits.__dict__.update({name: wp.array(arrays[name], dtype=DTYPES[name], device=self._home) for name in arrays})
         return hits
 
@@ -102,7 +102,7 @@ class PickledHits(Hits):
         return False
 
 
-def revive_lists(flat: KeptHits, offsets: np.ndarray, shape: tuple[int, ...]) -> AllHits:
+def unpickle_all_hits(flat: HitsState, offsets: np.ndarray, shape: tuple[int, ...]) -> AllHits:
     """Unpickles lists of hits."""
     lists = object.__new__(AllHits)
     lists._flat = PickledHits(flat)
@@ -112,14 +112,14 @@ def revive_lists(flat: KeptHits, offsets: np.ndarray, shape: tuple[int, ...]) ->
     return lists
 
 
-def keep(hits: Hits) -> KeptHits:
+def hits_state(hits: Hits) -> HitsState:
     """The pickled state of hits, with all attributes computed."""
     values = {name: as_numpy(getattr(hits, name)) for name in ATTRIBUTES}
     counters = hits.counters if hits.has_counters else None
     primitive, form = hits.batch.primitive.numpy(), hits._form
     is_float64 = form.dtype is np.float64
     marks = frozenset(hits._scenes)
-    return KeptHits(values, primitive, counters, hits.plan, hits.shape, marks, form.is_warp, is_float64, str(hits._device))
+    return HitsState(values, primitive, counters, hits.plan, hits.shape, marks, form.is_warp, is_float64, str(hits._device))
 
 
 def as_numpy(values: Any) -> np.ndarray:
@@ -129,12 +129,12 @@ def as_numpy(values: Any) -> np.ndarray:
 
 def reduce_hits(hits: Hits) -> tuple[Any, ...]:
     """How closest hits are pickled."""
-    return PickledHits, (keep(hits),)
+    return PickledHits, (hits_state(hits),)
 
 
 def reduce_lists(lists: AllHits) -> tuple[Any, ...]:
     """How lists of all hits are pickled."""
-    return revive_lists, (keep(lists._flat), lists._offsets.numpy(), lists.shape)
+    return unpickle_all_hits, (hits_state(lists._flat), lists._offsets.numpy(), lists.shape)
 
 
 for _kind in (Hits, PreciseHits, PickledHits):

@@ -44,15 +44,15 @@ TOLERANCE = 2.0**-21
 SLIVER_ERROR = 2.0**-22
 """A few units in the last place."""
 
-STEEP = 0.1
+MIN_SINE = 0.1
 """Sine of the angle between ray and triangle from which errors of t are measured: for smaller angles, they are unbounded."""
 
-LOST_BITS = 2.0**-12
+MIN_RELATIVE_SIDE = 2.0**-12
 """Longest side of a triangle, as a share of its distance from the centre that positions are relative to, below which
 float32 resolves it with half of its 24 bits or fewer.
 """
 
-LEAST_EXTENT = 2.0**-34
+MIN_EXTENT = 2.0**-34
 """Longest side of a mesh below which products of three lengths, such as an area times a distance, underflow the normal
 range of float32, 2^-126, for triangles of a hundredth of that size.
 """
@@ -183,9 +183,9 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
     def by_kind(marked: np.ndarray) -> dict[str, int]:
         return dict(zip(KINDS, np.bincount(kind_of[marked], minlength=len(KINDS)).tolist(), strict=True))
 
-    sorts = sorts_of_triangles(joined) | sorts_of_places(scene, joined)
+    defects = triangle_defects(joined) | precision_defects(scene, joined)
     wrong = np.flatnonzero(check.missed | check.false)
-    there = np.where(check.false, check.primitive, check.expected)[wrong]
+    triangle = np.where(check.false, check.primitive, check.expected)[wrong]
     return Verification(
         rays=by_kind(np.ones(samples, dtype=bool)),
         hits=by_kind(check.expected >= 0),
@@ -193,8 +193,8 @@ def verify(scene: SceneState, samples: int, seed: int) -> Verification:
         false_hits=by_kind(check.false),
         undecided=by_kind(check.undecided),
         t_error=check.t_error(),
-        mesh={sort: number for sort, (number, _) in sorts.items()},
-        explained={sort: int(marked[there[there >= 0]].sum()) for sort, (_, marked) in sorts.items()},
+        mesh={defect: number for defect, (number, _) in defects.items()},
+        explained={defect: int(marked[triangle[triangle >= 0]].sum()) for defect, (_, marked) in defects.items()},
         faults=tuple(check.fault(ray) for ray in wrong[:EXAMPLES]),
     )
 
@@ -275,7 +275,7 @@ class Check:
         a, b, c = self.vertices[self.faces[self.primitive[same]]].transpose(1, 0, 2)
         normals, directions = np.cross(b - a, c - a), self.directions[same]
         sizes = np.linalg.norm(normals, axis=1) * self.lengths[same]
-        same = same[np.abs((normals * directions).sum(axis=1)) > STEEP * sizes]
+        same = same[np.abs((normals * directions).sum(axis=1)) > MIN_SINE * sizes]
         errors = np.abs(self.t[same] - self.t_expected[same]) * self.lengths[same]
         return float((errors * TOLERANCE / self.tolerance[same]).max(initial=0.0))
 
@@ -344,7 +344,7 @@ KINDS = {"random": random_rays, "vertices": rays_at_vertices, "edges": rays_at_e
 # -- the mesh ----------------------------------------------------------------------------------------------------------
 
 
-def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
+def triangle_defects(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
     """Mesh defects by position, as in `TriangleMesh.summary`: their number, and (F,) bool which triangles have them."""
     from trimesh.grouping import hashable_rows
 
@@ -368,7 +368,7 @@ def sorts_of_triangles(mesh: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
     }
 
 
-def sorts_of_places(scene: SceneState, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
+def precision_defects(scene: SceneState, joined: TriangleMesh) -> dict[str, tuple[int, np.ndarray]]:
     """Triangles that float32 resolves badly: their number, and (F,) bool which ones; and unused vertices, which mark none."""
     lost, tiny = [], []
     for part in scene.parts:
@@ -376,15 +376,15 @@ def sorts_of_places(scene: SceneState, joined: TriangleMesh) -> dict[str, tuple[
         for mesh in part.meshes:
             corners = mesh.vertices[mesh.faces].astype(np.float64) - part.center
             longest = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
-            lost.append((longest < LOST_BITS * np.abs(corners).max(axis=(1, 2))) & (longest > 0.0))
+            lost.append((longest < MIN_RELATIVE_SIDE * np.abs(corners).max(axis=(1, 2))) & (longest > 0.0))
         extent = np.ptp(part.bounds, axis=0).max()
-        tiny += [np.full(len(mask), 0.0 < extent < LEAST_EXTENT) for mask in lost[own:]]
+        tiny += [np.full(len(mask), 0.0 < extent < MIN_EXTENT) for mask in lost[own:]]
     if scene.instances:
         lost, tiny = ([masks[number] for number in scene.geometry_ids] for masks in (lost, tiny))
-    sorts = {
+    unresolved = {
         "triangles too small for where they are": np.concatenate(lost),
         "triangles of a mesh too small for float32": np.concatenate(tiny),
     }
     unused = sum(int((~mesh.referenced).sum()) for mesh in scene.meshes)
-    found = {name: (int(mask.sum()), mask) for name, mask in sorts.items()}
+    found = {name: (int(mask.sum()), mask) for name, mask in unresolved.items()}
     return found | {"vertices that no triangle uses": (unused, np.zeros(joined.triangle_count, dtype=bool))}

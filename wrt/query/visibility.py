@@ -12,7 +12,7 @@ from wrt.execution.planner import make_plan
 from wrt.execution.query_kinds import ALL, AUTO, CLOSEST
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty, new_rays
-from wrt.rays.coherence import look_at
+from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.rays.rays import as_vectors
 
@@ -66,7 +66,7 @@ def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], roun
     center = wp.vec3d(*map(float, scene.center))
     pairs = [from_points, to_points, from_index, to_index, center, rounding, rays, targets, verdict]
     launch(connect_points, count, pairs, device=device, chunk=4096)
-    coherent, scattered, _ = look_at(rays, device)
+    coherent, scattered, _ = detect_coherence(rays, device)
     buffers = RayBuffers(rays, (count,), True, np.float32, coherent, scattered, [])
     nearest, _ = trace(scene, make_plan(scene, buffers, AUTO, AUTO), buffers, CLOSEST)
     pairs = [scene.device_mesh, rays, targets]

@@ -11,11 +11,11 @@ import warp as wp
 from wrt.kernels.query.coherence_detection import PAIRS, look_at_rays
 from wrt.kernels.runtime.launch import record
 
-LEAST_RAYS = 4096
+MIN_IMAGE_RAYS = 4096
 """Smallest flat list that is tested for being the pixels of an image: for fewer rays there is nothing to gain."""
 
 
-class Look(NamedTuple):
+class Coherence(NamedTuple):
     """Result of coherence detection.
 
     Attributes:
@@ -31,7 +31,7 @@ class Look(NamedTuple):
     columns: int
 
 
-class Looker:
+class CoherenceDetector:
     """The detection kernel with its packed arguments, for one thread at a time.
 
     The native kernel is called directly, not through Warp: the result is needed at once, also while a graph is captured.
@@ -48,36 +48,36 @@ class Looker:
         self.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
         self.found = self.answers.numpy()
 
-    def look(self, rays: Any, sampled: bool, listed: bool) -> Look:
+    def detect(self, rays: Any, sampled: bool, listed: bool) -> Coherence:
         """Tests pairs of neighbours if `sampled`, and for an image if `listed`."""
         arguments = self.arguments
         arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
         arguments.sampled, arguments.listed = sampled, listed
         self.launch.hooks.forward(ctypes.byref(self.launch.bounds), ctypes.byref(arguments))
         coherent, scattered, columns = self.found.tolist()
-        return Look(bool(coherent), bool(scattered), columns)
+        return Coherence(bool(coherent), bool(scattered), columns)
 
 
-_free: deque[Looker] = deque()
+_free: deque[CoherenceDetector] = deque()
 
 
-def look_at(rays: Any, device: wp.Device, is_list: bool = False) -> Look:
-    """What the numbers of rays (a `RayBatch` or a `RayArrays`) say.
+def detect_coherence(rays: Any, device: wp.Device, is_list: bool = False) -> Coherence:
+    """The coherence of a `RayBatch` or a `RayArrays`.
 
-    On CUDA to look would cost more than it gives, and all rays count as coherent.
+    On CUDA, detection would cost more than it gains: all rays count as coherent.
 
     Args:
-        is_list: whether the rays have no shape that says what is a row.
+        is_list: whether the rays are a flat list, which may contain the pixels of an image.
     """
     count = len(rays.directions)
     sampled = count >= 2 * PAIRS
-    listed = is_list and count >= LEAST_RAYS and rays.origin_stride == 0 and rays.direction_stride == 1
+    listed = is_list and count >= MIN_IMAGE_RAYS and rays.origin_stride == 0 and rays.direction_stride == 1
     if device.is_cuda or not (sampled or listed):
-        return Look(True, False, 0)
+        return Coherence(True, False, 0)
     try:
-        looker = _free.pop()
+        detector = _free.pop()
     except IndexError:
-        looker = Looker()
-    look = looker.look(rays, sampled, listed)
-    _free.append(looker)
-    return look
+        detector = CoherenceDetector()
+    result = detector.detect(rays, sampled, listed)
+    _free.append(detector)
+    return result

@@ -13,10 +13,10 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points
 from wrt.kernels.runtime.launch import kept, launch
 from wrt.memory import keep_alive
-from wrt.rays.ray_grids import one_origin
+from wrt.rays.ray_grids import detect_shared_origin
 from wrt.rays.rays import Rays, as_range, as_vectors, check_number, common_shape
 
-NOWHERE = np.zeros(3)
+ZERO_CENTER = np.zeros(3)
 """The centre that directions are relative to."""
 
 
@@ -102,12 +102,12 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     shape = common_shape(origins, directions, t_min, t_max)
     check_number(shape)
     if device.is_cpu and isinstance(origins, np.ndarray):
-        origins = one_origin(origins)
+        origins = detect_shared_origin(origins)
     centered = _is_float64(origins)
     dtype = np.float64 if centered or _is_float64(directions) else np.float32
     given = origins, directions, t_min, t_max
     origins, origin_stride = _vectors(origins, shape, device, center)
-    directions, direction_stride = _vectors(directions, shape, device, NOWHERE)
+    directions, direction_stride = _vectors(directions, shape, device, ZERO_CENTER)
     t_min, t_min_stride = _scalars(t_min, shape, device)
     t_max, t_max_stride = _scalars(t_max, shape, device)
     layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
@@ -126,7 +126,7 @@ def _is_float64(values: np.ndarray | wp.array) -> bool:
     return values.dtype == np.float64 if isinstance(values, np.ndarray) else values.dtype is wp.vec3d
 
 
-def spread(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
+def flatten_shared(values: np.ndarray, shape: tuple[int, ...], trailing: tuple[int, ...]) -> tuple[np.ndarray, int]:
     """(array of N elements, 1), or (array of one element, 0) if all rays share it."""
     leading = values.ndim - len(trailing)
     if values.shape == shape + trailing and values.flags.c_contiguous:
@@ -148,7 +148,7 @@ def _vectors(
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         values = values if values.ndim == 1 else values.flatten()
     else:
-        values, stride = spread(values, shape, (3,))
+        values, stride = flatten_shared(values, shape, (3,))
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
         values = _upload(values, dtype, device)
     if values.dtype is wp.vec3d:
@@ -169,7 +169,7 @@ def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], devi
         if values.size != 1 and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         return values.flatten(), 0 if values.size == 1 else 1
-    values, stride = spread(values, shape, ())
+    values, stride = flatten_shared(values, shape, ())
     return _upload(values, float, device), stride
 
 

@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.rays.coherence import look_at
-from wrt.rays.ray_arrays import Layout, RayArrays, lay_out, spread
+from wrt.rays.coherence import detect_coherence
+from wrt.rays.ray_arrays import Layout, RayArrays, flatten_shared, lay_out
 from wrt.rays.ray_grids import columns_of_shape
 from wrt.rays.rays import Rays, ResultForm
 from wrt.rays.staged_rays import StagedRays, stage
@@ -47,7 +47,7 @@ class RayBuffers:
         return self.given.batch() if isinstance(self.given, RayArrays) else self.given
 
     @property
-    def laid_out(self) -> RayArrays | RayBatch:
+    def arrays_or_batch(self) -> RayArrays | RayBatch:
         """The arrays, as long as nobody asked for the batch; all know `count` and whether rays share their origin."""
         return self.__dict__.get("batch", self.given)
 
@@ -85,7 +85,7 @@ def to_device(rays: Rays, device: wp.Device, center: np.ndarray, staged: int = 0
     arrays = lay_out(rays, device, center)
     if arrays.count <= staged:  # rays that go one by one need not look alike
         return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, True, False, list(arrays.keep))
-    coherent, scattered, columns = look_at(arrays, device, is_list=len(arrays.shape) == 1)
+    coherent, scattered, columns = detect_coherence(arrays, device, is_list=len(arrays.shape) == 1)
     keep, columns = list(arrays.keep), columns or columns_of_shape(arrays.shape)
     return RayBuffers(arrays, arrays.shape, arrays.is_warp, arrays.dtype, coherent, scattered, keep, columns)
 
@@ -113,7 +113,7 @@ def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
     if values.size and (values.min() < 0 or values.max() >= 1 << 32):
         raise ValueError(f"mask must be from 0 to 2**32 - 1, but ranges from {values.min()} to {values.max()}")
     try:
-        each, stride = spread(np.broadcast_to(values.astype(np.uint32), buffers.shape), buffers.shape, ())
+        each, stride = flatten_shared(np.broadcast_to(values.astype(np.uint32), buffers.shape), buffers.shape, ())
     except ValueError:
         raise ValueError(
             f"mask has the shape {values.shape}, which does not broadcast to that of the rays, {buffers.shape}"

@@ -10,15 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from wrt.kernels.query.coherence_detection import LEAST_ROWS
-from wrt.rays.coherence import LEAST_RAYS
+from wrt.rays.coherence import MIN_IMAGE_RAYS
 
 BLOCK = 1 << 16
 """Origins compared at a time; the first block with a difference ends the search."""
 
 
-def one_origin(origins: np.ndarray) -> np.ndarray:
+def detect_shared_origin(origins: np.ndarray) -> np.ndarray:
     """Origins (..., 3) that are all equal, as a view of the first; others unchanged."""
-    if origins.size < 3 * LEAST_RAYS or not origins.flags.c_contiguous:
+    if origins.size < 3 * MIN_IMAGE_RAYS or not origins.flags.c_contiguous:
         return origins
     rows = origins.reshape(-1, 3)
     first = rows[0]

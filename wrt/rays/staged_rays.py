@@ -57,7 +57,7 @@ class StagedRays:
         return self
 
     @property
-    def laid_out(self) -> StagedRays:
+    def arrays_or_batch(self) -> StagedRays:
         """As of `RayBuffers`."""
         return self
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from wrt.builders.motion_clusters import Decomposition
     from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
 
-ENOUGH = 1e-3
+MOTION_TOLERANCE = 1e-3
 """Share of the animation's extent: no cluster is added once the residual motion enlarges no triangle's box by more."""
 
 
@@ -136,22 +136,22 @@ class FuzzyState(MeshState):
 
 def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest: int) -> Decomposition:
     """The clusters of triangles and their motion; arguments and errors as of `FuzzyScene`."""
-    from wrt.builders.motion_clusters import assigned, decompose
+    from wrt.builders.motion_clusters import assign_triangles, decompose
 
     frames, faces = np.array([mesh.vertices for mesh in meshes], dtype=np.float64), meshes[0].faces
     if transforms is not None:
-        return assigned(frames, faces, *as_maps(transforms, len(frames)))
+        return assign_triangles(frames, faces, *as_maps(transforms, len(frames)))
     if not (isinstance(clusters, (int, np.integer)) and clusters >= 1):
         raise ValueError(f"clusters is {clusters!r}; it must be a whole number of at least 1")
     if not (isinstance(rest, (int, np.integer)) and 0 <= rest < len(frames)):
         raise ValueError(f"rest is {rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
     bounds = np.array([mesh.bounds for mesh in meshes])
     extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
-    return decompose(frames, faces, clusters, ENOUGH * extent, rest)
+    return decompose(frames, faces, clusters, MOTION_TOLERANCE * extent, rest)
 
 
 @dataclass(frozen=True)
-class ShownTree:
+class FrameTrees:
     """The trees of a frame, with the interface that a scene needs of its tree.
 
     Attributes:
@@ -222,7 +222,7 @@ class FuzzyTree:
         cls, meshes: list[TriangleMesh], centers: np.ndarray, motion: Decomposition, accelerator: Bvh, device: wp.Device
     ) -> FuzzyTree:
         """Builds a tree over the fuzzy boxes of each cluster's triangles."""
-        from wrt.builders.bvh.update.bvh_grafting import join
+        from wrt.builders.bvh.update.bvh_grafting import join_trees
         from wrt.builders.motion_clusters import fuzzy_boxes
         from wrt.builders.triangle_boxes import boxes_of
         from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
@@ -242,11 +242,11 @@ class FuzzyTree:
             trees.append(accelerator.build(boxes_of(low, high), width))
             table["low"][:, c], table["high"][:, c] = low.min(axis=0), high.max(axis=0)
             members.append(own)
-        parts, roots = join(trees, members)
+        parts, roots = join_trees(trees, members)
         table["root"] = roots
         return cls(parts.to(device), max(tree.depth for tree in trees), table, boxes)
 
-    def at(self, frame: int) -> ShownTree:
+    def at(self, frame: int) -> FrameTrees:
         """The trees of a frame; only the upper one is built."""
         from wrt.builders.triangle_boxes import boxes_of
         from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
@@ -254,7 +254,7 @@ class FuzzyTree:
         device, width = self.parts.bounds.device, self.parts.width
         top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(*self.boxes[frame]), width).to(device)
         clusters = wp.array(self.table[frame], dtype=Cluster, device=device)
-        return ShownTree(top, self.parts, clusters, max(top.depth, self.depth))
+        return FrameTrees(top, self.parts, clusters, max(top.depth, self.depth))
 
 
 def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:

@@ -101,7 +101,7 @@ class GroupedScene(Scene):
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the groups; unpickling rebuilds their trees."""
         options = {"triangle_test": self.triangle_test, "device": str(self.device), "num_threads": self.num_threads}
-        return revive_groups, (self.meshes, self.accelerator, options, self.state.mark)
+        return unpickle_groups, (self.meshes, self.accelerator, options, self.state.mark)
 
     def __repr__(self) -> str:
         return f"GroupedScene({self.triangle_count} triangles in {len(self.meshes)} groups, device={str(self.device)!r})"
@@ -183,7 +183,7 @@ def state_of_groups(
     )
 
 
-def revive_groups(meshes: Any, accelerator: Bvh, options: dict[str, Any], mark: str) -> GroupedScene:
+def unpickle_groups(meshes: Any, accelerator: Bvh, options: dict[str, Any], mark: str) -> GroupedScene:
     """The scene of a pickle."""
     scene = GroupedScene(meshes, accelerator, **options)
     scene.state = replace(scene.state, mark=mark)
@@ -198,7 +198,7 @@ def join_groups(trees: list[common.Bvh], first: np.ndarray, device: wp.Device) -
         first: (groups + 1,) the first triangle of each group.
         device: device of the result.
     """
-    from wrt.builders.bvh.update.bvh_grafting import plant
+    from wrt.builders.bvh.update.bvh_grafting import merge_below
     from wrt.builders.triangle_boxes import boxes_of
 
     if len(trees) == 1:
@@ -206,4 +206,4 @@ def join_groups(trees: list[common.Bvh], first: np.ndarray, device: wp.Device) -
     width = trees[0].width
     boxes = boxes_of(np.array([tree.low for tree in trees]), np.array([tree.high for tree in trees]))
     top = Bvh(width=width, max_leaf_triangles=1).build(boxes, width).to(device)
-    return plant(top, trees, [np.arange(a, b) for a, b in pairwise(first)])
+    return merge_below(top, trees, [np.arange(a, b) for a, b in pairwise(first)])

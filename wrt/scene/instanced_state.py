@@ -22,7 +22,7 @@ from wrt.kernels.layout.instance_maps import Geometry, Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import kept, use_threads
 from wrt.memory import keep_alive
-from wrt.meshes.instance import Instance, as_instances, check_spread
+from wrt.meshes.instance import Instance, as_instances, check_extent
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center
 from wrt.scene.instance_boxes import InstanceBoxes, build_upper, cover
@@ -101,7 +101,7 @@ class InstancedState(SceneState):
     def flattened(self) -> TriangleMesh:
         """All instances as one mesh in float64, triangles in the order of instances. Takes memory for every instance."""
         meshes = [self.meshes[number] for number in self.geometry_ids]
-        wide = (TriangleMesh(mesh.vertices.astype(np.float64), mesh.faces) for mesh in meshes)
+        wide = (TriangleMesh(mesh.vertices.astype(np.float64), mesh.faces, up=mesh.up) for mesh in meshes)
         moved = [mesh.transformed(instance.transform) for mesh, instance in zip(wide, self.instances, strict=True)]
         return TriangleMesh.concatenate(moved)
 
@@ -155,7 +155,7 @@ class InstancedState(SceneState):
                     Instance(part.meshes[0], one.transform, mask=one.mask) if own == number else one
                     for one, own in zip(instances, self.geometry_ids, strict=True)
                 )
-            check_spread(instances, self.geometry_ids, [part.meshes[0] for part in states])
+            check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
             placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
         return replace(placed, last_update=report)
 
@@ -188,7 +188,7 @@ def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> Inst
             find_center((mesh,))
         except ValueError as error:
             raise ValueError(f"mesh {number} of the instances: {error}") from None
-    check_spread(instances, geometry_ids, meshes)
+    check_extent(instances, geometry_ids, meshes)
     states = tuple(build_state((mesh,), settings, cache) for mesh in meshes)
     for state in states:
         state.complete()  # nothing asks for more of a tree on the lower level

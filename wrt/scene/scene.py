@@ -311,7 +311,7 @@ class Scene(Queries):
         from wrt.scene.storage import pack_scene
 
         self.state.require("pickle")
-        return revive_scene, pack_scene(self.state)
+        return unpickle_scene, pack_scene(self.state)
 
     def __copy__(self) -> Scene:
         """A scene of its own with the same state: updates of the one leave the other as it is."""
@@ -378,7 +378,7 @@ def as_settings(
     )
 
 
-def revive_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any) -> Scene:
+def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any) -> Scene:
     """The scene of a pickle; `cache` knows its tree, if that was kept."""
     from dataclasses import replace
 

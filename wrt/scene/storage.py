@@ -58,7 +58,7 @@ class TreeSource(Protocol):
 
 
 @dataclass(frozen=True)
-class KnownTree:
+class StoredTree:
     """A tree that was stored with a scene."""
 
     key: str
@@ -107,7 +107,7 @@ def as_source(cache: str | Path | TreeSource | None) -> TreeSource | None:
     return TreeFolder(folder)
 
 
-def is_kept(accelerator: Accelerator) -> bool:
+def is_storable(accelerator: Accelerator) -> bool:
     """Whether trees of a description can be stored: not those of influence areas, nor lazy ones."""
     if isinstance(accelerator, descriptions.KdTree):
         return not accelerator.is_lazy
@@ -144,20 +144,20 @@ def find_tree(
     def build() -> Bvh | KdTree:
         return accelerator.build(boxes, recipe.width)
 
-    if source is None or not is_kept(accelerator):
+    if source is None or not is_storable(accelerator):
         return build().to(recipe.device), None
     key = tree_key(placed.vertices.numpy(), placed.faces.numpy(), accelerator, recipe.width)
     return source.tree(key, boxes.count, build).to(recipe.device), None
 
 
-def kept_fields(cls: type) -> list[str]:
+def stored_fields(cls: type) -> list[str]:
     """Names of the stored fields of a tree: not the costs that updates keep, which can be computed again."""
     return [field.name for field in fields(cls) if field.name != "built_costs"]
 
 
 def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:
     """The tree's fields as arrays, and its kind."""
-    values = {name: getattr(tree, name) for name in kept_fields(type(tree))}
+    values = {name: getattr(tree, name) for name in stored_fields(type(tree))}
     values["kind"] = next(kind for kind, cls in TREES.items() if isinstance(tree, cls))
     values["stats"] = json.dumps(asdict(tree.stats))
     return {name: value.numpy() if isinstance(value, wp.array) else np.array(value) for name, value in values.items()}
@@ -170,7 +170,7 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
         ValueError, KeyError, TypeError, RuntimeError: the arrays are not a tree over this many triangles.
     """
     cls = TREES[str(arrays["kind"])]
-    values: dict[str, Any] = {name: np.array(arrays[name]) for name in kept_fields(cls)}
+    values: dict[str, Any] = {name: np.array(arrays[name]) for name in stored_fields(cls)}
     values["stats"] = BuildStats(**json.loads(str(values["stats"])))
     values["width"] = int(values["width"])
     for corner in ("low", "high"):
@@ -191,7 +191,7 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
 def save_scene(scene: SceneState, path: str | Path) -> None:
     """Writes a scene to a file; see `wrt.Scene.save`."""
     scene.require("save")
-    if not is_kept(scene.accelerator):
+    if not is_storable(scene.accelerator):
         kept = "a wrt.Bvh or a wrt.KdTree that is not lazy"
         raise ValueError(
             f"a scene with {scene.accelerator} cannot be saved; make one with {kept}, or pickle it without its tree"
@@ -202,6 +202,7 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
         "accelerator": asdict(scene.accelerator),
         "triangle_test": scene.triangle_test,
         "names": [mesh.name for mesh in scene.meshes],
+        "up": [mesh.up for mesh in scene.meshes],
     }
     arrays = {"wrt": np.array(json.dumps(header))}
     for number, mesh in enumerate(scene.meshes):
@@ -210,7 +211,7 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
     write_archive(Path(path), arrays)
 
 
-def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, KnownTree]:
+def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, StoredTree]:
     """Reads a scene from a file; see `wrt.Scene.load`."""
 
     path = Path(path)
@@ -222,10 +223,14 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, 
         if header["format"] != FORMAT:
             raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
         names = header["names"]
-        meshes = [TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name) for i, name in enumerate(names)]
+        ups = header.get("up", [None] * len(names))  # files written before meshes had one
+        meshes = [
+            TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name, up=up)
+            for i, (name, up) in enumerate(zip(names, ups, strict=True))
+        ]
         tree = {name.removeprefix("tree."): array for name, array in arrays.items() if name.startswith("tree.")}
         accelerator = ACCELERATORS[str(tree["kind"])](**header["accelerator"])
-        known = KnownTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
+        known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
         triangle_test = header["triangle_test"]
     except PermissionError:
         raise
@@ -249,7 +254,7 @@ def pack_scene(scene: SceneState) -> tuple[Any, dict[str, Any], str, PackedTree 
         "device": str(scene.device),
         "num_threads": scene.num_threads,
     }
-    if scene.instances or not is_kept(scene.accelerator):
+    if scene.instances or not is_storable(scene.accelerator):
         return scene.instances or scene.meshes, options, scene.mark, None
     return scene.meshes, options, scene.mark, PackedTree(key_of(scene), pack_tree(scene.tree))
 

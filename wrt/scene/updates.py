@@ -24,8 +24,8 @@ from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
-    from wrt.builders.bvh.update.bvh_update import MovedBvh
-    from wrt.builders.kdtree.update.kdtree_update import MovedKdTree
+    from wrt.builders.bvh.update.bvh_update import RefittedBvh
+    from wrt.builders.kdtree.update.kdtree_update import RefilledKdTree
     from wrt.builders.tree import Bvh, KdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
     from wrt.meshes.mesh import TriangleMesh
@@ -37,10 +37,10 @@ AUTO, ALWAYS, NEVER = "auto", "always", "never"
 SAMPLES = 4096
 """Triangles sampled for the typical motion of a scene."""
 
-LARGE_PART = 0.5
+REBUILD_ALL_SHARE = 0.5
 """Share of all triangles from which a new tree is built in place of the costly subtrees."""
 
-LEAST_PART = 256
+MIN_SUBTREE_TRIANGLES = 256
 """Smallest number of triangles for which a subtree is rebuilt separately."""
 
 
@@ -195,19 +195,19 @@ class TreeRecipe:
         is_bvh = self.accelerator.kind == "bvh"
         return node_costs(tree, cost) if is_bvh else refill.node_costs(statistics.unpack(tree), cost)
 
-    def keep(self, old: KdTree | Bvh, triangles: MovedTriangles) -> MovedBvh | MovedKdTree:
+    def reuse_nodes(self, old: KdTree | Bvh, triangles: MovedTriangles) -> RefittedBvh | RefilledKdTree:
         """The old nodes with the triangles in their new places."""
-        from wrt.builders.bvh.update.bvh_update import MovedBvh
+        from wrt.builders.bvh.update.bvh_update import RefittedBvh
         from wrt.builders.kdtree import KDTREE_BUILDERS
-        from wrt.builders.kdtree.update.kdtree_update import MovedKdTree
+        from wrt.builders.kdtree.update.kdtree_update import RefilledKdTree
 
         config = self.accelerator.config(self.width)
         if self.accelerator.kind == "bvh":
             cost = None if self.only_refits else config.cost
             build = partial(self.accelerator.build, width=self.width)
-            return MovedBvh(old, triangles.vertices, triangles.faces, triangles.boxes, cost, build)
+            return RefittedBvh(old, triangles.vertices, triangles.faces, triangles.boxes, cost, build)
         host, build = old.to(wp.get_device("cpu")), KDTREE_BUILDERS[self.accelerator.builder].build
-        return MovedKdTree(host, triangles.boxes(), triangles.shift, config, build)
+        return RefilledKdTree(host, triangles.boxes(), triangles.shift, config, build)
 
 
 def move_tree(
@@ -215,20 +215,20 @@ def move_tree(
 ) -> tuple[KdTree | Bvh, UpdateReport]:
     """A tree of the triangles in their new places, and a report."""
     start = perf_counter()
-    moved = recipe.keep(old, triangles) if policy.when != ALWAYS else None
+    moved = recipe.reuse_nodes(old, triangles) if policy.when != ALWAYS else None
     if moved is None or moved.tree is None:
         tree, action, costs, count = recipe.build(triangles), "built", (NAN, NAN, NAN), len(triangles.faces)
     elif policy.when == NEVER or recipe.only_refits:
         tree, action, costs, count = replace(moved.tree, built_costs=old.built_costs), "kept", (NAN, NAN, NAN), 0
     else:
-        tree, action, costs, count = _mend(recipe, old, moved, triangles, policy)
+        tree, action, costs, count = _rebuild_costly_parts(recipe, old, moved, triangles, policy)
     return tree.to(recipe.device), UpdateReport(action, *costs, count, perf_counter() - start)
 
 
-def _mend(
+def _rebuild_costly_parts(
     recipe: TreeRecipe,
     old: KdTree | Bvh,
-    moved: MovedBvh | MovedKdTree,
+    moved: RefittedBvh | RefilledKdTree,
     triangles: MovedTriangles,
     policy: UpdatePolicy,
 ) -> tuple[KdTree | Bvh, str, tuple[float, float, float], int]:
@@ -239,11 +239,11 @@ def _mend(
     before = float(built[0]), float(moved.costs[0])
     chosen = moved.parts(built, policy.tolerance)
     parts = {} if chosen == [(0,)] or not policy.subtrees else {part: moved.triangles(part) for part in chosen}
-    parts = {part: ids for part, ids in parts.items() if len(ids) >= LEAST_PART}
+    parts = {part: ids for part, ids in parts.items() if len(ids) >= MIN_SUBTREE_TRIANGLES}
     count = sum(map(len, parts.values()))
     if not parts and before[1] <= policy.tolerance * before[0]:
         return replace(moved.tree, built_costs=built), "kept", (*before, before[1]), 0
-    large = count > LARGE_PART * len(triangles.faces)
+    large = count > REBUILD_ALL_SHARE * len(triangles.faces)
     grafted = moved.with_rebuilt([*parts], [*parts.values()]) if parts and not large else None
     if grafted is None:
         tree = recipe.build(triangles)

@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, half_area_of_both
-from wrt.builders.bvh.phases.bvh_bins import Placement, Scratch, best_plane
+from wrt.builders.bvh.phases.bvh_bins import Binning, Scratch, best_plane
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -24,7 +24,7 @@ class Heuristic:
 
     Attributes:
         rays: a Warp struct with the heuristic's knowledge of the rays.
-        search: (rules, rays, placement, scratch, slot, tree, frame) -> Plane, the best one of a node whose bins are filled.
+        search: (rules, rays, binning, scratch, slot, tree, frame) -> Plane, the best one of a node whose bins are filled.
         is_leaf: (rules, rays, tree, frame) -> bool, whether a node of more than `BuildRules.grain` triangles is a leaf. It must
             fit into a leaf of the wide tree.
         weigh: (rays, tree, node) -> float, a node's weight, proportional to the number of rays that meet it.
@@ -45,14 +45,14 @@ class AllDirections:
 
 @wp.func
 def cheapest_by_surface(
-    rules: BuildRules, rays: AllDirections, placement: Placement, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
+    rules: BuildRules, rays: AllDirections, binning: Binning, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
     """The plane of least cost over all three axes."""
-    return best_plane(rules.cost, scratch, slot, placement.bins, frame.count)
+    return best_plane(rules.cost, scratch, slot, binning.bins, frame.count)
 
 
 @wp.func
-def never(rules: BuildRules, rays: AllDirections, tree: BinaryTree, frame: Frame):
+def never_leaf(rules: BuildRules, rays: AllDirections, tree: BinaryTree, frame: Frame):
     """Always false: the collapse makes the leaves."""
     return False
 
@@ -69,5 +69,5 @@ def surface_of_parent(rays: AllDirections, tree: BinaryTree, pair: int):
     return half_area_of_both(tree.box, pair)
 
 
-SURFACE = Heuristic(AllDirections, cheapest_by_surface, never, surface_of, surface_of_parent)
+SURFACE = Heuristic(AllDirections, cheapest_by_surface, never_leaf, surface_of, surface_of_parent)
 """The surface area heuristic."""

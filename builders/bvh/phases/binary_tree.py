@@ -91,7 +91,7 @@ def halvings(count: int):
 
 
 @wp.func
-def must_halve(depth: int, count: int):
+def must_split_at_median(depth: int, count: int):
     """Whether a node must be split in the middle so that its subtree does not become too deep.
 
     `depth + halvings(count)` never exceeds MAX_WIDE_DEPTH. Any other split adds at most 1 to it and is made only below the
@@ -108,6 +108,6 @@ def middle(count: int, width_bits: int):
 
 
 @wp.func
-def price_of_areas(left_area: float, left_cost: float, right_area: float, right_cost: float):
+def split_cost(left_area: float, left_cost: float, right_area: float, right_cost: float):
     """The part of a split's cost that differs between the splits of a node."""
     return left_area * left_cost + right_area * right_cost

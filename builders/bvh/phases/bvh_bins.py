@@ -3,7 +3,7 @@
 **Data.** A triangle is a reference of 8 floats (`wrt.builders.triangle_references`). Its doubled centroid is low + high. A bin
 is 8 floats too: adding a box to it is one minimum over 8 lanes (Wald 2007, section 3).
 
-**Determinism.** `Placement` maps a centroid to a bin. Binning and partition evaluate the same expression, so the triangles
+**Determinism.** `Binning` maps a centroid to a bin. Binning and partition evaluate the same expression, so the triangles
 counted on the left of a plane are those moved to the left. Minima and counts do not depend on the order, so a range binned in
 chunks gives the same result as in one pass.
 
@@ -16,7 +16,7 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
-from wrt.builders.bvh.phases.binary_tree import price_of_areas
+from wrt.builders.bvh.phases.binary_tree import split_cost
 from wrt.builders.cost import SplitCost, leaf_cost
 from wrt.kernels.layout.unchecked import load_float, load_int
 from wrt.kernels.simd.boxes import INFINITY
@@ -67,7 +67,7 @@ def make_scratch(slots: int, device: wp.Device) -> Scratch:
 
 
 @wp.struct
-class Placement:
+class Binning:
     """The bin of a doubled centroid c: (c - low) * scale, clamped to [0, bins - 1]."""
 
     low: wp.vec3
@@ -79,8 +79,8 @@ class Placement:
 class Plane:
     """The best plane found."""
 
-    price: float
-    """See `price_of_areas`; INFINITY if no plane has triangles on both sides."""
+    cost: float
+    """See `split_cost`; INFINITY if no plane has triangles on both sides."""
     axis: int
     bin: int
     """First bin on the right."""
@@ -92,7 +92,7 @@ class Plane:
 def no_plane():
     """A plane that costs more than any other."""
     plane = Plane()
-    plane.price = INFINITY
+    plane.cost = INFINITY
     return plane
 
 
@@ -103,16 +103,16 @@ def bins_for(rules: BuildRules, count: int):
 
 
 @wp.func
-def place(domain: wp.array(dtype=float), at: int, bins: int):
+def make_binning(domain: wp.array(dtype=float), at: int, bins: int):
     """The bins of a node. domain: 8 floats per node, (low, -high) of the doubled centroids."""
-    placement = Placement()
-    placement.bins = bins
+    binning = Binning()
+    binning.bins = bins
     for axis in range(3):
         low = load_float(domain, at * 8 + axis)
         extent = -load_float(domain, at * 8 + 4 + axis) - low
-        placement.low[axis] = low
-        placement.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
-    return placement
+        binning.low[axis] = low
+        binning.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
+    return binning
 
 
 @wp.func_native(
@@ -154,14 +154,14 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
 @wp.func_native(
     _HEAD
     + """
-    const int bins = placement.bins;
+    const int bins = binning.bins;
     float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
     int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
     const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
     for (int i = 0; i < 3 * bins; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
     for (int i = 0; i < 3 * bins; ++i) counts[i] = 0;
     float low[4], scale[4];
-    for (int j = 0; j < 3; ++j) { low[j] = placement.low.c[j]; scale[j] = placement.scale.c[j]; }
+    for (int j = 0; j < 3; ++j) { low[j] = binning.low.c[j]; scale[j] = binning.scale.c[j]; }
     low[3] = 0.0f; scale[3] = 0.0f;
     const float last = (float)(bins - 1);
     float one_more[W];
@@ -195,7 +195,7 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     }
 """
 )
-def bin_range(references: wp.array(dtype=float), begin: int, count: int, placement: Placement, scratch: Scratch, slot: int):
+def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning: Binning, scratch: Scratch, slot: int):
     """Bins a range of triangles along the three axes.
 
     The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
@@ -265,14 +265,14 @@ def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: i
             i = slot * SLOT_BINS + axis * bins + b
             left = load_int(scratch.left, i)
             if left > 0 and left < count:
-                price = price_of_areas(
+                candidate = split_cost(
                     load_float(scratch.left_area, i),
                     leaf_cost(cost, left),
                     load_float(scratch.right_area, i),
                     leaf_cost(cost, count - left),
                 )
-                if price < best.price:
-                    best.price = price
+                if candidate < best.cost:
+                    best.cost = candidate
                     best.axis = axis
                     best.bin = b
                     best.left = left
@@ -302,7 +302,7 @@ def write_child_boxes(scratch: Scratch, slot: int, bins: int, axis: int, plane: 
 @wp.func_native(
     _HEAD
     + """
-    const float low = placement.low.c[axis], scale = placement.scale.c[axis], last = (float)(placement.bins - 1);
+    const float low = binning.low.c[axis], scale = binning.scale.c[axis], last = (float)(binning.bins - 1);
     const float* __restrict__ from = references.data + (size_t)begin * 8;
     float* left = references.data + (size_t)to_left * 8;
     float* right = references.data + (size_t)to_right * 8;
@@ -342,7 +342,7 @@ def partition_range(
     references: wp.array(dtype=float),
     begin: int,
     count: int,
-    placement: Placement,
+    binning: Binning,
     axis: int,
     plane: int,
     to_left: int,

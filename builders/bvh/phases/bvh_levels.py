@@ -19,19 +19,19 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
-from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, must_halve
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, must_split_at_median
 from wrt.builders.bvh.phases.bvh_bins import (
     SLOT_BINS,
-    Placement,
+    Binning,
     Plane,
     Scratch,
     bin_range,
     bins_for,
     centroid_domain,
+    make_binning,
     merge_bins,
     no_plane,
     partition_range,
-    place,
     write_child_boxes,
 )
 from wrt.builders.triangle_boxes import Boxes
@@ -55,7 +55,7 @@ class LiveNode:
     part_first: int
     """Its centroid box is the union of the parts part_first, part_first + 2, ... that the previous level wrote."""
     part_count: int
-    placement: Placement
+    binning: Binning
     plane: Plane
 
 
@@ -113,8 +113,8 @@ def bin_chunks(
     chunk = chunks[slot]
     node = nodes[chunk.node]
     merge_parts(node, parts, domain, slot)
-    placement = place(domain, slot, bins_for(rules, node.frame.count))
-    bin_range(references, chunk.begin, chunk.count, placement, scratch, slot)
+    binning = make_binning(domain, slot, bins_for(rules, node.frame.count))
+    bin_range(references, chunk.begin, chunk.count, binning, scratch, slot)
 
 
 @cache
@@ -138,14 +138,14 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
         index = first + wp.tid()
         node = nodes[index]
         frame = node.frame
-        node.placement = place(domain, node.chunk_first, bins_for(rules, frame.count))
-        bins = node.placement.bins
+        node.binning = make_binning(domain, node.chunk_first, bins_for(rules, frame.count))
+        bins = node.binning.bins
         slot = merged_first + index
         node.plane = no_plane()
-        if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+        if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
             merge_bins(scratch, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
-            node.plane = search(rules, rays, node.placement, scratch, slot, tree, frame)
-        if node.plane.price < INFINITY:
+            node.plane = search(rules, rays, node.binning, scratch, slot, tree, frame)
+        if node.plane.cost < INFINITY:
             pair = frame.first + node.plane.left
             tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
             tree.pair[frame.node] = pair
@@ -218,7 +218,7 @@ def emit_children(
     total.levels += 1
     for index in range(live):
         node = nodes[index]
-        if node.plane.price < INFINITY:
+        if node.plane.cost < INFINITY:
             top[total.pairs] = node.frame.first + node.plane.left
             total.pairs += 1
             for side in range(2):
@@ -258,12 +258,12 @@ def partition_chunks(
     slot = first + wp.tid()
     chunk = chunks[slot]
     node = nodes[chunk.node]
-    if node.plane.price < INFINITY:
+    if node.plane.cost < INFINITY:
         partition_range(
             references,
             chunk.begin,
             chunk.count,
-            node.placement,
+            node.binning,
             node.plane.axis,
             node.plane.bin,
             chunk.to_left,

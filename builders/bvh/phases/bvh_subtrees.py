@@ -10,17 +10,17 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
-from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, half_area, middle, must_halve
+from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, Frame, half_area, middle, must_split_at_median
 from wrt.builders.bvh.phases.bvh_bins import (
-    Placement,
+    Binning,
     Plane,
     Scratch,
     bin_range,
     bins_for,
     centroid_domain,
+    make_binning,
     no_plane,
     partition_range,
-    place,
     range_box,
     write_child_boxes,
 )
@@ -37,7 +37,7 @@ STACK = MAX_WIDE_DEPTH + 2
 def divide_at_plane(
     references: wp.array(dtype=float),
     triangles: int,
-    placement: Placement,
+    binning: Binning,
     plane: Plane,
     scratch: Scratch,
     slot: int,
@@ -48,13 +48,13 @@ def divide_at_plane(
     tree: BinaryTree,
 ):
     """Moves a node's triangles to the other buffer, those on the left of the plane first."""
-    write_child_boxes(scratch, slot, placement.bins, plane.axis, plane.bin, tree.box, pair)
+    write_child_boxes(scratch, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
     to = triangles - frame.buffer + frame.first
     partition_range(
         references,
         frame.buffer + frame.first,
         frame.count,
-        placement,
+        binning,
         plane.axis,
         plane.bin,
         to,
@@ -120,17 +120,17 @@ def make_build_subtree(heuristic: Heuristic) -> wp.Function:
             else:
                 # search
                 at = slot * STACK + waiting
-                placement = place(domain, at, bins_for(rules, frame.count))
+                binning = make_binning(domain, at, bins_for(rules, frame.count))
                 plane = no_plane()
-                if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
-                    bin_range(references, frame.buffer + frame.first, frame.count, placement, scratch, slot)
-                    plane = search(rules, rays, placement, scratch, slot, tree, frame)
+                if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
+                    bin_range(references, frame.buffer + frame.first, frame.count, binning, scratch, slot)
+                    plane = search(rules, rays, binning, scratch, slot, tree, frame)
                 # partition
                 pair = next_pair
                 next_pair += 1
                 tree.pair[frame.node] = pair
-                if plane.price < INFINITY:
-                    divide_at_plane(references, triangles, placement, plane, scratch, slot, domain, at, frame, pair, tree)
+                if plane.cost < INFINITY:
+                    divide_at_plane(references, triangles, binning, plane, scratch, slot, domain, at, frame, pair, tree)
                     frame.buffer = triangles - frame.buffer
                 else:
                     plane.left = middle(frame.count, rules.cost.width_bits)

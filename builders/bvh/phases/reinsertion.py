@@ -20,7 +20,7 @@ which takes a small part of the time of the search. Each recomputes its gain in 
 left. So the sum falls with every move, the tree never becomes too deep, and it is the same for any number of threads. Leaves of
 the binary tree move as a whole, so they hold at most half a block of triangles; with a whole block almost nothing is gained.
 Finer leaves fill fewer blocks, which the heuristic does not see. So the builder's tree, with its original leaves, is kept
-unless the tree of wide nodes becomes clearly cheaper (`WORTH`).
+unless the tree of wide nodes becomes clearly cheaper (`MAX_RELATIVE_COST`).
 
 **Complexity.** O(N) moves per round. A search visits the whole tree in the worst case and usually a few dozen nodes.
 
@@ -54,7 +54,7 @@ STACK = MAX_WIDE_DEPTH + 2
 SEARCHES = 64
 """Least number of searches in a launch."""
 
-WORTH = 0.95
+MAX_RELATIVE_COST = 0.95
 """Relative cost up to which the tree with moves and finer leaves replaces the original: a margin for its emptier blocks
 (notebooks/records/2026-11-21-bvh-builders.md)."""
 
@@ -359,4 +359,4 @@ def reinsert(binary: BinaryBuild, triangles: int, config: BvhConfig, stats: Buil
     rules, moved = config.struct(), Reinsertion.of(work.binary, triangles).binary
     inputs = [binary.tree, binary.subtrees, replace(config, reinsertion=0).struct().grain]
     launch(join_leaves, len(binary.subtrees), inputs, device=binary.space.device, chunk=1)
-    return moved if wide_cost(moved, rules) < WORTH * wide_cost(binary, rules) else binary
+    return moved if wide_cost(moved, rules) < MAX_RELATIVE_COST * wide_cost(binary, rules) else binary

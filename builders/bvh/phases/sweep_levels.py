@@ -15,14 +15,14 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules
-from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, middle, must_halve, price_of_areas
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, middle, must_split_at_median, split_cost
 from wrt.builders.bvh.phases.sweep_lists import (
     Box,
     Partition,
     SweepLists,
     area_of,
     empty_box,
-    grown,
+    enlarged,
     joined,
     mark_sides,
     store_box,
@@ -97,7 +97,7 @@ def bound_chunks(
     part = Part()
     part.box = empty_box()
     for i in range(chunk.begin, chunk.end):
-        part.box = grown(part.box, lists, lists.sorted[axis, buffer + i])
+        part.box = enlarged(part.box, lists, lists.sorted[axis, buffer + i])
     parts[axis, index] = part
 
 
@@ -141,22 +141,22 @@ def search_chunks(
     box = part.behind
     for k in range(chunk.end - chunk.begin):
         i = chunk.end - 1 - k
-        box = grown(box, lists, lists.sorted[axis, frame.buffer + i])
+        box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
         lists.suffix[axis, i] = area_of(box)
     best = Partition()
-    best.price = INFINITY
+    best.cost = INFINITY
     best.axis = axis
     box = part.before
     for i in range(chunk.begin, chunk.end):
         left = i - frame.first
         if left > 0:
-            price = price_of_areas(
+            cost = split_cost(
                 area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
             )
-            if price < best.price:
-                best.price = price
+            if cost < best.cost:
+                best.cost = cost
                 best.left = left
-        box = grown(box, lists, lists.sorted[axis, frame.buffer + i])
+        box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
     part.best = best
     parts[axis, index] = part
 
@@ -170,14 +170,14 @@ def decide(first: int, rules: BuildRules, nodes: wp.array(dtype=LiveNode), parts
     last = parts[0, node.chunk_first + node.chunk_count - 1]
     store_box(tree.box, frame.node, joined(last.before, last.box))
     best = Partition()
-    best.price = INFINITY
-    if half_area(tree.box, frame.node) > 0.0 and not must_halve(frame.depth, frame.count):
+    best.cost = INFINITY
+    if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
         for axis in range(3):
             for chunk in range(node.chunk_first, node.chunk_first + node.chunk_count):
                 candidate = parts[axis, chunk].best
-                if candidate.price < best.price:
+                if candidate.cost < best.cost:
                     best = candidate
-    if best.price == INFINITY:
+    if best.cost == INFINITY:
         best.left = middle(frame.count, rules.cost.width_bits)
     node.best = best
     nodes[index] = node

@@ -37,7 +37,7 @@ class SweepLists:
 class Partition:
     """The best partition found."""
 
-    price: float
+    cost: float
     axis: int
     left: int
     """Triangles on the left."""
@@ -59,7 +59,7 @@ def empty_box():
 
 
 @wp.func
-def grown(box: Box, lists: SweepLists, triangle: int):
+def enlarged(box: Box, lists: SweepLists, triangle: int):
     """A box that holds a triangle too."""
     return Box(least(box.low, lists.corner[2 * triangle]), greatest(box.high, lists.corner[2 * triangle + 1]))
 

@@ -36,10 +36,10 @@ def subtree_triangles(tree: Bvh, node: int) -> np.ndarray:
 
 def build_subtree(ids: np.ndarray, low: np.ndarray, high: np.ndarray, build: Build) -> Bvh:
     """A separate tree for the triangles `ids`. low, high: (T, 3) float32 boxes of all triangles."""
-    return renamed(build(boxes_of(low[ids], high[ids])), ids)
+    return with_triangle_ids(build(boxes_of(low[ids], high[ids])), ids)
 
 
-def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
+def replace_subtrees(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
     """Replaces parts of a tree by other trees. No part is the root or below another part.
 
     Args:
@@ -49,22 +49,22 @@ def graft(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.ndarray]:
     Returns:
         The new tree, and for each of its nodes the number of the old node that it is, -1 for a node of a replacement.
     """
-    sizes, child, bounds, lists = pool([tree, *subtrees.values()])
+    sizes, child, bounds, lists = pool_nodes([tree, *subtrees.values()])
     for part in subtrees:
         if len(part) > 1:
-            unite_lanes(child[: sizes[0]], bounds, part)
+            merge_lanes(child[: sizes[0]], bounds, part)
     leads_to = np.arange(len(child))
     leads_to[[part[0] for part in subtrees]] = np.cumsum(sizes)[:-1]
     child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
-    grafted, order = assembled(child, bounds, lists, tree)
+    grafted, order = reachable_tree(child, bounds, lists, tree)
     return grafted, np.where(order < sizes[0], order, -1)
 
 
-def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
+def merge_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
     """Merges the lanes of some siblings into the lane of the first of them; unused lanes move to the end. Changes both arrays.
 
     Args:
-        child, bounds: (nodes, W) and (nodes, 6 W), as `pool` returns them.
+        child, bounds: (nodes, W) and (nodes, 6 W), as `pool_nodes` returns them.
         siblings: children of one node.
     """
     rows, lanes = np.nonzero(np.isin(child, siblings))
@@ -78,7 +78,7 @@ def unite_lanes(child: np.ndarray, bounds: np.ndarray, siblings: Part) -> None:
     corners[0, :, len(kept) :], corners[1, :, len(kept) :] = np.inf, -np.inf
 
 
-def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
+def merge_below(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
     """Builds one tree from several: each replaces a leaf of an upper tree.
 
     Args:
@@ -86,27 +86,27 @@ def plant(top: Bvh, trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> Bvh:
         trees: the trees, in the order in which `top` numbers them.
         members: for each tree, the ids of its triangles 0, 1 and so on.
     """
-    named = [renamed(tree, own) for tree, own in zip(trees, members, strict=True)]
-    sizes, child, bounds, lists = pool([top, *named])
+    named = [with_triangle_ids(tree, own) for tree, own in zip(trees, members, strict=True)]
+    sizes, child, bounds, lists = pool_nodes([top, *named])
     roots = np.cumsum(sizes)[:-1]
     upper = child[: sizes[0]]
     leaf = (upper < 0) & (upper != EMPTY_LANE)
     upper[leaf] = roots[top.primitive.numpy()[(~upper[leaf] >> 6) * top.width]]
-    return assembled(child, bounds, lists, top)[0]
+    return reachable_tree(child, bounds, lists, top)[0]
 
 
-def renamed(tree: Bvh, ids: np.ndarray) -> Bvh:
+def with_triangle_ids(tree: Bvh, ids: np.ndarray) -> Bvh:
     """The same tree with triangle i renumbered to ids[i]."""
     lists = tree.primitive.numpy()
     numbers = np.where(lists >= 0, ids[lists], -1).astype(np.int32)
     return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
 
 
-def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bvh) -> tuple[Bvh, np.ndarray]:
+def reachable_tree(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bvh) -> tuple[Bvh, np.ndarray]:
     """The tree of the nodes of a pool that can be reached from node 0, and for each of its nodes its number in the pool.
 
     Args:
-        child, bounds, lists: as `pool` returns them.
+        child, bounds, lists: as `pool_nodes` returns them.
         like: a tree with the same root's box, width, device and statistics.
     """
     width, device = like.width, like.bounds.device
@@ -126,7 +126,7 @@ def assembled(child: np.ndarray, bounds: np.ndarray, lists: np.ndarray, like: Bv
     return Bvh(*made, like.low, like.high, width, level_first, stats), order
 
 
-def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
+def pool_nodes(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.ndarray]:
     """Number of nodes of each tree; then, for all trees, (nodes, W) child words with pool indices, boxes and leaf lists."""
     sizes, children, node_base, block_base = [tree.level_first[-1] for tree in trees], [], 0, 0
     for tree, size in zip(trees, sizes, strict=True):
@@ -139,14 +139,14 @@ def pool(trees: Sequence[Bvh]) -> tuple[list[int], np.ndarray, np.ndarray, np.nd
     return sizes, np.concatenate(children), np.concatenate(bounds), np.concatenate(lists)
 
 
-def join(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray]:
+def join_trees(trees: Sequence[Bvh], members: Sequence[np.ndarray]) -> tuple[Bvh, np.ndarray]:
     """Trees side by side in the same arrays, and the root of each. The result as a whole has no root, box or levels.
 
     Args:
         trees: trees on one device.
         members: for each tree, the ids of its triangles 0, 1 and so on.
     """
-    sizes, child, bounds, lists = pool([renamed(tree, own) for tree, own in zip(trees, members, strict=True)])
+    sizes, child, bounds, lists = pool_nodes([with_triangle_ids(tree, own) for tree, own in zip(trees, members, strict=True)])
     device, stats = trees[0].bounds.device, BuildStats()
     arrays = bounds.ravel(), child.ravel().astype(np.int32), lists
     made = [wp.array(values, dtype=kind, device=device) for values, kind in zip(arrays, (float, int, int), strict=True)]

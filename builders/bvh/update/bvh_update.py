@@ -7,17 +7,17 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_statistics import half_area
-from wrt.builders.bvh.update.bvh_grafting import build_subtree, graft, subtree_triangles
+from wrt.builders.bvh.update.bvh_grafting import build_subtree, replace_subtrees, subtree_triangles
 from wrt.builders.bvh.update.node_costs import node_costs
 from wrt.builders.bvh.update.refit import refit
 from wrt.builders.cost import SurfaceAreaCost
-from wrt.builders.rebuild_heuristic import Part, worn_subtrees
+from wrt.builders.rebuild_heuristic import Part, degraded_subtrees
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
 
 
-class MovedBvh:
+class RefittedBvh:
     """The refitted nodes of a tree over moved triangles.
 
     Args:
@@ -62,10 +62,10 @@ class MovedBvh:
         return child[node][inner], probability
 
     def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
-        """The parts to rebuild; arguments as in `worn_subtrees`."""
-        return worn_subtrees(self.costs, built, self.children, tolerance, together=self.together)
+        """The parts to rebuild; arguments as in `degraded_subtrees`."""
+        return degraded_subtrees(self.costs, built, self.children, tolerance, joined_cost=self.joined_cost)
 
-    def together(self, node: int, siblings: np.ndarray, built: np.ndarray) -> float:
+    def joined_cost(self, node: int, siblings: np.ndarray, built: np.ndarray) -> float:
         """Estimated share of a node's cost that some inner children would have as one subtree; inf if there are no others.
 
         A ray that meets the box around all of them takes one more step. The distribution of their triangles in that box is not
@@ -97,4 +97,4 @@ class MovedBvh:
         depth = np.searchsorted(self.tree.level_first, [part[0] for part in chosen], side="right") - 1
         if max(int(at) + subtree.depth for at, subtree in zip(depth, subtrees.values(), strict=True)) > MAX_WIDE_DEPTH:
             return None
-        return graft(self.tree, subtrees)
+        return replace_subtrees(self.tree, subtrees)

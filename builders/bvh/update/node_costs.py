@@ -28,7 +28,7 @@ def sum_costs(
     first: int,
     level_first: int,
     width: int,
-    price: SplitCost,
+    model: SplitCost,
     bounds: wp.array(dtype=float),
     child: wp.array(dtype=int),
     costs: wp.array(dtype=float),
@@ -47,7 +47,7 @@ def sum_costs(
             own_high = wp.vec3(bounds[at + 3 * width], bounds[at + 4 * width], bounds[at + 5 * width])
             low = least(low, own_low)
             high = greatest(high, own_high)
-            cost = leaf_cost(price, leaf_triangles(word))
+            cost = leaf_cost(model, leaf_triangles(word))
             if word >= 0:
                 cost = costs[word]
             weighted += cost * area_of(own_low, own_high)
@@ -56,7 +56,7 @@ def sum_costs(
     below = plain
     if area > 0.0:
         below = weighted / area
-    costs[node] = price.traversal + below
+    costs[node] = model.traversal + below
 
 
 def node_costs(tree: Bvh, cost: SurfaceAreaCost) -> np.ndarray:

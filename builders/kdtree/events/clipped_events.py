@@ -86,8 +86,8 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
 @wp.func_native(
     f"""
     const float* from = lists.straddler.data + ((size_t)first * 2 + straddlers) * 8;
-    const auto* begin = lists.fresh.data + (size_t)first * 4;
-    auto* to = lists.fresh.data + (size_t)first * 4;
+    const auto* begin = lists.new_events.data + (size_t)first * 4;
+    auto* to = lists.new_events.data + (size_t)first * 4;
     const auto write = [&](float position, int bits, int kind) {{
         memcpy(&to->c[0], &position, 4);
         to->c[1] = (bits - {ID_OFFSET}) << 2 | kind;
@@ -103,7 +103,7 @@ def clip_straddlers(lists: EventLists, first: int, count: int, pad: float, low: 
     return (int)(to - begin);
 """
 )
-def list_fresh(lists: EventLists, first: int, straddlers: int, count: int, axis: int) -> int:
+def list_new_events(lists: EventLists, first: int, straddlers: int, count: int, axis: int) -> int:
     """Lists the events, along one axis and unsorted, of the parts that `clip_straddlers` wrote; returns their number."""
     ...
 
@@ -117,7 +117,7 @@ def comes_first(a: wp.vec2i, b: wp.vec2i):
 
 
 @wp.func
-def sort_fresh(lists: EventLists, begin: int, count: int):
+def sort_new_events(lists: EventLists, begin: int, count: int):
     """Sorts the new events by merging runs; an equal amount of memory behind them is scratch. Returns the start of the list."""
     source = int(begin)
     target = int(begin + count)
@@ -131,8 +131,8 @@ def sort_fresh(lists: EventLists, begin: int, count: int):
             for to in range(first, end):
                 take_a = b >= end
                 if a < middle and not take_a:
-                    take_a = comes_first(load_pair(lists.fresh, source + a), load_pair(lists.fresh, source + b))
-                store_pair(lists.fresh, target + to, load_pair(lists.fresh, source + wp.where(take_a, a, b)))
+                    take_a = comes_first(load_pair(lists.new_events, source + a), load_pair(lists.new_events, source + b))
+                store_pair(lists.new_events, target + to, load_pair(lists.new_events, source + wp.where(take_a, a, b)))
                 a += wp.where(take_a, 1, 0)
                 b += wp.where(take_a, 0, 1)
         swap = source
@@ -143,13 +143,13 @@ def sort_fresh(lists: EventLists, begin: int, count: int):
 
 
 @wp.func
-def merge_fresh(lists: EventLists, fresh: int, count: int, begin: int, kept: int):
+def merge_new_events(lists: EventLists, new_first: int, count: int, begin: int, kept: int):
     """Merges sorted new events from the back into the list [begin, begin + kept), which has room for them behind."""
     old = int(begin + kept)
-    new = int(fresh + count)
-    while new > fresh:
-        to = old + (new - fresh) - 1
-        event = load_pair(lists.fresh, new - 1)
+    new = int(new_first + count)
+    while new > new_first:
+        to = old + (new - new_first) - 1
+        event = load_pair(lists.new_events, new - 1)
         if old > begin and not comes_first(load_pair(lists.event, wp.max(old - 1, 0)), event):
             old -= 1
             event = load_pair(lists.event, old)
@@ -192,9 +192,9 @@ def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: 
     child.triangles += kept
     axis = int(0)
     while axis < 3:  # a loop that Warp does not unroll; unrolling only lengthens compilation
-        count = list_fresh(lists, sides_first, straddlers, kept, axis)
-        fresh = sort_fresh(lists, 4 * sides_first, count)
-        merge_fresh(lists, fresh, count, child.first[axis], child.count[axis])
+        count = list_new_events(lists, sides_first, straddlers, kept, axis)
+        new_first = sort_new_events(lists, 4 * sides_first, count)
+        merge_new_events(lists, new_first, count, child.first[axis], child.count[axis])
         child.count[axis] += count
         axis += 1
 
@@ -246,11 +246,11 @@ def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig)
         lists.pad = PAD * triangles.size
         lists.number = wp.zeros(count, dtype=int, device=device)
         lists.straddler = wp.empty(16 * count, dtype=float, device=device)
-        lists.fresh = wp.empty(4 * count, dtype=wp.vec2i, device=device)
+        lists.new_events = wp.empty(4 * count, dtype=wp.vec2i, device=device)
     return lists
 
 
 def arrays_of(lists: EventLists) -> list[wp.array]:
     """The arrays of the lists and their scratch memory."""
-    reserved = (lists.event, lists.triangle, lists.side, lists.number, lists.straddler, lists.fresh)
+    reserved = (lists.event, lists.triangle, lists.side, lists.number, lists.straddler, lists.new_events)
     return [array for array in reserved if array is not None]

@@ -43,7 +43,7 @@ class EventLists:
     straddler: wp.array(dtype=float)
     """Scratch, 16 per triangle: a node's straddlers as references (8 floats each), followed by their remaining parts in a
     child. The id of a reference is the index of the triangle within the task."""
-    fresh: wp.array(dtype=wp.vec2i)
+    new_events: wp.array(dtype=wp.vec2i)
     """Scratch, 4 per triangle: new events along one axis, and room to sort them."""
 
 

@@ -60,9 +60,9 @@ class LeastPlane:
         float positions[W];
         memcpy(positions, bits, sizeof(bits));
         WRT_FOR_LANES(j) {{
-            const float price = plane_price(positions[j], lefts[j], rights[j]);
-            const bool better = (price < least[j]) & (positions[j] > frame.low) & (positions[j] < frame.high);
-            least[j] = better ? price : least[j];
+            const float candidate = plane_cost(positions[j], lefts[j], rights[j]);
+            const bool better = (candidate < least[j]) & (positions[j] > frame.low) & (positions[j] < frame.high);
+            least[j] = better ? candidate : least[j];
             block[j] = better ? first : block[j];
             blocks_left[j] = better ? left_before : blocks_left[j];
             blocks_right[j] = better ? right_before : blocks_right[j];

@@ -46,11 +46,11 @@ def start_sweep(left: int, right: int):
 def try_plane(cost: SplitCost, along: AxisFrame, kind: int, position: float, sweep: wp.ref[Sweep]):
     """Keeps the plane with the current counts if it costs less than the best; after another end at the same position, also if
     it costs the same."""
-    price = plane_cost(cost, along, position, sweep.left, sweep.right)
+    candidate = plane_cost(cost, along, position, sweep.left, sweep.right)
     same_plane = sweep.best.axis == along.axis and sweep.best.position == position
-    better = price < sweep.best.cost or (kind == END and price == sweep.best.cost and same_plane)
+    better = candidate < sweep.best.cost or (kind == END and candidate == sweep.best.cost and same_plane)
     if better and position > along.low and position < along.high:
-        sweep.best.cost = price
+        sweep.best.cost = candidate
         sweep.best.axis = along.axis
         sweep.best.position = position
         sweep.best.planar_left = kind == START

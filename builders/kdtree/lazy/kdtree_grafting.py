@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 
 @wp.kernel
-def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), grown: wp.array(dtype=wp.vec2i)):
+def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), enlarged: wp.array(dtype=wp.vec2i)):
     """Item: a node. Copies it to its new index. shift: (nodes,) increase of each node's index."""
     i = first + wp.tid()
     node = nodes[i]
@@ -19,7 +19,7 @@ def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtyp
     if axis != kdtree.LEAF:
         right = kdtree.right_child(node)
         node = kdtree.inner_node(axis, kdtree.split_position(node), right + shift[right])
-    grown[i + shift[i]] = node
+    enlarged[i + shift[i]] = node
 
 
 def make_room(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
@@ -38,6 +38,6 @@ def make_room(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[w
     growth = np.zeros(count, dtype=np.int32)
     growth[leaves] = sizes - 1
     shift = np.cumsum(growth, dtype=np.int32) - growth
-    grown = wp.empty(count + int(growth.sum()), dtype=wp.vec2i, device=device)
-    launch(move_nodes, count, [nodes, wp.array(shift, dtype=int, device=device), grown], device=device, chunk=4096)
-    return grown, shift
+    enlarged = wp.empty(count + int(growth.sum()), dtype=wp.vec2i, device=device)
+    launch(move_nodes, count, [nodes, wp.array(shift, dtype=int, device=device), enlarged], device=device, chunk=4096)
+    return enlarged, shift

@@ -62,7 +62,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 LARGE = 1 << 13
 """Triangles of a cell above which it is divided into cells. The subtree of a smaller one is built at once."""
 
-MOST_MULTIPLIED = 16.0
+MAX_DUPLICATION = 16.0
 """A cell is not divided if its cells would have more than this many times its triangles in total."""
 
 CELL_ROOM = 3.0
@@ -85,10 +85,10 @@ CELL = np.dtype(
         ("clusters_first", np.int32),
         ("node", np.int32),
         ("leaf", np.int32),
-        ("waiting", np.bool_),
+        ("unbuilt", np.bool_),
     ]
 )
-"""A cell: its box; its depth; the growth of references on its path (`Descent.growth`); the number of its clusters and their
+"""A cell: its box; its depth; the growth of references on its path (`PathState.growth`); the number of its clusters and their
 start in the list of all cells' clusters; its indices in the tree and in the skeleton."""
 
 EMPTY = (0, 3)
@@ -106,13 +106,13 @@ class Snapshot:
         skeleton: (nodes,) vec2i, the planes above the cells. A leaf with triangles is not built; its first block is the cell's
             number.
         cells: number of cells so far.
-        waiting: number of cells that are not built.
+        unbuilt: number of cells that are not built.
     """
 
     tree: KdTree
     skeleton: wp.array
     cells: int
-    waiting: int
+    unbuilt: int
 
     def struct(self) -> KdNodes:
         """The skeleton for a kernel."""
@@ -143,19 +143,19 @@ class LazyKdTree:
         self.listed = np.zeros(0, dtype=np.int64)
         """Clusters of the cells, cell after cell."""
         self.cells = np.zeros(1, dtype=CELL)
-        self.cells["low"], self.cells["high"], self.cells["waiting"] = triangles.low, triangles.high, True
+        self.cells["low"], self.cells["high"], self.cells["unbuilt"] = triangles.low, triangles.high, True
         self.nodes = wp.array([EMPTY], dtype=wp.vec2i, device=self.host)
-        self.skeleton = wp.array(waiting_leaves(np.zeros(1, dtype=int)), dtype=wp.vec2i, device=self.host)
+        self.skeleton = wp.array(unbuilt_leaves(np.zeros(1, dtype=int)), dtype=wp.vec2i, device=self.host)
         self.primitive = wp.empty(0, dtype=int, device=self.host)
         self.current = self._snapshot()
         """The current snapshot: replaced, never modified."""
         if triangles.count > LARGE:
-            self.open(np.zeros(1, dtype=int))
+            self.build_cells(np.zeros(1, dtype=int))
 
-    def open(self, numbers: np.ndarray) -> None:
+    def build_cells(self, numbers: np.ndarray) -> None:
         """Builds cells, or divides large ones into cells. Cells that are already built are not changed."""
         with self.lock:
-            numbers = numbers[self.cells["waiting"][numbers]]
+            numbers = numbers[self.cells["unbuilt"][numbers]]
             if len(numbers) == 0:
                 return
             with self.phase("lists"):
@@ -172,8 +172,8 @@ class LazyKdTree:
 
     def finish(self) -> KdTree:
         """Builds all remaining cells, and returns the whole tree."""
-        while self.current.waiting:
-            self.open(np.flatnonzero(self.cells["waiting"]))
+        while self.current.unbuilt:
+            self.build_cells(np.flatnonzero(self.cells["unbuilt"]))
         return self.current.tree
 
     def _snapshot(self) -> Snapshot:
@@ -181,8 +181,8 @@ class LazyKdTree:
         self.phase.stats.reserve(boxes.low, boxes.high, self.order, self.nodes, self.skeleton, self.primitive)
         low, high = wp.vec3(*self.triangles.low), wp.vec3(*self.triangles.high)
         tree = KdTree(self.nodes, self.primitive, low, high, self.config.cost.width, self.phase.stats)
-        waiting = int(self.cells["waiting"].sum())
-        return Snapshot(tree.to(self.device), self.skeleton.to(self.device), len(self.cells), waiting)
+        unbuilt = int(self.cells["unbuilt"].sum())
+        return Snapshot(tree.to(self.device), self.skeleton.to(self.device), len(self.cells), unbuilt)
 
     def _list_triangles(self, numbers: np.ndarray) -> tuple[wp.array, np.ndarray, np.ndarray]:
         """The triangles of cells: (ids, start of each cell's ids, number of each cell's ids)."""
@@ -211,28 +211,28 @@ class LazyKdTree:
         top = self._build_top(parent, clusters, least / size)
         flat = unpack(top)
         leaf, listed = leaves_of(clusters, top.nodes)
-        multiplied = clusters.sizes[listed].sum() / len(ids)
-        if len(flat.axis) == 1 or multiplied > MOST_MULTIPLIED:
+        duplication = clusters.sizes[listed].sum() / len(ids)
+        if len(flat.axis) == 1 or duplication > MAX_DUPLICATION:
             return False
         leaves, begins, numbers = np.unique(leaf, return_index=True, return_counts=True)
         cells = np.zeros(len(leaves), dtype=CELL)
         cells["low"], cells["high"] = flat.low[leaves], flat.high[leaves]
         cells["depth"] = parent["depth"] + flat.depth[leaves]
-        cells["growth"] = min((1.0 + parent["growth"]) * multiplied, float(MAX_GROWTH)) - 1.0
+        cells["growth"] = min((1.0 + parent["growth"]) * duplication, float(MAX_GROWTH)) - 1.0
         cells["clusters"] = numbers
         cells["clusters_first"] = len(self.listed) + begins
-        cells["waiting"] = True
+        cells["unbuilt"] = True
         planes = top.nodes.numpy().copy()
         planes[flat.is_leaf] = EMPTY
         cells["node"] = leaves + self._graft("node", number, planes)
-        planes[leaves] = waiting_leaves(len(self.cells) + np.arange(len(leaves)))
+        planes[leaves] = unbuilt_leaves(len(self.cells) + np.arange(len(leaves)))
         cells["leaf"] = leaves + self._graft("leaf", number, planes)
         self.cells = np.concatenate([self.cells, cells])
         self.listed = np.concatenate([self.listed, listed + len(self.clusters)])
         bounds = np.stack([clusters.first[:-1], clusters.first[1:]], axis=1)
         self.clusters = np.concatenate([self.clusters, bounds + len(self.order)])
         self.order = joined(self.order, clusters.order)
-        self.cells["waiting"][number] = False
+        self.cells["unbuilt"][number] = False
         return True
 
     def _build_top(self, parent: np.void, clusters: Clusters, least_size: float) -> KdTree:
@@ -249,18 +249,18 @@ class LazyKdTree:
 
     def _graft(self, name: str, number: int, part: np.ndarray) -> int:
         """Replaces a cell by a part, in the tree ("node") or in the skeleton ("leaf"); returns the part's first index."""
-        grown, (base,) = self._make_room(name, np.array([number]), np.array([len(part)]))
+        enlarged, (base,) = self._make_room(name, np.array([number]), np.array([len(part)]))
         right = np.where(part[:, 1] & 3 == kdtree.LEAF, 0, base << 2)
-        grown.numpy()[base : base + len(part)] = part + np.stack([np.zeros_like(right), right], axis=1)
+        enlarged.numpy()[base : base + len(part)] = part + np.stack([np.zeros_like(right), right], axis=1)
         return base
 
     def _make_room(self, name: str, numbers: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
         """Makes room for parts that replace cells; returns the enlarged array and the first index of each part."""
         field = {"node": "nodes", "leaf": "skeleton"}[name]
-        grown, shift = make_room(getattr(self, field), self.cells[name][numbers], sizes)
+        enlarged, shift = make_room(getattr(self, field), self.cells[name][numbers], sizes)
         self.cells[name] += shift[self.cells[name]]
-        setattr(self, field, grown)
-        return grown, self.cells[name][numbers]
+        setattr(self, field, enlarged)
+        return enlarged, self.cells[name][numbers]
 
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
         """Builds the subtrees of cells and inserts them into the tree."""
@@ -283,7 +283,7 @@ class LazyKdTree:
         self.primitive = primitive
         self.skeleton = wp.clone(self.skeleton)  # the old one may be in use
         self.skeleton.numpy()[self.cells["leaf"][numbers]] = EMPTY
-        self.cells["waiting"][numbers] = False
+        self.cells["unbuilt"][numbers] = False
 
     def _list_references(self, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
         """The cells as roots of subtrees, with their references."""
@@ -315,7 +315,7 @@ def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
             skeleton[index] = EMPTY_LEAF
 
 
-def waiting_leaves(numbers: np.ndarray) -> np.ndarray:
+def unbuilt_leaves(numbers: np.ndarray) -> np.ndarray:
     """Leaves of the skeleton for cells that are not built."""
     return np.stack([numbers, np.full_like(numbers, 1 << 2 | kdtree.LEAF)], axis=1).astype(np.int32)
 

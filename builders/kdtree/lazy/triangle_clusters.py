@@ -22,13 +22,13 @@ from wrt.kernels.runtime.launch import get_num_threads, launch
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-MOST_CELLS = 1 << 15
+MAX_CELLS = 1 << 15
 """Most cells of the grid, so that their boxes fit the second-level cache of a core."""
 
 TRIANGLES_PER_CELL = 16
 """Triangles per cell of the grid, counting empty cells; a surface leaves most cells empty."""
 
-LEAST_CHUNK = 1 << 15
+MIN_CHUNK = 1 << 15
 """Least number of triangles in a chunk, because each chunk has its own table of boxes."""
 
 
@@ -165,7 +165,7 @@ def make_grid(low: np.ndarray, high: np.ndarray, triangles: int) -> Grid:
     """A grid of nearly cubic cells over a box. Along an axis shorter than a cell there is one cell."""
     size = high.astype(np.float64) - low
     size = np.where(np.isfinite(size), size, 0.0)
-    wanted = min(MOST_CELLS, max(1, triangles // TRIANGLES_PER_CELL))
+    wanted = min(MAX_CELLS, max(1, triangles // TRIANGLES_PER_CELL))
     volumes = np.cumprod(np.sort(size)[::-1])
     edge = max((volumes / wanted) ** (1.0 / np.arange(1, 4)))
     cells = np.maximum(1, np.floor(size / edge)) if edge > 0.0 else np.ones(3)
@@ -186,7 +186,7 @@ def sort_into_clusters(boxes: Boxes, ids: wp.array, low: np.ndarray, high: np.nd
     """
     device, count = ids.device, len(ids)
     grid = make_grid(low, high, count)
-    size = max(LEAST_CHUNK, -(-count // get_num_threads()))
+    size = max(MIN_CHUNK, -(-count // get_num_threads()))
     chunks, cells = -(-count // size), int(np.prod(np.array(grid.cells)))
     cell_of, order = (wp.empty(count, dtype=int, device=device) for _ in range(2))
     counts = wp.empty((chunks, cells), dtype=int, device=device)

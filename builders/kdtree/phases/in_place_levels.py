@@ -14,8 +14,8 @@ of the axes and positions. So neither threads nor chunks show in the result.
 
 **What we changed.** Most chunks are not searched, and in the others only for nodes that may have their best plane there. The
 counts before and behind a chunk bound the cost of all its planes from below; planes at which chunks begin have their true cost
-already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_win`). On the bunny's first three
-levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_contain_best`). On the bunny's
+first three levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
 
 References:
     B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
@@ -28,7 +28,7 @@ from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split,
 from wrt.builders.kdtree.events.event_sort import CHUNK, END, START, Events, event_position, event_value
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
-from wrt.builders.tree import Descent, StopLimits, descend
+from wrt.builders.tree import PathState, StopLimits, advance_path
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int, store_int
@@ -48,7 +48,7 @@ class LiveNode:
     low: wp.vec3
     high: wp.vec3
     triangles: int
-    path: Descent
+    path: PathState
     depth: int
     finished: bool
     """True for a leaf. It then waits for the end of the levels, and its task makes the same decision."""
@@ -119,11 +119,11 @@ def scan_chunks(
     events: Events,
     nodes: wp.array(dtype=LiveNode),
     counts: wp.array3d(dtype=wp.vec2i),
-    reached: wp.array2d(dtype=float),
+    least_known_cost: wp.array2d(dtype=float),
 ):
     """Item: axis * nodes + node. Turns the counts of chunks into the counts before them.
 
-    reached: (3, nodes) output, least cost of the planes at which chunks begin."""
+    least_known_cost: (3, nodes) output, least cost of the planes at which chunks begin."""
     item = first + wp.tid()
     axis = item / counts.shape[2]
     index = item % counts.shape[2]
@@ -138,14 +138,14 @@ def scan_chunks(
         if begin < events.count[axis]:
             position = event_position(events, axis, begin)
             if position > along.low and position < along.high:
-                # what ends there still counts as on the right: the plane is no dearer than this
+                # what ends there still counts as on the right: the plane costs no more than this
                 least = wp.min(least, plane_cost(cost, along, position, total[0], node.triangles - total[1]))
         total += here
-    reached[axis, index] = least
+    least_known_cost[axis, index] = least
 
 
 @wp.func
-def may_win(
+def may_contain_best(
     cost: SplitCost,
     along: AxisFrame,
     begin: float,
@@ -153,13 +153,13 @@ def may_win(
     left: int,
     right: int,
     index: int,
-    reached: wp.array2d(dtype=float),
+    least_known_cost: wp.array2d(dtype=float),
 ):
     """Whether a plane of a chunk may be a node's best. left triangles begin before the chunk, right ones end behind it, and its
     positions are begin .. end. The bound is the least cost of a split of the node without the slab between these positions."""
     low = wp.max(begin, along.low)
     high = wp.min(end, along.high)
-    known = wp.min(reached[0, index], wp.min(reached[1, index], reached[2, index]))
+    known = wp.min(least_known_cost[0, index], wp.min(least_known_cost[1, index], least_known_cost[2, index]))
     thin = along
     thin.high = along.high - (high - low)
     return low <= high and not (plane_cost(cost, thin, low, left, right) > known * SLACK)
@@ -199,7 +199,7 @@ def search_planes(
     membership: Membership,
     nodes: wp.array(dtype=LiveNode),
     before: wp.array3d(dtype=wp.vec2i),
-    reached: wp.array2d(dtype=float),
+    least_known_cost: wp.array2d(dtype=float),
     frames: wp.array3d(dtype=AxisFrame),
     sweeps: wp.array3d(dtype=Sweep),
 ):
@@ -214,7 +214,7 @@ def search_planes(
     along = frames[axis, chunk]
     begin = chunk_begin(events, axis, chunk)
     end = chunk_begin(events, axis, chunk + 1)
-    hopeful = bool(False)
+    any_candidate = bool(False)
     for index in range(before.shape[2]):
         node = nodes[index]
         counts = before[axis, chunk, index]
@@ -223,17 +223,19 @@ def search_planes(
             behind = before[axis, chunk + 1, index]
         row[index] = start_sweep(counts[0], node.triangles - counts[1])
         along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
-        promising = bool(False)
+        is_candidate = bool(False)
         if not node.finished and begin < end:
             at = event_position(events, axis, begin)
             to = event_position(events, axis, end - 1)
-            promising = may_win(cost, along[index], at, to, counts[0], node.triangles - behind[1], index, reached)
-        if promising:
-            hopeful = True
+            is_candidate = may_contain_best(
+                cost, along[index], at, to, counts[0], node.triangles - behind[1], index, least_known_cost
+            )
+        if is_candidate:
+            any_candidate = True
         else:
             along[index].low = INFINITY
             along[index].high = -INFINITY
-    if hopeful:
+    if any_candidate:
         sweep_chunk(cost, events, axis, begin, end, membership, along, row)
 
 
@@ -255,7 +257,7 @@ def decide(
                 candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
-        below = descend(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
+        below = advance_path(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
         node.split = best
         node.finished = below.bad_splits < 0
         if below.bad_splits >= 0:
@@ -264,7 +266,7 @@ def decide(
 
 
 @wp.kernel
-def new_generation(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
+def emit_children(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
     """One item. Lists the next level's nodes in order. count: (2,) number of its nodes and of those that are not finished."""
     total = int(0)
     open_nodes = int(0)

@@ -24,7 +24,7 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import Descent, StopLimits, descend
+from wrt.builders.tree import PathState, StopLimits, advance_path
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -86,7 +86,7 @@ class Frame:
     top: int
     """Start of the free part of the task's range while the node is built."""
     triangles: int
-    path: Descent
+    path: PathState
     depth: int
     parent: int
     """Index of the node whose right child it is; -1 for the root."""
@@ -145,7 +145,7 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
             split = no_split()
             if frame.depth < limits.depth:
                 split = search(cost, memory, number, frame)
-            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, split, frame.high - frame.low)
+            below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, split, frame.high - frame.low)
             index = result.nodes
             result.nodes += 1
             if frame.parent >= 0:

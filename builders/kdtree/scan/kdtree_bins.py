@@ -29,7 +29,7 @@ def counters_for(bins: int) -> int:
 
 
 @wp.struct
-class Placement:
+class Binning:
     """The bins of a node: a lane falls into bin (lane - origin) * scale, clamped to [0, bins - 1]."""
 
     low: wp.vec3
@@ -41,29 +41,29 @@ class Placement:
 
 
 @wp.func
-def place(frame: Frame, bins: int):
+def make_binning(frame: Frame, bins: int):
     """The bins of a node. Along an axis without extent everything falls into the first bin."""
-    placement = Placement()
-    placement.low = frame.inner_low
-    placement.high = frame.inner_high
-    placement.bins = bins
+    binning = Binning()
+    binning.low = frame.inner_low
+    binning.high = frame.inner_high
+    binning.bins = bins
     for axis in range(3):
         extent = frame.inner_high[axis] - frame.inner_low[axis]
-        placement.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
-    return placement
+        binning.scale[axis] = wp.where(extent > 0.0, float(bins) / extent, 0.0)
+    return binning
 
 
 @wp.func_native(
     HEAD
     + """
-    const int bins = placement.bins;
+    const int bins = binning.bins;
     int* __restrict__ to = counter.data + (size_t)slot * counter.shape[1];
     for (int i = 0; i < 6 * bins; ++i) to[i] = 0;
     float origin[W], scale[W];
     for (int j = 0; j < 3; ++j) {
-        origin[j] = placement.low.c[j];
-        origin[4 + j] = -placement.high.c[j];
-        scale[j] = scale[4 + j] = placement.scale.c[j];
+        origin[j] = binning.low.c[j];
+        origin[4 + j] = -binning.high.c[j];
+        scale[j] = scale[4 + j] = binning.scale.c[j];
     }
     origin[3] = origin[7] = scale[3] = scale[7] = 0.0f;
     const float last = (float)(bins - 1);
@@ -88,7 +88,7 @@ def bin_range(
     begin: int,
     count: int,
     step: int,
-    placement: Placement,
+    binning: Binning,
     counter: wp.array2d(dtype=int),
     slot: int,
 ):

@@ -26,9 +26,9 @@ import warp as wp
 from wrt.builders.cost import Split, SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, merge_bins, place
+from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, make_binning, merge_bins
 from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, partition
-from wrt.builders.tree import StopLimits, descend
+from wrt.builders.tree import StopLimits, advance_path
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import copy_references, write_references
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -37,12 +37,12 @@ from wrt.kernels.runtime.launch import launch
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 CHUNK = 8192
-"""Least number of references in a chunk."""
+"""References in a chunk; the last chunk of a node has fewer."""
 
-PLANES = 2048
+MIN_PLANES_PER_ITEM = 2048
 """Planes per axis whose evaluation justifies an item of its own."""
 
-EVEN = 4
+UNIFORM_CHUNKS_PER_THREAD = 4
 """Chunks per thread in kernels whose items all cost the same."""
 
 
@@ -127,8 +127,8 @@ def bin_chunks(
         step = sample_step(node.frame.triangles, sampled)
         behind = (chunk.begin - node.frame.first[0]) % step
         skip = (step - behind) % step
-        placement = place(node.frame, bins)
-        bin_range(references, chunk.begin + skip, chunk.count - skip, step, placement, counter, slot)
+        node_binning = make_binning(node.frame, bins)
+        bin_range(references, chunk.begin + skip, chunk.count - skip, step, node_binning, counter, slot)
 
 
 @wp.kernel
@@ -151,7 +151,7 @@ def decide(
         step = sample_step(node.frame.triangles, sampled)
         node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
         frame = node.frame
-        below = descend(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+        below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
         node.finished = below.bad_splits < 0
         if below.bad_splits >= 0:
             node.frame.path = below
@@ -170,7 +170,7 @@ def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
         if not node.finished:
             node.split = search(cost, memory, index, node.frame)
             frame = node.frame
-            below = descend(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+            below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
             node.finished = below.bad_splits < 0
             if below.bad_splits >= 0:
                 node.frame.path = below
@@ -252,7 +252,7 @@ def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules,
     count, device = triangles.count, triangles.boxes.low.device
     references = wp.empty(8 * count, dtype=float, device=device)
     inputs = [triangles.boxes, count, CHUNK, references]
-    launch(make_references, -(-count // CHUNK), inputs, device=device, chunk=1, chunks_per_thread=EVEN)
+    launch(make_references, -(-count // CHUNK), inputs, device=device, chunk=1, chunks_per_thread=UNIFORM_CHUNKS_PER_THREAD)
     nodes = root_level(triangles, rules)
     levels = []
     while not nodes["finished"].all():
@@ -283,9 +283,11 @@ def binning(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -
         counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
         sampling = [rules.bins, rules.sampled]
         inputs = [*sampling, references, live, parts, counter]
-        launch(bin_chunks, slots, inputs, device=device, chunk=1, chunks_per_thread=EVEN)
+        launch(bin_chunks, slots, inputs, device=device, chunk=1, chunks_per_thread=UNIFORM_CHUNKS_PER_THREAD)
         rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
-        launch(decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, PLANES // rules.bins))
+        launch(
+            decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, MIN_PLANES_PER_ITEM // rules.bins)
+        )
 
     return search
 
@@ -298,15 +300,15 @@ def split_level(nodes: np.ndarray, references: wp.array, decide: Decide, large: 
     live = wp.array(nodes, dtype=LiveRange, device=device)
     parts = wp.array(chunks, dtype=Chunk, device=device)
     measured = wp.empty(slots, dtype=Sides, device=device)
-    even = {"device": device, "chunk": 1, "chunks_per_thread": EVEN}
+    uniform = {"device": device, "chunk": 1, "chunks_per_thread": UNIFORM_CHUNKS_PER_THREAD}
     decide(nodes, live, parts, references)
-    launch(measure_chunks, slots, [references, live, parts, measured], **even)
+    launch(measure_chunks, slots, [references, live, parts, measured], **uniform)
     nodes, sides = live.numpy(), measured.numpy()
     children = next_level(nodes, sides, large)
     place_chunks(chunks, nodes, children, sides)
     target = wp.empty(8 * int(children["frame"]["count"][:, 0].sum()), dtype=float, device=device)
     parts = wp.array(chunks, dtype=Chunk, device=device)
-    launch(move_chunks, slots, [references, live, parts, target], **even)
+    launch(move_chunks, slots, [references, live, parts, target], **uniform)
     return nodes, children, target
 
 

@@ -1,8 +1,9 @@
 """A build that scans references: top levels by all threads together, then a pool of tasks, one a subtree.
 
 What is common to the builders that search by scanning: `reference_levels` splits large nodes, `subtrees` builds the others with
-the builder's own search, `assembly` puts the parts together. A search that is not cut into chunks is the work of one thread for
-each large node, whose list all threads divide then (`shared_out`): two threads wait for each other at the root's search alone.
+the builder's own search, `assembly` puts the parts together. A search that is not cut into chunks is done by one thread for
+each large node. All threads then divide the node's list (`uniform_scan`). So with two threads, only the search of the root
+keeps one of them waiting.
 """
 
 from dataclasses import dataclass
@@ -30,13 +31,13 @@ SPARE_ROOM = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 
-LEAST_VALUES = 16
+MIN_VALUES = 16
 """Floats that a search may write down in any node."""
 
 TASKS_PER_THREAD = 2
 """A node of more than its share of triangles, if there were so many tasks a thread, is split before there are tasks."""
 
-LEAST_LARGE = 1 << 13
+MIN_LARGE = 1 << 13
 """Triangles below which a node is not worth more than one thread."""
 
 
@@ -61,7 +62,7 @@ class Scan:
     Attributes:
         method: how subtrees are built.
         levels: how the top is split.
-        values: floats that a search in a node writes down; None for as many as it has triangles, but at least LEAST_VALUES.
+        values: floats that a search in a node writes down; None for as many as it has triangles, but at least MIN_VALUES.
         counters: counters that it needs behind those of the bins.
         search: the method's, where large nodes are searched by it too; None for bins.
     """
@@ -73,7 +74,7 @@ class Scan:
     search: wp.Function | None = None
 
 
-def shared_out(
+def uniform_scan(
     search: wp.Function, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
 ) -> Scan:
     """A build that searches nodes of all sizes in the same way; values, bins, counters: as of `Scan`.
@@ -81,7 +82,7 @@ def shared_out(
     Only tasks clip: where that is asked for, the whole tree is one task, lest the number of threads show in the result."""
     threads, large = get_num_threads(), triangles.count
     if threads > 1 and not config.split_clipping:
-        large = max(LEAST_LARGE, large // (TASKS_PER_THREAD * threads))
+        large = max(MIN_LARGE, large // (TASKS_PER_THREAD * threads))
     return Scan(scanning(search, config.split_clipping), LevelRules(large, bins, sampled=0), values, counters, search)
 
 
@@ -90,7 +91,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     phase = Phases(triangles.boxes.low.device)
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
-        top = split_top(triangles, config, scan.levels, searching(triangles, config, scan))
+        top = split_top(triangles, config, scan.levels, large_node_search(triangles, config, scan))
     spare = SPARE_ROOM
     while True:
         with phase("subtrees"):
@@ -105,7 +106,7 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
 
 
-def searching(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Decide | None:
+def large_node_search(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Decide | None:
     """How large nodes are searched; None for bins."""
     if scan.search is None:
         return None
@@ -122,7 +123,7 @@ def searching(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Dec
 def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, scan: Scan) -> ReferenceLists:
     """Lists in `references`, and room to search for nodes of such sizes."""
     count, device = len(sizes), references.device
-    values = max(LEAST_VALUES, int(sizes.max())) if scan.values is None else scan.values
+    values = max(MIN_VALUES, int(sizes.max())) if scan.values is None else scan.values
     lists = ReferenceLists()
     lists.rules.bins = scan.levels.bins
     lists.rules.sampled = scan.levels.sampled

@@ -9,14 +9,14 @@ import numpy as np
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
 from wrt.builders.kdtree.update.refill import child_probabilities, node_costs, refill
-from wrt.builders.kdtree.update.subtree_exchange import build_subtree, exchange, subtree_triangles
-from wrt.builders.rebuild_heuristic import Part, worn_subtrees
+from wrt.builders.kdtree.update.subtree_exchange import build_subtree, replace_subtrees, subtree_triangles
+from wrt.builders.rebuild_heuristic import Part, degraded_subtrees
 from wrt.builders.tree import MAX_GROWTH, KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
 
 
-class MovedKdTree:
+class RefilledKdTree:
     """The old planes with refilled leaves.
 
     Args:
@@ -62,9 +62,9 @@ class MovedKdTree:
         return np.array([flat.left[node], flat.right[node]]), np.array([left[node], right[node]])
 
     def parts(self, built: np.ndarray, tolerance: float) -> list[Part]:
-        """The parts to rebuild, one node each; arguments as in `worn_subtrees`."""
+        """The parts to rebuild, one node each; arguments as in `degraded_subtrees`."""
         listed = partial(subtree_triangles, self.tree, self._flat)
-        return worn_subtrees(self.costs, built, self.children, tolerance, triangles=listed)
+        return degraded_subtrees(self.costs, built, self.children, tolerance, triangles=listed)
 
     def triangles(self, part: Part) -> np.ndarray:
         """Ids of the triangles in the leaves below a node."""
@@ -86,4 +86,4 @@ class MovedKdTree:
             stop = replace(self._config.stop, max_depth=max(room, 0))
             config = replace(self._config, stop=stop)
             subtrees[node] = build_subtree(own, self._flat, node, low, high, lambda boxes, c=config: self._build(boxes, c))
-        return exchange(self.tree, self._flat, subtrees)
+        return replace_subtrees(self.tree, self._flat, subtrees)

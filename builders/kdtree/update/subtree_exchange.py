@@ -52,7 +52,7 @@ def build_subtree(ids: np.ndarray, flat: UnpackedKdTree, node: int, low: np.ndar
     return replace(tree, primitive=wp.array(numbers, dtype=int, device=tree.primitive.device))
 
 
-def exchange(tree: KdTree, flat: UnpackedKdTree, subtrees: Mapping[int, KdTree]) -> tuple[KdTree, np.ndarray]:
+def replace_subtrees(tree: KdTree, flat: UnpackedKdTree, subtrees: Mapping[int, KdTree]) -> tuple[KdTree, np.ndarray]:
     """Replaces some subtrees of a tree. No replaced node is below another.
 
     Args:

@@ -39,7 +39,7 @@ TITLES = {
 }
 
 FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do, by count and
-by the build's prices. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
+by the build's cost model. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
 
 
 @click.command("ray-aware")

@@ -151,7 +151,8 @@ def make_jobs(mesh: TriangleMesh, with_embree: bool = False) -> list[Job]:
         return Job(f"build {kind}", "ms", 0, prepare, embree.build if embree and kind == "bvh" else None)
 
     rng, (low, high) = np.random.default_rng(0), mesh.bounds
-    jobs = [rays_job(f"view {size} x {size}", size * size, PinholeCamera.framing(mesh, size, size).rays()) for size in VIEWS]
+    views = {size: PinholeCamera.framing(mesh, size, size, up=(0, 0, 1)).rays() for size in VIEWS}  # the records' rays
+    jobs = [rays_job(f"view {size} x {size}", size * size, rays) for size, rays in views.items()]
     for count in RANDOM:
         origins = rng.uniform(low, high, (count, 3)).astype(np.float32)
         jobs.append(rays_job(f"random {count:,}", count, origins, rng.normal(size=(count, 3)).astype(np.float32)))

@@ -130,7 +130,7 @@ def built_part(scene: Scene, rays: Rays) -> BuiltPart:
     listed = np.unique(scene.tree.primitive.numpy())
     return BuiltPart(
         cells=int(undivided.sum()),
-        built_cells=int((undivided & ~cells["waiting"]).sum()),
+        built_cells=int((undivided & ~cells["unbuilt"]).sum()),
         triangles=float((listed >= 0).sum() / scene.triangle_count),
         seen=float(len(np.unique(hits[hits >= 0])) / scene.triangle_count),
     )

@@ -112,15 +112,15 @@ def leaves_of(scene: Scene) -> tuple[Boxes, np.ndarray]:
     chosen = flat.is_leaf.copy()
     if scene.lazy_tree is not None:
         cells = scene.lazy_tree.cells
-        chosen[cells["node"][cells["waiting"]]] = False
+        chosen[cells["node"][cells["unbuilt"]]] = False
     return (flat.low[chosen] + center, flat.high[chosen] + center), flat.triangles[chosen]
 
 
-def waiting_cells(scene: Scene) -> Boxes:
+def unbuilt_cells(scene: Scene) -> Boxes:
     """The boxes of what is not built yet of a lazy scene's tree, in the scene's coordinates."""
     cells, center = scene.lazy_tree.cells, np.array(scene.center)
-    waiting = cells[cells["waiting"]]
-    return waiting["low"] + center, waiting["high"] + center
+    unbuilt = cells[cells["unbuilt"]]
+    return unbuilt["low"] + center, unbuilt["high"] + center
 
 
 def draw_section(axes: Axes, scene: Scene, mesh: TriangleMesh, axis: int, at: float, *, most: int = 48) -> Any:
@@ -146,7 +146,7 @@ def draw_section(axes: Axes, scene: Scene, mesh: TriangleMesh, axis: int, at: fl
     cells = PolyCollection(corners, array=triangles[met].astype(float), **look)
     axes.add_collection(cells)
     if scene.lazy_tree is not None:
-        _, corners = rectangles(waiting_cells(scene), axis, at)
+        _, corners = rectangles(unbuilt_cells(scene), axis, at)
         axes.add_collection(PolyCollection(corners, facecolors=WAITING, edgecolors="white", linewidths=0.35))
     axes.add_collection(LineCollection(cross_section(mesh, axis, at), colors="black", linewidths=0.7))
     low, high = mesh.bounds

@@ -42,7 +42,7 @@ def make_search(heuristic: Heuristic) -> wp.Kernel:
     ):
         """Item: a node. slot: of the bins of the first node."""
         i = first + wp.tid()
-        planes[i] = search(rules, rays, nodes[i].placement, scratch, slot + i, tree, nodes[i].frame)
+        planes[i] = search(rules, rays, nodes[i].binning, scratch, slot + i, tree, nodes[i].frame)
 
     return wp.kernel(search_nodes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
 
@@ -93,8 +93,8 @@ class Searches:
         return live, scratch
 
     def run(self) -> np.ndarray:
-        """Finds all planes; returns their prices."""
+        """Finds all planes; returns their costs."""
         builder = self.builder
         inputs = [builder.rules, builder.rays, self.nodes, self.scratch, self.count, builder.tree, self.planes]
         launch(make_search(builder.heuristic), self.count, inputs, device=builder.device, chunk=self.count)
-        return self.planes.numpy()["price"]
+        return self.planes.numpy()["cost"]

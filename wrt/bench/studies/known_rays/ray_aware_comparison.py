@@ -281,7 +281,7 @@ def ask(scene: Scene, known: KnownRays, traversal: str) -> Any:
 
 
 def work_of(scene: Scene, known: KnownRays) -> float:
-    """Counted cost of single rays: nodes and blocks of triangles by the scene's prices, those of all its trees together."""
+    """Counted cost of single rays: nodes and blocks of triangles by the scene's cost model, those of all its trees together."""
     with use_threads(scene.num_threads):
         rays = thinned(known.rays, COUNTED)
         buffers = to_device(rays, scene.device, scene.center)

@@ -32,10 +32,10 @@ from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.studies.known_rays.ray_cases import TREES, Case
-from wrt.builders.bvh.known_rays_config import FELL_BACK
+from wrt.builders.bvh.known_rays_config import USED_FALLBACK
 from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.builders.bvh.projected_binned import ProjectedBuilder
-from wrt.builders.influence.area_top_level import TopLevel, region_of, touch_of
+from wrt.builders.influence.area_top_level import TopLevel, lookup_margin, region_of
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea
 from wrt.builders.influence.regions import contain_points
 from wrt.builders.triangle_boxes import triangle_boxes
@@ -239,7 +239,7 @@ class Finder:
         self.regions = [region_of(area, low, high) for area in areas]
         self.rays = to_device(Rays(self.points, directions), device, np.full(3, 0.5)).batch
         begin = perf_counter()
-        touch = touch_of(areas, np.full(3, 0.5))
+        touch = lookup_margin(areas, np.full(3, 0.5))
         self.top = TopLevel(areas, self.regions, touch, depth, sin(radians(1.0)), np.full(3, 0.5), device)
         self.seconds = perf_counter() - begin
         self.found = [wp.empty(rays, dtype=dtype, device=device) for dtype in (wp.uint16, wp.float32, wp.float32)]
@@ -298,7 +298,7 @@ def axis_tries(scene: Scene) -> tuple[float, float]:
     tried = builder.rays.tried.numpy()
     tried = tried[tried > 0]
     axes = sum((tried >> axis & 1).mean() for axis in range(3)) if len(tried) else 0.0
-    return float(axes), float((tried & FELL_BACK > 0).mean()) if len(tried) else 0.0
+    return float(axes), float((tried & USED_FALLBACK > 0).mean()) if len(tried) else 0.0
 
 
 def memory(cases: Iterable[Case], counts: Sequence[int] = (1, 20), depth: int = 4) -> list[Row]:
