@@ -10,10 +10,12 @@ those that list them in `queries` (`wrt.kernels.traversal.crossings`). Every tra
 Kernels elsewhere that are built around the walk of one ray (`wrt.kernels.query.device_functions`,
 `wrt.kernels.query.exact_closest`, `wrt.kernels.query.skip_triangle`) take it from `walk_table`.
 
-Scenes of instances have two-level kernels made of the same parts: `instances` for single rays, `instance_packets` for packets,
-and `instance_batches` for streams.
+Scenes of instances have two-level kernels made of the same parts: `instance_single`, `instance_packets` and
+`instance_streams` in `wrt.kernels.traversal.two_level`.
 
-To add a traversal, write its file and add one line to `TRAVERSALS`; tests, command line and benchmarks use the table.
+To add a traversal, write its file and add one line to `TRAVERSALS`; tests, command line and benchmarks use the table. The entry
+says what the traversal can do, and scores itself for "auto" (`wrt.kernels.traversal.traversal_scores`). No other code asks for
+a traversal's name.
 """
 
 from collections.abc import Callable, Mapping
@@ -30,7 +32,22 @@ from wrt.kernels.traversal.single import single_bvh
 from wrt.kernels.traversal.single import single_kdtree as single
 from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
 from wrt.kernels.traversal.stream import stream_kernel as stream
-from wrt.kernels.traversal.traversal_config import ALL, NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT, NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.traversal_scores import (
+    Score,
+    score_lockstep,
+    score_packet,
+    score_single,
+    score_stream,
+    score_wide_packet,
+    score_wide_stream,
+)
+
+AS_GIVEN, CELLS, TILES = "none", "cells", "tiles"
+ORDERS = (AS_GIVEN, CELLS, TILES)
+"""Orders in which rays are traced (`wrt.kernels.query.ray_order`): as they are given; sorted by the cell of the origin and the
+octant of the direction; the pixels of an image, tile by tile.
+"""
 
 
 def one_ray(config: TraversalConfig) -> int:
@@ -54,6 +71,11 @@ class Traversal:
             (`wrt.builders.convert.wide_kdtree`).
         counters: struct of the work counters that its kernels write, at the first ray of an item.
         queries: for each tree kind on which it answers more than closest-hit and any-hit queries, the queries that it answers.
+        orders: those of `ORDERS` in which it can trace rays.
+        two_level: for each tree kind, the queries that it answers through instances.
+        two_level_on_cuda: whether it does so on CUDA too.
+        own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
+        score: how well it suits a query; None if "auto" never chooses it.
     """
 
     name: str
@@ -66,6 +88,11 @@ class Traversal:
     wide: bool = False
     counters: type = Counters
     queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    orders: tuple[str, ...] = (AS_GIVEN, CELLS)
+    two_level: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    two_level_on_cuda: bool = False
+    own_spaces: bool = False
+    score: Score | None = None
 
     def answers(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
@@ -78,6 +105,28 @@ class Traversal:
         """
         return tree in self.kernels and self.answers(ALL, tree)
 
+    def answers_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
+        """Whether it answers a query through instances whose trees are of a kind."""
+        return query in self.two_level.get(tree, ()) and (self.two_level_on_cuda or not is_cuda)
+
+    def has_mailbox(self, tree: str) -> bool:
+        """Whether it can use a mailbox on a tree kind: only a kd-tree has triangles in several leaves."""
+        return self.mailbox and tree == "kdtree"
+
+    def walks_boxes(self, tree: str) -> bool:
+        """Whether the nodes that it walks on a tree kind are boxes: those of a BVH, or of the wide form of a kd-tree."""
+        return self.wide or tree == "bvh"
+
+    @property
+    def walks_tree(self) -> bool:
+        """Whether it walks a tree, as opposed to testing every triangle."""
+        return "none" not in self.kernels
+
+    @property
+    def walks_single_rays(self) -> bool:
+        """Whether each ray walks the tree on its own, so that any number of them can be launched."""
+        return self.walks_tree and self.rays_per_item is one_ray
+
     @property
     def trees(self) -> tuple[str, ...]:
         """Tree kinds that it supports."""
@@ -87,19 +136,30 @@ class Traversal:
 TRAVERSALS: dict[str, Traversal] = {
     traversal.name: traversal
     for traversal in (
-        Traversal("brute", "every ray against every triangle", {"none": brute.make_kernel}, queries={"none": QUERIES}),
+        Traversal(
+            "brute",
+            "every ray against every triangle",
+            {"none": brute.make_kernel},
+            queries={"none": QUERIES},
+            own_spaces=True,
+        ),
         Traversal(
             "single",
             "Havran: Heuristic ray shooting algorithms (2001); Wald, Benthin, Boulos: Getting rid of packets (2008)",
             {"kdtree": single.make_kernel, "bvh": single_bvh.make_kernel},
             mailbox=True,
             queries={"kdtree": QUERIES, "bvh": QUERIES},
+            two_level={"kdtree": QUERIES, "bvh": QUERIES},
+            two_level_on_cuda=True,
+            own_spaces=True,
+            score=score_single,
         ),
         Traversal(
             "lockstep",
             "after Foley, Sugerman: KD-tree acceleration structures for a GPU raytracer (2005), with a stack, on CPU lanes",
             {"kdtree": lockstep.make_kernel},
             lockstep.rays_per_item,
+            score=score_lockstep,
         ),
         Traversal(
             "packet",
@@ -109,6 +169,9 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             packets=True,
             mailbox=True,
+            orders=(AS_GIVEN, TILES),
+            two_level={"bvh": NEAREST_QUERIES},
+            score=score_packet,
         ),
         Traversal(
             "mlrta",
@@ -117,6 +180,7 @@ TRAVERSALS: dict[str, Traversal] = {
             entry_point.rays_per_item,
             packets=True,
             mailbox=True,
+            orders=(AS_GIVEN,),
         ),
         Traversal(
             "aepsa",
@@ -125,6 +189,7 @@ TRAVERSALS: dict[str, Traversal] = {
             entry_point.rays_per_item,
             packets=True,
             mailbox=True,
+            orders=(AS_GIVEN,),
         ),
         Traversal(
             "omnidirectional",
@@ -133,6 +198,7 @@ TRAVERSALS: dict[str, Traversal] = {
             omnidirectional.rays_per_item,
             packets=True,
             mailbox=True,
+            orders=(AS_GIVEN,),
         ),
         Traversal(
             "stream",
@@ -143,6 +209,8 @@ TRAVERSALS: dict[str, Traversal] = {
             streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
+            two_level={"bvh": (CLOSEST, ANY, COUNT)},
+            score=score_stream,
         ),
         Traversal(
             "wide_stream",
@@ -153,6 +221,7 @@ TRAVERSALS: dict[str, Traversal] = {
             streams=True,
             wide=True,
             counters=stream.StreamCounters,
+            score=score_wide_stream,
         ),
         Traversal(
             "wide_packet",
@@ -161,6 +230,8 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             packets=True,
             wide=True,
+            orders=(AS_GIVEN, TILES),
+            score=score_wide_packet,
         ),
     )
 }

@@ -11,7 +11,7 @@ import warp as wp
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution.query_cache import MOST_PLANS
+from wrt.execution.query_cache import MAX_PLANS
 from wrt.rays.coherence import detect_coherence
 
 PAIRS = 64
@@ -127,10 +127,10 @@ def test_so_many_kinds_of_queries_are_kept(scene):
     rays, own = rays_of(scene, 0), wrt.Scene(scene.meshes, device="cpu")
     expected = own.intersect(*rays, traversal="single")
     cache = own.state.cache
-    for number in range(MOST_PLANS - len(cache.plans)):
+    for number in range(MAX_PLANS - len(cache.plans)):
         cache.keep_plan(number, None)
     assert_same_hits(own.intersect(*rays, traversal="single"), expected)
-    assert len(cache.plans) == MOST_PLANS
+    assert len(cache.plans) == MAX_PLANS
     np.testing.assert_array_equal(own.occluded(*rays, traversal="single"), expected.is_hit)
     assert len(cache.plans) == 1
 

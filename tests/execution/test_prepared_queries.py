@@ -14,7 +14,7 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.execution.prepared import PreparedQuery
-from wrt.execution.query_cache import MOST_PLANS, QueryCache
+from wrt.execution.query_cache import MAX_PLANS, QueryCache
 from wrt.execution.query_kinds import FEW_RAYS
 from wrt.kernels.runtime.launch import use_threads
 from wrt.rays.ray_arrays import lay_out
@@ -275,8 +275,8 @@ def test_layout(scene):
 def test_plans_are_bounded():
     """A cache holds so many plans and no more: with one more it begins anew, and a caller keeps what it looked up."""
     cache = QueryCache()
-    for number in range(2 * MOST_PLANS):
+    for number in range(2 * MAX_PLANS):
         assert cache.plan(number) is None
         assert cache.keep_plan(number, f"plan {number}") == f"plan {number}"
         assert cache.plan(number) == f"plan {number}"
-        assert len(cache.plans) <= MOST_PLANS
+        assert len(cache.plans) <= MAX_PLANS

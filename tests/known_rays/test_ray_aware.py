@@ -289,7 +289,8 @@ def test_rays_among_those_of_an_only_area(share):
     origins = rng.uniform(low, high, (2000, 3))
     directions = np.where(rng.random((2000, 1)) < share, rng.normal(size=(2000, 3)), [0, 0, -1.0])
     assert (
-        abs(assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).alone / 2000 - share) < 0.05
+        abs(assign(scene, to_device(Rays(origins, directions), scene.device, scene.center).batch).unassigned / 2000 - share)
+        < 0.05
     )
     plain = wrt.Scene(mesh, "bvh", device="cpu")
     assert_same_hits(scene.intersect(origins, directions), plain.intersect(origins, directions))

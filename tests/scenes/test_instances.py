@@ -16,6 +16,7 @@ import wrt
 from wrt.execution.executor import trace
 from wrt.execution.planner import make_plan
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
+from wrt.kernels.traversal import TRAVERSALS as TABLE
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import make_kernel
 from wrt.rays.ray_buffers import to_device
@@ -26,7 +27,7 @@ BOX = wrt.TriangleMesh.from_trimesh(trimesh.creation.box())
 FLAT = np.diag([1.0, 0.0, 1.0, 1.0])
 """A map that makes everything flat: it has no inverse."""
 
-TRAVERSALS = {"bvh": ("single", "packet", "stream"), "kdtree": ("single",)}
+TRAVERSALS = {tree: [name for name, way in TABLE.items() if tree in way.two_level] for tree in ("bvh", "kdtree")}
 
 
 def move(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
@@ -218,7 +219,7 @@ def test_more_boxes_than_a_list_holds(traversal):
 def test_blocks_of_a_picture(traversal, monkeypatch):
     """Blocks that end within rows of tiles, rounds of a few rays: nothing shows."""
     monkeypatch.setattr("wrt.execution.instance_rounds.BLOCK", 512)
-    monkeypatch.setattr("wrt.execution.instance_rounds.FEW", 1000)
+    monkeypatch.setattr("wrt.execution.instance_rounds.MIN_ROUND_SHARE", 1 / 1000)
     scene = wrt.Scene(random_instances(), device="cpu")
     rays = wrt.PinholeCamera.framing(scene.flattened(), 61, 43).rays()
     hits = scene.intersect(rays, traversal=traversal)

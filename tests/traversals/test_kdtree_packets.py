@@ -17,7 +17,7 @@ from wrt.kernels.traversal.packet.core import entry_point
 ENTRY_POINTS = ("mlrta", "aepsa")
 
 
-def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.execution.plan.Plan:
+def plan_of(scene: wrt.Scene, rays: wrt.Rays, traversal: str, **changes: object) -> wrt.Plan:
     """A plan with changes."""
     return replace(scene.explain(rays, traversal=traversal), **changes)
 

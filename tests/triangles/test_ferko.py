@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from conftest import assert_same_hits, degenerate_soup, mixed_rays
 from test_triangle_tests import all_pairs
 
 import wrt
+from wrt.bench.studies.triangles.leaf_queries import leaf_query
 from wrt.bench.studies.triangles.pichler_tables import count_comparisons
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -271,11 +271,13 @@ def test_one_by_one(device):
     mesh = degenerate_soup()
     rays = wrt.Rays(*mixed_rays(mesh, 300))
     for tree in ("bvh", "kdtree"):
-        scene = wrt.Scene(mesh, tree, device=device)
-        plan = scene.explain(rays, traversal="single", triangle_test="ferko_prune4_weights")
-        alone = replace(plan, one_by_one=True)
-        assert "one by one" in str(alone)
-        assert_same_hits(scene.intersect(rays, traversal=alone), scene.intersect(rays, traversal=plan))
-        np.testing.assert_array_equal(scene.occluded(rays, traversal=alone), scene.occluded(rays, traversal=plan))
-    with pytest.raises(ValueError, match="one_by_one needs"):
-        scene.intersect(rays, traversal=replace(alone, traversal="brute", accelerator="none"))
+        scene, test = wrt.Scene(mesh, tree, device=device), "ferko_prune4_weights"
+        hits = scene.intersect(rays, traversal="single", triangle_test=test)
+        dark = scene.occluded(rays, traversal="single", triangle_test=test)
+        assert 0 < hits.is_hit.sum() == dark.sum() < 300
+        for one_by_one in (True, False):
+            closest = leaf_query(scene, rays, test, "closest", one_by_one=one_by_one)()
+            for name, expected in (("t", hits.t), ("primitive", hits.primitive_id), ("uv", hits.uv)):
+                np.testing.assert_array_equal(getattr(closest, name).numpy(), expected)
+            any_hit = leaf_query(scene, rays, test, "any", one_by_one=one_by_one)()
+            np.testing.assert_array_equal(any_hit.occluded.numpy(), dark)

@@ -33,7 +33,7 @@ from wrt.builders.influence.area_top_level import (
 )
 from wrt.execution.batch import trace_batch
 from wrt.execution.device_hits import DeviceHits
-from wrt.execution.plan import Plan, way_of
+from wrt.execution.plan import Plan, traversal_of
 from wrt.kernels.influence.area_assignment import assign_rays, mark_rest
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 CHUNK, CUDA_CHUNK = 4096, 64
 """Rays per work item of the assignment, on the CPU and on CUDA."""
 
-MOST_ALONE = 0.3
+MAX_UNASSIGNED_SHARE = 0.3
 """Largest share of rays without an area at which a batch is traced in place through the only area."""
 
 
@@ -116,44 +116,44 @@ def trace_by_area(
     scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool
 ) -> tuple[DeviceHits, wp.array | None]:
     """Closest hits or occlusion, and each ray's work if it is counted, summed over the area's tree and the scene's."""
-    local, cuts = scene.area_trees, assign(scene, rays)
-    if cuts.alone == rays.count:
+    local, assigned = scene.area_trees, assign(scene, rays)
+    if assigned.unassigned == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
-    batch = Parts(plan, query, counters)
-    cut = with_range(rays, "t_max", cuts.cut)
-    order, begins = cuts.sort(len(local))
+    batch = PartialBatch(plan, query, counters)
+    cut = with_range(rays, "t_max", assigned.cut)
+    order, begins = assigned.sort(len(local))
     for part, begin, end in zip(local.scenes, begins[:-2], begins[1:-1], strict=True):
         batch.trace(part, cut, order, begin, end)
-    if cuts.left + cuts.alone > 0:
+    if assigned.left + assigned.unassigned > 0:
         found = batch.hits.struct()
-        inputs = [len(local), cuts.area, cuts.rest, found.primitive, found.occluded, cuts.area]
+        inputs = [len(local), assigned.area, assigned.rest, found.primitive, found.occluded, assigned.area]
         launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
         # the second round trip, only where a ray is left
-        order = wp.array(np.flatnonzero(cuts.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
-        batch.trace(scene, with_range(rays, "t_min", cuts.rest), order, 0, len(order))
-    kind = way_of(plan).counters
+        order = wp.array(np.flatnonzero(assigned.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
+        batch.trace(scene, with_range(rays, "t_min", assigned.rest), order, 0, len(order))
+    kind = traversal_of(plan).counters
     return batch.hits, None if batch.work is None else wp.array(batch.work, dtype=kind, device=scene.device)
 
 
 @dataclass
-class Cuts:
+class AreaAssignment:
     """For each ray of a batch: its area, where that ceases to be valid, and where the rest of the ray begins
     (`assign_rays`).
 
     Attributes:
         area, cut, rest: (rays,).
         left: number of rays that leave their areas before they end.
-        alone: number of rays without an area.
-        least, greatest: smallest and largest area index of all rays; the number of areas stands for none.
+        unassigned: number of rays without an area.
+        least_area, greatest_area: smallest and largest area index of all rays; the number of areas stands for none.
     """
 
     area: wp.array
     cut: wp.array
     rest: wp.array
     left: int
-    alone: int
-    least: int
-    greatest: int
+    unassigned: int
+    least_area: int
+    greatest_area: int
 
     def sort(self, areas: int) -> tuple[wp.array | None, list[int]]:
         """Sorts rays by area, those without one last, as `sort_buckets`. The order is None if most rays belong to the only
@@ -162,12 +162,12 @@ class Cuts:
         Rays without an area are then traced with the others: limited to t <= -1, they miss.
         """
         count = len(self.area)
-        if self.least == self.greatest or (areas == 1 and self.alone <= count * MOST_ALONE):
-            return None, [0] * (self.least + 1) + [count] * (areas + 1 - self.least)
+        if self.least_area == self.greatest_area or (areas == 1 and self.unassigned <= count * MAX_UNASSIGNED_SHARE):
+            return None, [0] * (self.least_area + 1) + [count] * (areas + 1 - self.least_area)
         return sort_buckets(self.area, areas + 1)
 
 
-def assign(scene: SceneState, rays: RayBatch) -> Cuts:
+def assign(scene: SceneState, rays: RayBatch) -> AreaAssignment:
     """Finds the area of each ray."""
     device, local = scene.device, scene.area_trees
     chunk = CUDA_CHUNK if device.is_cuda else CHUNK
@@ -175,13 +175,14 @@ def assign(scene: SceneState, rays: RayBatch) -> Cuts:
     arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
     sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
     launch(assign_rays, chunks, [rays, chunk, local.top.struct, local.low, local.high, *arrays, sums], device=device, chunk=1)
-    left, greatest, fewest, alone = sums.numpy().reshape(-1, 4).T
-    least = len(local) - int(fewest.max(initial=0))
-    return Cuts(*arrays, int(left.sum()), int(alone.sum()), least, int(greatest.max(initial=0)))
+    left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
+    least_area = len(local) - int(fewest.max(initial=0))
+    greatest_area = int(greatest.max(initial=0))
+    return AreaAssignment(*arrays, int(left.sum()), int(unassigned.sum()), least_area, greatest_area)
 
 
 @dataclass
-class Parts:
+class PartialBatch:
     """A batch whose rays are traced in several parts.
 
     Attributes:

@@ -9,9 +9,9 @@ import warp as wp
 from wrt.execution.device_hits import DeviceHits
 from wrt.execution.instance_rounds import trace_rounds
 from wrt.execution.lazy_tracing import trace_lazily
-from wrt.execution.plan import Plan, way_of
+from wrt.execution.plan import Plan, traversal_of
 from wrt.execution.traversal_launch import no_work, run_kernel
-from wrt.execution.wide_trees import can_be_wide, saved
+from wrt.execution.wide_trees import can_be_wide, wide_form_savings
 from wrt.memory import empty
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ def trace_batch(
     """Results of rays by the scene's tree, and each ray's work if it is to be counted; the plan is the query's own."""
     device = scene.device
     if not plan.is_wide and can_be_wide(scene):
-        scene.cache.missed += saved(rays.count, plan.coherent)
+        scene.cache.missed_savings += wide_form_savings(rays.count, plan.coherent)
     hits = DeviceHits.new(query, rays.count, device)
-    kind = way_of(plan).counters
+    kind = traversal_of(plan).counters
     work = wp.zeros(rays.count, dtype=kind, device=device) if counters else no_work(kind, device.alias)
     if plan.reorder != "cells":
         run(scene, plan, rays, hits, query, work, counters)
@@ -52,13 +52,13 @@ def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: 
     Raises:
         ValueError: work is to be counted for rays that do not go one by one through two levels.
     """
-    if scene.instances and plan.traversal != "single":
+    if scene.instances and not traversal_of(plan).walks_single_rays:
         if counters:
             raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
         trace_rounds(scene, plan, rays, hits, query)
         return
     if scene.lazy_tree is not None and plan.accelerator != "none" and scene.lazy_tree.current.unbuilt:
-        idle = no_work(way_of(plan).counters, scene.device.alias)
+        idle = no_work(traversal_of(plan).counters, scene.device.alias)
 
         def trace_part(some: RayBatch, found: DeviceHits) -> None:
             run_kernel(scene, plan, some, found, query, idle, False)

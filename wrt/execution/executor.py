@@ -107,7 +107,7 @@ def trace_chosen(
     layout = buffers.layout
     if chosen.prepares and not counters and layout is not None and buffers.count > 0 and not scene.device.is_capturing:
         return run_prepared(scene, chosen, buffers, kind, layout), None
-    plan, rays = chosen.own, buffers.batch
+    plan, rays = chosen.carried_out, buffers.batch
     rays.columns = buffers.columns if plan.reorder == "tiles" else 0
     if scene.area_trees is not None and plan.accelerator != "none" and kind in (CLOSEST, ANY):
         return trace_by_area(scene, plan, rays, kind, counters)
@@ -116,12 +116,12 @@ def trace_chosen(
 
 def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kind: str, layout: Any) -> DeviceHits:
     """Answers rays by a prepared query, made if none is free."""
-    if chosen.missed:
-        scene.cache.missed += chosen.missed * buffers.count
-    prepared = chosen.take(layout) or PreparedQuery(scene, chosen.own, kind, layout)
+    if chosen.missed_savings:
+        scene.cache.missed_savings += chosen.missed_savings * buffers.count
+    prepared = chosen.take(layout) or PreparedQuery(scene, chosen.carried_out, kind, layout)
     if layout is STAGED:
         hits = prepared.run_staged(buffers.given)
     else:
-        hits = prepared.run(scene, buffers.given, buffers.columns if chosen.own.reorder == "tiles" else 0)
+        hits = prepared.run(scene, buffers.given, buffers.columns if chosen.carried_out.reorder == "tiles" else 0)
     chosen.give_back(layout, prepared)
     return hits

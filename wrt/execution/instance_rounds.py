@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.device_hits import DeviceHits
-from wrt.execution.plan import Plan, stack_levels, traversal_config, way_of
+from wrt.execution.plan import Plan, stack_levels, traversal_config, traversal_of
 from wrt.execution.query_kinds import ANY, COUNT
 from wrt.execution.traversal_launch import counter_rows, no_work, run_kernel
 from wrt.kernels.layout.ray_batch import RayBatch
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 CHUNKS_PER_THREAD = 4
 
-LEAST_CHUNK = 1 << 12
+MIN_CHUNK = 1 << 12
 """Smallest number of rays of a chunk, for which a row of counts pays."""
 
 BLOCK = 1 << 20
 """Rays of a block, whose lists and copies take about 150 MB."""
 
-FEW = 16
-"""If fewer than one ray in this many is left in a round, the rest is traced one ray at a time, from the ray's start."""
+MIN_ROUND_SHARE = 1 / 16
+"""Smallest share of the rays for which a round pays. If fewer are left, they are traced one at a time, from their start."""
 
 SEGMENT = 1024
 """Rays of a segment, the smallest unit that threads share out."""
@@ -52,7 +52,7 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
         query: the query.
     """
     clear(hits, query)
-    if plan.traversal == "packet":
+    if traversal_of(plan).packets:
         trace_packets(scene, plan, rays, hits, query)
         return
     for begin in range(0, rays.count, BLOCK):
@@ -72,7 +72,7 @@ def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHit
     grain = rays_per_item(config)
     size = -(-min(rays.count, BLOCK) // grain) * grain
     own, found = new_rays(size, scene.device), DeviceHits.new(query, size, scene.device).struct()
-    work = counter_rows(no_work(way_of(plan).counters, scene.device.alias))
+    work = counter_rows(no_work(traversal_of(plan).counters, scene.device.alias))
     for begin in range(0, rays.count, BLOCK):
         inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits.struct(), work]
         items = -(-min(rays.count - begin, BLOCK) // grain)
@@ -102,9 +102,9 @@ class Rounds:
         self.kernel = specialise(make_stream_kernel, config)
         self.segment = max(SEGMENT, plan.stream)
         self.top, self.lower = scene.upper(), scene.lower(plan, rays)
-        self.work = counter_rows(no_work(way_of(plan).counters, self.device.alias))
+        self.work = counter_rows(no_work(traversal_of(plan).counters, self.device.alias))
         self.count = min(BLOCK, rays.count - begin)
-        self.chunk = max(LEAST_CHUNK, -(-self.count // (CHUNKS_PER_THREAD * get_num_threads())))
+        self.chunk = max(MIN_CHUNK, -(-self.count // (CHUNKS_PER_THREAD * get_num_threads())))
         self.search = Search()
         self.search.begin = begin
         self.search.bound = empty(self.count, wp.float32, self.device)
@@ -143,8 +143,8 @@ class Rounds:
         launch(scan_counts, 1, [counts], device=self.device)
         sorted_rays, found = new_sorted(count, self.device), DeviceHits.new(self.query, count, self.device).struct()
         launch(sort_by_instance, chunks, [self.top, self.rays, *inputs, sorted_rays], device=self.device, chunk=1)
-        if FEW * count < self.count:
-            self.trace_alone(sorted_rays.order, hits)
+        if count < MIN_ROUND_SHARE * self.count:
+            self.trace_single_rays(sorted_rays.order, hits)
             return False
         segments = wp.array(cut(totals, self.segment), dtype=wp.vec3i, device=self.device)
         work = [segments, self.top.placements, self.lower, sorted_rays.rays, found, self.work]
@@ -153,13 +153,13 @@ class Rounds:
         launch(MERGE[self.query], count, work, device=self.device, chunk=4096)
         return True
 
-    def trace_alone(self, order: wp.array, hits: DeviceHits) -> None:
+    def trace_single_rays(self, order: wp.array, hits: DeviceHits) -> None:
         """Traces the rays with these numbers one at a time, ignoring what was found before."""
         from wrt.kernels.query.ray_order import sort_rays, unsort_hits
 
         rays, found = sort_rays(self.rays, order, empty), DeviceHits.new(self.query, len(order), self.device)
         plan = replace(self.plan, traversal="single")
-        idle = no_work(way_of(plan).counters, self.device.alias)
+        idle = no_work(traversal_of(plan).counters, self.device.alias)
         run_kernel(self.scene, plan, rays, found, self.query, idle, False)
         unsort_hits(order, found.struct(), hits.struct(), self.query)
 

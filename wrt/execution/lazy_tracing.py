@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree, Snapshot
     from wrt.kernels.layout.ray_batch import RayBatch
 
-AHEAD = 2
+CELLS_PER_REQUEST = 2
 """Unbuilt cells that a ray requests at a time: more of them build cells hidden behind the first, fewer take more rounds."""
 
-RUN = 64
+RUN_LENGTH = 64
 """Neighbouring rays of a sampled run: a few packets."""
 
-SAMPLE = 33
+SAMPLE_STRIDE = 33
 """One run in this many is traced first. It requests most of the cells that the others need, in rounds that cost little.
 (Not a power of two, so that runs in the rows of an image are not in the same columns.)
 """
 
-LEAST = 1 << 14
+MIN_SAMPLED_RAYS = 1 << 14
 """Smallest batch of which a sample is traced first."""
 
-MOST = 1 << 30
-"""More cells than any tree has."""
+ALL_CELLS = 1 << 30
+"""More cells than any tree has: a ray then requests all that it reaches."""
 
 Trace = Callable[["RayBatch", DeviceHits], None]
 """Traces rays through the present tree, and stores their hits."""
@@ -51,7 +51,7 @@ class LazyQuery:
     Attributes:
         tree: the tree.
         rays: the batch.
-        how: up to where a ray asks for cells, see `wrt.kernels.traversal.single.lazy_requests`.
+        how: up to where a ray requests cells, see `wrt.kernels.traversal.single.lazy_requests`.
         trace: traces a batch, or a part of it.
         query: what they are.
     """
@@ -62,17 +62,17 @@ class LazyQuery:
     trace: Trace
     query: str
 
-    def settle(self, hits: DeviceHits) -> None:
+    def trace_until_built(self, hits: DeviceHits) -> None:
         """Traces all rays, and again those that request cells, until none does."""
         from wrt.kernels.query.ray_order import unsort_hits
 
         snapshot = self.tree.current  # from before the rays are traced: they have met whatever it says is built
         self.trace(self.rays, hits)
-        numbers = ask(self.tree, snapshot, self.rays, hits, self.how, AHEAD)
+        numbers = request_cells(self.tree, snapshot, self.rays, hits, self.how, CELLS_PER_REQUEST)
         while len(numbers):
-            order, found, asking = self.trace_some(numbers)
+            order, found, requesting = self.trace_some(numbers)
             unsort_hits(order, found.struct(), hits.struct(), self.query)
-            numbers = numbers[asking]
+            numbers = numbers[requesting]
 
     def explore(self, numbers: np.ndarray) -> None:
         """Traces some rays until none requests cells. The hits are discarded; only the cells are needed."""
@@ -90,11 +90,11 @@ class LazyQuery:
             self.tree.current,
         )
         self.trace(few, found)
-        return order, found, ask(self.tree, snapshot, few, found, self.how, AHEAD)
+        return order, found, request_cells(self.tree, snapshot, few, found, self.how, CELLS_PER_REQUEST)
 
 
 def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str, trace: Trace) -> None:
-    """Traces rays and builds what they ask for, until each has its final answer; arguments as in `LazyQuery`.
+    """Traces rays and builds the cells that they request, until each has its final answer; arguments as in `LazyQuery`.
 
     Args:
         hits: memory for the results of all rays.
@@ -103,27 +103,27 @@ def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str,
 
     how = {CLOSEST: TO_HIT, ANY: TO_ANY}.get(query)
     if how is None:
-        while len(ask(tree, tree.current, rays, hits, int(UNTRACED), MOST)):
+        while len(request_cells(tree, tree.current, rays, hits, int(UNTRACED), ALL_CELLS)):
             pass
         trace(rays, hits)
         return
-    asked = LazyQuery(tree, rays, int(how), trace, query)
-    if rays.count >= LEAST:
-        asked.explore(np.flatnonzero(np.arange(rays.count) // RUN % SAMPLE == 0))
-    asked.settle(hits)
+    lazy_query = LazyQuery(tree, rays, int(how), trace, query)
+    if rays.count >= MIN_SAMPLED_RAYS:
+        lazy_query.explore(np.flatnonzero(np.arange(rays.count) // RUN_LENGTH % SAMPLE_STRIDE == 0))
+    lazy_query.trace_until_built(hits)
 
 
-def ask(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, how: int, most: int) -> np.ndarray:
+def request_cells(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, how: int, most: int) -> np.ndarray:
     """Builds up to `most` unbuilt cells that each ray reaches first; returns the numbers of the rays that reach any."""
     from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
 
     if not snapshot.unbuilt:
         return np.zeros(0, dtype=int)
-    asked = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
+    requested = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
     unfinished = empty(rays.count, wp.bool, tree.device)
-    inputs = [snapshot.struct(), rays, hits.struct(), how, most, asked, unfinished]
+    inputs = [snapshot.struct(), rays, hits.struct(), how, most, requested, unfinished]
     launch(ask_for_cells, rays.count, inputs, device=tree.device, chunk=1024)
     numbers = np.flatnonzero(unfinished.numpy())
     if len(numbers):
-        tree.build_cells(np.flatnonzero(asked.numpy()))
+        tree.build_cells(np.flatnonzero(requested.numpy()))
     return numbers

@@ -39,8 +39,6 @@ class Plan:
         reorder: the order in which rays are traced (`wrt.kernels.query.ray_order`): "none", as given; "cells", by cell of the
             origin and octant of the direction; "tiles", the pixels of an image tile by tile, in packets.
         cull_backfaces: whether rays hit only the front of triangles.
-        one_by_one: whether a single ray tests the triangles of a leaf one after the other, with the scalar form of the
-            triangle test, in place of a block at once. For measurements.
     """
 
     accelerator: str
@@ -56,12 +54,11 @@ class Plan:
     mailbox: str = "none"
     reorder: str = "none"
     cull_backfaces: bool = False
-    one_by_one: bool = False
 
     @property
     def is_wide(self) -> bool:
         """Whether the wide form of the scene's kd-tree is traversed."""
-        return way_of(self).wide
+        return traversal_of(self).wide
 
     def __str__(self) -> str:
         parts = [self.accelerator, self.traversal]
@@ -73,8 +70,6 @@ class Plan:
             parts.append(f"{self.mailbox} mailbox")
         if self.reorder != "none":
             parts.append(f"in {self.reorder}")
-        if self.one_by_one:
-            parts.append("triangles one by one")
         if self.cull_backfaces:
             parts.append("front faces only")
         return ", ".join([*parts, self.triangle_test, f"width {self.width}"]) + f": {self.reason}"
@@ -85,15 +80,16 @@ class ChosenPlan:
 
     Attributes:
         plan: as chosen or given.
-        own: as the kind of query carries it out.
+        carried_out: the plan as the kind of query carries it out (`plan_for_query`).
         prepares: whether such queries can be prepared.
-        missed: what a wide form of the scene's kd-tree would have saved each ray, in triangles that it could be made of.
+        missed_savings: time that a wide form of the scene's kd-tree would have saved each ray, over the time to make it for one
+            triangle.
     """
 
-    __slots__ = ("_free", "missed", "own", "plan", "prepares")
+    __slots__ = ("_free", "carried_out", "missed_savings", "plan", "prepares")
 
-    def __init__(self, plan: Plan, own: Plan, prepares: bool, missed: float) -> None:
-        self.plan, self.own, self.prepares, self.missed = plan, own, prepares, missed
+    def __init__(self, plan: Plan, carried_out: Plan, prepares: bool, missed_savings: float) -> None:
+        self.plan, self.carried_out, self.prepares, self.missed_savings = plan, carried_out, prepares, missed_savings
         self._free: dict[Any, deque[Any]] = {}
 
     def take(self, layout: Any) -> Any | None:
@@ -117,18 +113,16 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     """The specialisation of the traversal that carries out a plan."""
     from wrt.kernels.traversal.traversal_config import TraversalConfig
 
-    way, options = way_of(plan), {}
-    if way.packets:
+    traversal, options = traversal_of(plan), {}
+    if traversal.packets:
         options = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
-    if way.streams:
+    if traversal.streams:
         options["stream"] = plan.stream
-    if way.wide or plan.accelerator == "bvh":
+    if traversal.walks_boxes(plan.accelerator):
         options["levels"] = stack_levels(walked_tree(plan, scene).depth)
         options["block"] = CUDA_BLOCK if scene.device.is_cuda else 0
-    test, mailbox = plan.triangle_test, plan.mailbox
-    alone = plan.one_by_one
-    options |= {"mailbox": mailbox, "one_by_one": alone, "cull_backfaces": plan.cull_backfaces}
-    return TraversalConfig(test, plan.width, query, plan.coherent, counters, **options)
+    options |= {"mailbox": plan.mailbox, "cull_backfaces": plan.cull_backfaces}
+    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **options)
 
 
 def stack_levels(depth: int) -> int:
@@ -144,17 +138,17 @@ def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig],
         from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
 
         return make_kernel
-    return way_of(plan).kernels[plan.accelerator]
+    return traversal_of(plan).kernels[plan.accelerator]
 
 
-def way_of(plan: Plan) -> Traversal:
+def traversal_of(plan: Plan) -> Traversal:
     """The plan's entry in the table of traversals."""
     from wrt.kernels.traversal import TRAVERSALS
 
     return TRAVERSALS[plan.traversal]
 
 
-def plan_for(plan: Plan, query: str) -> Plan:
+def plan_for_query(plan: Plan, query: str) -> Plan:
     """The plan as a query runs it: a triangle test may name another test for any-hit queries."""
     from wrt.kernels.triangle import TRIANGLE_TESTS
 

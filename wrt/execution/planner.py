@@ -5,17 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from wrt.execution.instance_plan import check_instances, choose_for_instances
-from wrt.execution.plan import ChosenPlan, Plan, plan_for
-from wrt.execution.plan_checks import TILED, check_culling, check_origins, check_plan, check_query, check_spaces, check_wide
-from wrt.execution.query_kinds import ALIKE, ALL, AUTO, CLOSEST, COUNT, DIFFERENT, FEW_RAYS, Query
-from wrt.execution.wide_trees import can_be_wide, pays, saved, wide_width
+from wrt.execution.answer_checks import can_answer, check_answer, check_origins
+from wrt.execution.plan import ChosenPlan, Plan, plan_for_query, traversal_of
+from wrt.execution.plan_checks import check_plan, fits
+from wrt.execution.query_kinds import ALL, AUTO, CLOSEST, COUNT, FEW_RAYS, Query
+from wrt.execution.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
+    from wrt.kernels.traversal.traversal_scores import Situation
     from wrt.kernels.triangle import TriangleTest
     from wrt.rays.ray_buffers import RayBuffers
 
@@ -27,11 +28,6 @@ DEFAULT_TEST = "woop"
 PACKET_VECTORS = 2
 """Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8
 (notebooks/records/2026-11-21-plans.md).
-"""
-
-RAYS_PER_TRIANGLE = 0.125
-"""Rays per triangle of the scene from which coherent rays are traced in packets. With fewer, triangles are smaller than the
-distance between rays, the rays of a packet diverge, and streams are faster (notebooks/records/2026-11-21-plans.md).
 """
 
 ROUGH_RAYS_PER_TRIANGLE = 2.0
@@ -46,7 +42,7 @@ streams. On CUDA, a thread traces a stream and holds its rays in local memory.
 
 STREAMS_PER_THREAD = 4
 
-LEAST_TO_REORDER = 1 << 16
+MIN_RAYS_TO_REORDER = 1 << 16
 """Smallest batch whose rays are sorted before tracing."""
 
 CACHED_BYTES = 1 << 24
@@ -81,8 +77,8 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
         return chosen_plan(scene, plan, rays, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
     count, origin_stride = rays.count, rays.arrays_or_batch.origin_stride
-    one_by_one = traversal == AUTO and (count <= FEW_RAYS or scene.device.is_cuda)
-    size = count > 1 if one_by_one else (rays.shape, get_num_threads())
+    each_alone = traversal == AUTO and (count <= FEW_RAYS or scene.device.is_cuda)
+    size = count > 1 if each_alone else (rays.shape, get_num_threads())
     found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
     key = kind, traversal, triangle_test, cull_backfaces, size, found
     chosen = scene.cache.plan(key)
@@ -102,13 +98,14 @@ def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> Ch
     """A plan for a kind of query, and whether such queries can be prepared: see `wrt.execution.executor`."""
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
-    own = plan_for(plan, kind)
-    through_instances = bool(scene.instances) and own.traversal != "single"
+    carried_out = plan_for_query(plan, kind)
+    through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
     by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > FEW_RAYS)
-    by_origin = TRIANGLE_TESTS[own.triangle_test].record.per_origin
-    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or own.reorder == "cells")
-    missed = 0.0 if own.is_wide or not can_be_wide(scene) else saved(1, own.coherent)
-    return ChosenPlan(plan, own, prepares, missed)
+    by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
+    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or carried_out.reorder == "cells")
+    no_savings = carried_out.is_wide or not can_be_wide(scene)
+    missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
+    return ChosenPlan(plan, carried_out, prepares, missed_savings)
 
 
 def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
@@ -128,26 +125,21 @@ def choose_plan(
     test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
     check_origins(test, rays)
     name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as asked")
-    way = lookup(TRAVERSALS, name, "traversal")
-    accelerator = tree_for(way, scene)
-    check_query(query, way, accelerator, test)
-    check_culling(cull_backfaces, way, accelerator)
-    if scene.instances:
-        check_instances(scene, query, way, test)
-    check_spaces(scene, way)
-    check_wide(scene, way)
-    width = wide_width(scene) if way.wide else scene.width
+    chosen = lookup(TRAVERSALS, name, "traversal")
+    accelerator = tree_for(chosen, scene)
+    check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
+    width = wide_width(scene) if chosen.wide else scene.width
     options: dict[str, object] = {}
-    if way.packets:
+    if chosen.packets:
         options["packet"] = PACKET_VECTORS * width
-        options["culling"] = choose_culling(scene, rays, way, test)
-    if way.streams:
+        options["culling"] = choose_culling(scene, rays, chosen, test)
+    if chosen.streams:
         options["stream"] = stream_size(scene, rays)
-    if traversal == AUTO or way.name in TILED:
-        options["reorder"] = choose_order(scene, rays, way, test)
+    if traversal == AUTO or "tiles" in chosen.orders:
+        options["reorder"] = choose_order(scene, rays, chosen, test)
     return Plan(
         accelerator=accelerator,
-        traversal=way.name,
+        traversal=chosen.name,
         triangle_test=test.name,
         width=width,
         coherent=rays.coherent,
@@ -170,31 +162,39 @@ def default_test(scene: SceneState, query: str) -> str:
 
 
 def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> tuple[str, str]:
-    """Name of the traversal, and the reason for it."""
-    if scene.device.is_cuda:
-        return "single", "one CUDA thread per ray"
-    if scene.only_single:
-        return "single", "each tree has its own coordinate space"
-    if rays.count <= FEW_RAYS:
-        return "single", "few rays"
-    if scene.instances:
-        return choose_for_instances(scene, rays, query, cull_backfaces)
-    if query in (COUNT, ALL) or cull_backfaces:
-        what = "all hits" if query in (COUNT, ALL) else "front faces"
-        is_bvh = scene.accelerator.kind == "bvh"
-        return ("stream", f"{what} of many rays") if is_bvh else ("single", f"the traversal that finds {what} on a kd-tree")
-    is_bvh, is_wide = scene.accelerator.kind == "bvh", pays(scene, rays)
-    if not (is_bvh or is_wide):
-        return ("packet", ALIKE) if rays.coherent else ("lockstep", DIFFERENT)
-    stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
-    if not rays.coherent:
-        return stream, DIFFERENT
-    if rays.count < RAYS_PER_TRIANGLE * scene.triangle_count:
-        return stream, f"{ALIKE}, but triangles are small"
-    return packet, ALIKE
+    """Name of the traversal with the best score among those that can answer, and the reason for it."""
+    from wrt.kernels.traversal import TRAVERSALS
+
+    situation = situation_of(scene, rays, query, cull_backfaces)
+    best, name, reason = 0.0, "", ""
+    for traversal in TRAVERSALS.values():
+        score = None if traversal.score is None else traversal.score(situation)
+        if score is not None and score[0] > best and can_answer(traversal, scene, query, cull_backfaces):
+            (best, reason), name = score, traversal.name
+    return name, reason
 
 
-def tree_for(way: Traversal, scene: SceneState) -> str:
+def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool) -> Situation:
+    """What the scores of traversals depend on."""
+    from wrt.kernels.traversal.traversal_scores import Situation
+
+    return Situation(
+        query=query,
+        cull_backfaces=cull_backfaces,
+        is_cuda=scene.device.is_cuda,
+        tree=scene.accelerator.kind,
+        triangles=scene.triangle_count,
+        instances=len(scene.instances),
+        own_spaces=scene.only_single,
+        has_wide_form=wide_form_pays(scene, rays),
+        rays=rays.count,
+        few=rays.count <= FEW_RAYS,
+        coherent=rays.coherent,
+        shared_origin=rays.arrays_or_batch.origin_stride == 0,
+    )
+
+
+def tree_for(traversal: Traversal, scene: SceneState) -> str:
     """Kind of tree that a traversal walks in a scene.
 
     Raises:
@@ -203,12 +203,12 @@ def tree_for(way: Traversal, scene: SceneState) -> str:
     from wrt.kernels.traversal import TRAVERSALS
 
     kind = scene.accelerator.kind
-    if way.trees == ("none",):
+    if not traversal.walks_tree:
         return "none"
-    if kind not in way.trees:
+    if kind not in traversal.trees:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if kind in entry.trees)
-        other = f"make the scene with accelerator={way.trees[0]!r}"
-        raise ValueError(f"traversal {way.name!r} does not walk a {kind}; {other}, or choose from auto, {able}")
+        other = f"make the scene with accelerator={traversal.trees[0]!r}"
+        raise ValueError(f"traversal {traversal.name!r} does not walk a {kind}; {other}, or choose from auto, {able}")
     return kind
 
 
@@ -220,26 +220,27 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
-def choose_culling(scene: SceneState, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
-    """Name of the culling. A transient frustum around the active rays at a leaf pays where packets are wide or leaves are
-    small.
-    """
-    if not test.accurate:
-        return "interval"
-    if not (way.wide or scene.accelerator.kind == "bvh"):
-        return "vertex"
-    narrow = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
-    fine = rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
-    return "vertex" if narrow and fine else "transient_frustum"
+def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
+    """Name of the culling with the best score among those that fit."""
+    from wrt.kernels.traversal.packet import CULLINGS
+
+    from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
+    dense = from_one_point and rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
+    kind, best, name = scene.accelerator.kind, 0.0, ""
+    for culling in CULLINGS.values():
+        score = culling.dense_score if dense else culling.sparse_score
+        if score > best and fits(culling, traversal, kind, test):
+            best, name = score, culling.name
+    return name
 
 
-def choose_order(scene: SceneState, rays: RayBuffers, way: Traversal, test: TriangleTest) -> str:
+def choose_order(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """The order in which rays are traced."""
-    if way.name in TILED:
+    if "tiles" in traversal.orders:
         return "tiles" if rays.columns > 0 else "none"
-    return "cells" if rays.scattered and is_large(scene, rays, test) else "none"
+    return "cells" if "cells" in traversal.orders and rays.scattered and is_large(scene, rays, test) else "none"
 
 
 def is_large(scene: SceneState, rays: RayBuffers, test: TriangleTest) -> bool:
     """Whether the batch and the triangle records are large enough for sorting the rays to pay."""
-    return rays.count >= LEAST_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES
+    return rays.count >= MIN_RAYS_TO_REORDER and len(scene.tree.primitive) * 4 * test.record.components >= CACHED_BYTES

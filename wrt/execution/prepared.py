@@ -21,7 +21,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.device_hits import DeviceHits, written
-from wrt.execution.plan import traversal_config, way_of
+from wrt.execution.plan import traversal_config, traversal_of
 from wrt.execution.query_kinds import FEW_RAYS
 from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, RecordedLaunch
@@ -44,20 +44,20 @@ class PreparedQuery:
 
     Args:
         scene: whose rays these are; not kept.
-        plan: the query's own (`wrt.execution.plan.plan_for`).
+        plan: the query's own (`wrt.execution.plan.plan_for_query`).
         kind: "closest", "any" or "count".
         layout: of the rays, or `STAGED`.
     """
 
     def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
         self.kind, self._plan = kind, plan
-        self._is_single = plan.traversal == "single"
+        self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = traversal_config(self._plan, scene, kind, False)
         device = scene.device
         self._staging = Staging(kind, device) if layout == STAGED else None
         rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
-        work = no_work(way_of(self._plan).counters, device.alias)
+        work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
         is_cpu = device.is_cpu
         self._launch = (
@@ -75,7 +75,7 @@ class PreparedQuery:
         """
         rays.write_to(self._rays)
         self._rays.columns = columns
-        if self._is_single and rays.count <= FEW_RAYS:
+        if self._walks_single_rays and rays.count <= FEW_RAYS:
             items, chunks = rays.count, FEW_CHUNKS
         else:
             self._rays.run, items, chunks = divide(scene, self._plan, self._config, rays.count)

@@ -16,7 +16,7 @@ from weakref import WeakSet
 if TYPE_CHECKING:
     from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
 
-MOST_PLANS = 64
+MAX_PLANS = 64
 """Plans that a cache holds; one more clears them, and the queries prepared for them."""
 
 Origin = tuple[float, float, float]
@@ -35,7 +35,7 @@ class QueryCache:
         lock: guards what is not one operation on a dict or a deque.
         records: triangle records by kind of tree and record (`wrt.execution.triangle_records`).
         wide: a `wrt.execution.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
-        missed: what rays so far would have saved with a wide form, in triangles that it could be made of.
+        missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
         tables: what kernels read of instanced meshes, by kind of tree and triangle test.
     """
 
@@ -43,7 +43,7 @@ class QueryCache:
         self.lock = threading.RLock()
         self.records: KnownRecords = {}
         self.wide: Any = None
-        self.missed = 0.0
+        self.missed_savings = 0.0
         self.tables: dict[tuple[str, str], Any] = {}
         self._plans: dict[Hashable, Any] = {}
         _caches.add(self)
@@ -61,7 +61,7 @@ class QueryCache:
     def keep_plan(self, key: Hashable, plan: Any) -> Any:
         """Keeps a plan for the next queries of its key, and returns it."""
         with self.lock:
-            if len(self._plans) >= MOST_PLANS:
+            if len(self._plans) >= MAX_PLANS:
                 self._plans.clear()
             self._plans[key] = plan
         return plan

@@ -8,9 +8,6 @@ AUTO = "auto"
 
 CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
 
-ALIKE, DIFFERENT = "neighbouring rays are coherent", "neighbouring rays are incoherent"
-"""Reasons for a traversal."""
-
 FEW_RAYS = 1024
 """Rays up to which each goes alone on the CPU: to detect coherence and to set up packets or streams would take as long as to
 trace them."""

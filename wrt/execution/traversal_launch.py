@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.execution.plan import Plan, kernel_factory, stack_levels, traversal_config, walked_tree, way_of
+from wrt.execution.plan import Plan, kernel_factory, stack_levels, traversal_config, traversal_of, walked_tree
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, get_num_threads, kept, launch, specialise
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
-LEAST_CHUNK = 256
+MIN_CHUNK = 256
 """Rays that are worth a chunk of their own on the CPU: tens of microseconds, where claiming a chunk takes less than one."""
 
 STREAMS_IN_A_ROW = 16
@@ -71,12 +71,13 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     """Rays of an item of a plan's kernel, the items of so many rays, and their chunks."""
     if scene.instances:
         return 1, count, Chunks(1024)
-    way, grain = way_of(plan), way_of(plan).rays_per_item(config)
+    traversal = traversal_of(plan)
+    grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
-    if way.streams:
+    if traversal.streams:
         grain *= streams_in_a_row(count, grain, scene.device)
-    chunks_per_thread = ITEMS_PER_THREAD if way.streams else CHUNKS_PER_THREAD
-    return grain, -(-count // grain), Chunks(max(1, LEAST_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
+    chunks_per_thread = ITEMS_PER_THREAD if traversal.streams else CHUNKS_PER_THREAD
+    return grain, -(-count // grain), Chunks(max(1, MIN_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
 
 def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:

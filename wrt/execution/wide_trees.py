@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from wrt.execution.scene_state import SceneState
     from wrt.rays.ray_buffers import RayBuffers
 
-LEAST_WIDTH = 2
+MIN_WIDTH = 2
 """Smallest number of children of a wide node, whatever the width of the kd-tree's blocks."""
 
-SAVED_ALONE, SAVED_TOGETHER = 1.0, 1.0 / 16.0
+SAVED_INCOHERENT, SAVED_COHERENT = 1.0, 1.0 / 16.0
 """Time that the wide form saves per ray, over the time to make it per triangle: for incoherent rays, and for coherent ones
 (notebooks/records/2026-11-21-plans.md).
 """
@@ -40,7 +40,7 @@ class WideForm:
 
 def wide_width(scene: SceneState) -> int:
     """Children of a wide node, and triangles of its blocks."""
-    return max(scene.width, LEAST_WIDTH)
+    return max(scene.width, MIN_WIDTH)
 
 
 def wide_tree(scene: SceneState) -> Bvh:
@@ -68,13 +68,15 @@ def can_be_wide(scene: SceneState) -> bool:
     return scene.accelerator.kind == "kdtree" and scene.lazy_tree is None and not scene.instances and not scene.only_single
 
 
-def pays(scene: SceneState, rays: RayBuffers) -> bool:
+def wide_form_pays(scene: SceneState, rays: RayBuffers) -> bool:
     """Whether rays are traced through the wide form: it exists, or it pays for these rays and those before them."""
     if not can_be_wide(scene):
         return False
-    return scene.cache.wide is not None or scene.cache.missed + saved(rays.count, rays.coherent) >= scene.triangle_count
+    if scene.cache.wide is not None:
+        return True
+    return scene.cache.missed_savings + wide_form_savings(rays.count, rays.coherent) >= scene.triangle_count
 
 
-def saved(count: int, coherent: bool) -> float:
+def wide_form_savings(count: int, coherent: bool) -> float:
     """Time that the wide form saves for these rays, in units of the time to make it for one triangle."""
-    return count * (SAVED_TOGETHER if coherent else SAVED_ALONE)
+    return count * (SAVED_COHERENT if coherent else SAVED_INCOHERENT)

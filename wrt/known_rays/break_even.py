@@ -30,7 +30,7 @@ import warp as wp
 
 from wrt.execution.area_trees import assign, with_range
 from wrt.execution.batch import trace_batch
-from wrt.execution.plan import Plan, plan_for
+from wrt.execution.plan import Plan, plan_for_query
 from wrt.execution.planner import make_plan
 from wrt.execution.query_kinds import ANY, AUTO, CLOSEST
 from wrt.imaging.cameras import check_whole
@@ -180,7 +180,7 @@ def break_even(
     lookup(dict.fromkeys((CLOSEST, ANY)), query, "query")
     with use_threads(scene.num_threads):
         buffers = to_device(as_rays(origins, directions, t_min, t_max), scene.device, scene.center)
-        plan = plan_for(make_plan(scene.state, buffers, "single", AUTO, query), query)
+        plan = plan_for_query(make_plan(scene.state, buffers, "single", AUTO, query), query)
         count = min(check_whole("samples", samples, 1), buffers.count)
         rays = select_rays(buffers.batch, np.arange(count) * buffers.count // max(count, 1), scene.device)
         return count_break_even(scene.state, plan, rays, query)

@@ -20,7 +20,7 @@ import warp as wp
 from wrt.execution.batch import run
 from wrt.execution.device_hits import DeviceHits, shaped
 from wrt.execution.executor import on_device
-from wrt.execution.plan import Plan, way_of
+from wrt.execution.plan import Plan, traversal_of
 from wrt.execution.planner import find_plan
 from wrt.execution.query_kinds import ALL, COUNT, Query
 from wrt.execution.traversal_launch import no_work
@@ -61,7 +61,7 @@ class AllHits:
         ray_id: (M,) int32, index of the ray in the flattened batch.
         position: (M, 3), in the scene's coordinates, float64 if the rays were, else float32.
         normal: (M, 3), unit vectors of the same type, from the triangle's winding; 0 for a triangle without area.
-        plan: how the query was answered (`wrt.execution.plan.Plan`).
+        plan: how the query was answered (`wrt.Plan`).
     """
 
     def __init__(
@@ -219,7 +219,7 @@ def find_block(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> 
 def trace_lists(scene: SceneState, plan: Plan, rays: RayBatch, found: DeviceHits) -> None:
     """Traces the rays in the given order. Without slots or places for lists, hits are only counted."""
     query = ALL if found.room or found.begins is not None else COUNT
-    run(scene, plan, rays, found, query, no_work(way_of(plan).counters, scene.device.alias), False)
+    run(scene, plan, rays, found, query, no_work(traversal_of(plan).counters, scene.device.alias), False)
 
 
 def sum_up(counts: np.ndarray) -> np.ndarray:

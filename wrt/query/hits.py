@@ -35,7 +35,7 @@ class Hits:
         position: (..., 3), in the scene's coordinates, float64 if the rays were, else float32; NaN for a miss.
         normal: (..., 3), unit vectors of the same type, from the triangle's winding (counter-clockwise seen from the
             front); 0 for a miss and for a triangle without area.
-        plan: how the query was answered (`wrt.execution.plan.Plan`).
+        plan: how the query was answered (`wrt.Plan`).
         counters: {"nodes", "leaves", "triangles" ...: (...) int32}, the work for each ray, if requested
             (`wrt.kernels.traversal.leaf.Counters` explains each). The work of a packet or a stream is stored at its first
             ray. Streams also count vector lanes and active lanes (`wrt.kernels.traversal.stream.stream_kernel.StreamCounters`).

@@ -16,7 +16,7 @@ import warp as wp
 
 from wrt.execution.device_hits import DeviceHits
 from wrt.execution.executor import Answer, on_device
-from wrt.execution.plan import plan_for, traversal_config
+from wrt.execution.plan import plan_for_query, traversal_config
 from wrt.execution.planner import find_plan
 from wrt.execution.query_kinds import AUTO, Query
 from wrt.execution.triangle_records import records_of
@@ -47,7 +47,7 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask
         skipped = skipped_triangles(skip, scene, buffers)
         asked = Query(query.kind, "single", AUTO, query.cull_backfaces)
         plan = replace(find_plan(scene, buffers, asked).plan, reason="each ray skips a triangle")
-        carried_out = plan_for(plan, query.kind)
+        carried_out = plan_for_query(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
         triangles = records_of(scene, carried_out, buffers.batch)

@@ -56,6 +56,8 @@ class Culling:
         leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
             number of rays that meet the box, or any number above `FEW`. If it is at most `FEW`, the rays are listed in
             `bounds.few`, and no other bounds are updated.
+        dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
+            among the cullings that fit, and never one whose score is 0.
     """
 
     name: str
@@ -67,6 +69,8 @@ class Culling:
     every_ray: bool = False
     start: Callable[[PacketLayout], wp.Function] = no_start
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
+    dense_score: float = 0.0
+    sparse_score: float = 0.0
 
     @property
     def needs_boxes(self) -> bool:
@@ -93,6 +97,8 @@ CULLINGS: dict[str, Culling] = {
             "Boulos, Wald, Shirley: Geometric and arithmetic culling methods for entire ray packets (2006)",
             interval.cull_boxes,
             interval.cull_triangles,
+            dense_score=1.0,
+            sparse_score=1.0,
         ),
         Culling(
             "corner_rays",
@@ -117,6 +123,8 @@ CULLINGS: dict[str, Culling] = {
             vertices.cull_triangles,
             accurate=True,
             slopes=True,
+            dense_score=3.0,
+            sparse_score=2.0,
         ),
         Culling(
             "transient_frustum",
@@ -126,6 +134,8 @@ CULLINGS: dict[str, Culling] = {
             accurate=True,
             start=transient.start,
             leaf=transient.leaf,
+            dense_score=2.0,
+            sparse_score=3.0,
         ),
         Culling(
             "two_plane",

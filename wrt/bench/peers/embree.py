@@ -22,7 +22,7 @@ from wrt.bench.core.workloads import Workload
 from wrt.bench.peers.embree_library import Device, Scene, address_of, library, thread_limit
 from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
 from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
-from wrt.execution.traversal_launch import LEAST_CHUNK
+from wrt.execution.traversal_launch import MIN_CHUNK
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
 from wrt.kernels.runtime.target import target_name
 from wrt.meshes.mesh import TriangleMesh
@@ -105,7 +105,7 @@ class Embree(Peer):
         address = address_of(f"{function}{self.width}")
         inputs = [address, scene.handle, int(rays.name in COHERENT), packets.ctypes.data, self.width, closest, rays.t_max]
         launch = PreparedLaunch(trace_packets, inputs, wp.get_device("cpu"))
-        chunks = Chunks(LEAST_CHUNK // self.width, MAX_CHUNK // self.width)
+        chunks = Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 
         def run() -> np.ndarray:
             with use_threads(threads):

@@ -18,7 +18,6 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -27,6 +26,8 @@ import warp as wp
 
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import Workload, WorkloadMaker
+from wrt.bench.studies.triangles.leaf_queries import leaf_query
+from wrt.execution.query_kinds import ANY, CLOSEST
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.rendering import render
 from wrt.kernels.runtime.launch import launch
@@ -104,12 +105,12 @@ class Case:
     def query(self, triangle_test: str, mode: str) -> Callable[[], int]:
         """What asks all rays with a test; returns the number of hits."""
         view, ambient = self.workloads
-        ways = [self.scene.explain(w.rays, traversal="single", triangle_test=triangle_test) for w in (view, ambient)]
-        ways = [replace(way, one_by_one=mode == "alone") for way in ways]
+        one_by_one = mode == "alone"
+        trace_view = leaf_query(self.scene, view.rays, triangle_test, CLOSEST, one_by_one=one_by_one)
+        trace_ambient = leaf_query(self.scene, ambient.rays, triangle_test, ANY, one_by_one=one_by_one)
 
         def ask() -> int:
-            seen = self.scene.intersect(view.rays, traversal=ways[0]).is_hit.sum()
-            return int(seen + self.scene.occluded(ambient.rays, traversal=ways[1]).sum())
+            return int((trace_view().primitive.numpy() >= 0).sum() + trace_ambient().occluded.numpy().sum())
 
         return ask
 

@@ -1,0 +1,163 @@
+"""How well traversals suit a query: what "auto" compares.
+
+Every entry of `wrt.kernels.traversal.TRAVERSALS` that "auto" may choose has a score: a function of a `Situation`, which returns
+a number and the reason for choosing the traversal, or None where another one is always better. Among the entries that can
+answer the query, "auto" takes the one with the highest score. A score decides about speed alone and never about hits.
+
+The traversal of single rays scores everywhere. Thresholds are measured: notebooks/records/2026-11-21-plans.md,
+notebooks/records/2026-11-21-instances.md.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from wrt.kernels.traversal.traversal_config import ALL, COUNT, NEAREST_QUERIES
+
+RAYS_PER_TRIANGLE = 0.125
+"""Rays per triangle of the scene from which coherent rays are traced in packets. With fewer, triangles are smaller than the
+distance between rays, the rays of a packet diverge, and streams are faster (notebooks/records/2026-11-21-plans.md).
+"""
+
+TRIANGLES_PER_RAY = 8
+"""Triangles of all instances per ray up to which packets traverse two levels faster than single rays
+(notebooks/records/2026-11-21-instances.md).
+"""
+
+RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
+"""Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
+(notebooks/records/2026-11-21-instances.md).
+"""
+
+COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
+
+SINGLE_RAYS, BY_PLANES, STREAMS, PACKETS = 1.0, 2.0, 3.0, 4.0
+"""Scores: of single rays; of packets and lockstep lanes on the planes of a kd-tree; of streams on the boxes of a BVH or of the
+wide form of a kd-tree; of packets on such boxes. A traversal that may be slower than one with a lower score declines.
+"""
+
+
+class Situation(NamedTuple):
+    """What a score depends on.
+
+    Attributes:
+        query: one of `wrt.kernels.traversal.traversal_config.QUERIES`.
+        cull_backfaces: whether rays hit only the front of triangles.
+        is_cuda: whether the query runs on CUDA.
+        tree: kind of the scene's trees, "bvh" or "kdtree".
+        triangles: number of triangles, in all instances.
+        instances: number of instances; 0 in scenes of one level.
+        own_spaces: whether each tree of the scene has its own coordinate space.
+        has_wide_form: whether a kd-tree has a wide form, or rays so far would have paid for making it.
+        rays: number of rays.
+        few: whether the rays are so few that detecting their coherence takes as long as tracing them.
+        coherent: whether neighbouring rays are similar.
+        shared_origin: whether all rays start at the same point.
+    """
+
+    query: str
+    cull_backfaces: bool
+    is_cuda: bool
+    tree: str
+    triangles: int
+    instances: int
+    own_spaces: bool
+    has_wide_form: bool
+    rays: int
+    few: bool
+    coherent: bool
+    shared_origin: bool
+
+    @property
+    def prefers_single(self) -> bool:
+        """Whether rays are traced one by one, whatever they look like."""
+        return self.is_cuda or self.own_spaces or self.few
+
+    @property
+    def tests_each_hit(self) -> bool:
+        """Whether hits are tested one by one: all of them are reported, or some are discarded."""
+        return self.query in (COUNT, ALL) or self.cull_backfaces
+
+    @property
+    def kinds_of_hits(self) -> str:
+        """What is found by testing hits one by one."""
+        return "all hits" if self.query in (COUNT, ALL) else "front faces"
+
+    @property
+    def suits_instance_packets(self) -> bool:
+        """Whether rays through instances are alike enough for packets."""
+        alike = self.coherent and self.shared_origin
+        return alike and self.tree == "bvh" and self.query in NEAREST_QUERIES and not self.cull_backfaces
+
+
+Score = Callable[[Situation], tuple[float, str] | None]
+"""The score of a traversal and the reason for choosing it; None if it declines."""
+
+
+def score_single(situation: Situation) -> tuple[float, str] | None:
+    """Single rays suit every situation; others may suit it better."""
+    if situation.is_cuda:
+        return SINGLE_RAYS, "one CUDA thread per ray"
+    if situation.own_spaces:
+        return SINGLE_RAYS, "each tree has its own coordinate space"
+    if situation.few:
+        return SINGLE_RAYS, "few rays"
+    if situation.instances:
+        reason = "two levels, one ray at a time"
+        return SINGLE_RAYS, f"{reason}: triangles are small" if situation.suits_instance_packets else reason
+    if situation.tests_each_hit:
+        return SINGLE_RAYS, f"the traversal that finds {situation.kinds_of_hits} on a kd-tree"
+    return SINGLE_RAYS, "any rays"
+
+
+def score_lockstep(situation: Situation) -> tuple[float, str] | None:
+    """Lanes of a vector suit incoherent rays on the planes of a kd-tree."""
+    if situation.prefers_single or situation.coherent:
+        return None
+    return BY_PLANES, INCOHERENT_REASON
+
+
+def score_packet(situation: Situation) -> tuple[float, str] | None:
+    """Packets suit coherent rays."""
+    if situation.prefers_single or not situation.coherent:
+        return None
+    if situation.instances:
+        dense = situation.rays * TRIANGLES_PER_RAY >= situation.triangles
+        return (PACKETS, f"two levels, {COHERENT_REASON}") if dense and situation.suits_instance_packets else None
+    return score_box_packet(situation) if situation.tree == "bvh" else (BY_PLANES, COHERENT_REASON)
+
+
+def score_wide_packet(situation: Situation) -> tuple[float, str] | None:
+    """The same on the wide form of a kd-tree, if there is one."""
+    return score_box_packet(situation) if situation.has_wide_form else None
+
+
+def score_box_packet(situation: Situation) -> tuple[float, str] | None:
+    """Packets on boxes suit coherent rays that are dense."""
+    dense = situation.rays >= RAYS_PER_TRIANGLE * situation.triangles
+    return None if situation.prefers_single or not (situation.coherent and dense) else (PACKETS, COHERENT_REASON)
+
+
+def score_stream(situation: Situation) -> tuple[float, str] | None:
+    """Streams suit many rays of any kind on a BVH; through instances, if each of these meets many rays."""
+    if situation.prefers_single or situation.tree != "bvh":
+        return None
+    if not situation.instances:
+        return score_box_stream(situation)
+    least = (RAYS_PER_INSTANCE if situation.coherent else SCATTERED_PER_INSTANCE) * situation.instances
+    if situation.suits_instance_packets or situation.rays < least:
+        return None
+    return STREAMS, "two levels, rays sorted by instance"
+
+
+def score_wide_stream(situation: Situation) -> tuple[float, str] | None:
+    """The same on the wide form of a kd-tree, if there is one."""
+    return score_box_stream(situation) if situation.has_wide_form else None
+
+
+def score_box_stream(situation: Situation) -> tuple[float, str] | None:
+    """Streams on boxes suit many rays of any kind."""
+    if situation.prefers_single:
+        return None
+    if situation.tests_each_hit:
+        return STREAMS, f"{situation.kinds_of_hits} of many rays"
+    return STREAMS, f"{COHERENT_REASON}, but triangles are small" if situation.coherent else INCOHERENT_REASON

@@ -1,0 +1,47 @@
+"""Queries by single rays whose leaves test triangles one by one, or a block at once: what a triangle test costs in a tree.
+
+Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `TraversalConfig.one_by_one` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+from wrt.execution.device_hits import DeviceHits
+from wrt.execution.plan import plan_for_query, traversal_config
+from wrt.execution.planner import make_plan
+from wrt.execution.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.traversal.leaf import Counters
+from wrt.rays.ray_buffers import to_device
+from wrt.rays.rays import Rays
+from wrt.scene.scene import Scene
+
+
+def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, one_by_one: bool) -> Callable[[], DeviceHits]:
+    """Prepares a query by single rays.
+
+    Args:
+        scene: a complete tree of one level, without influence areas.
+        rays: the rays.
+        triangle_test: key in `wrt.kernels.triangle.TRIANGLE_TESTS`.
+        kind: "closest" or "any".
+        one_by_one: whether the triangles of a leaf are tested one after the other, by the scalar form of the test.
+
+    Returns:
+        A function that traces all rays. Each call writes its hits to the same arrays.
+    """
+    state, buffers = scene.state, to_device(rays, scene.device, scene.center)
+    plan = plan_for_query(make_plan(state, buffers, "single", triangle_test, kind), kind)
+    config = replace(traversal_config(plan, state, kind, False), one_by_one=one_by_one)
+    batch, hits = buffers.batch, DeviceHits.new(kind, buffers.count, scene.device)
+    kernel, inputs = kernel_and_inputs(state, plan, config, batch, hits.struct(), no_work(Counters, scene.device.alias))
+
+    def trace() -> DeviceHits:
+        with use_threads(scene.num_threads):
+            batch.run, items, chunks = divide(state, plan, config, batch.count)
+            launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
+        return hits
+
+    return trace
