@@ -4,8 +4,9 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 CHUNK = 1024
 """Vertices or triangles that are worth a chunk of their own."""

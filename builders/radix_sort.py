@@ -15,8 +15,9 @@ References:
 import warp as wp
 
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 DIGITS = wp.constant(256)
 PASSES = 4

@@ -13,9 +13,10 @@ import warp as wp
 from wrt.builders.cost import Split, SplitCost, leaf_cost
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH, KdNodes
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 MAX_GROWTH = wp.constant(63.0)

@@ -6,8 +6,9 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MAX_CORNER = 2.0**126
 """Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""

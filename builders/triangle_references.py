@@ -7,8 +7,9 @@ union of boxes into one minimum over 8 lanes.
 import warp as wp
 
 from wrt.builders.triangle_boxes import Boxes
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 ID_OFFSET = 0x00800000
 """Added to a triangle's id so that its bits are those of a normal float. Denormals would slow down arithmetic on unused

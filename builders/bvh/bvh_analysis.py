@@ -33,8 +33,9 @@ from wrt.kernels.influence.silhouette import shared_area
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

@@ -6,8 +6,9 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, SurfaceAreaCost
 from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MAX_BINS = 32
 """Most bins along an axis; sizes the scratch memory."""

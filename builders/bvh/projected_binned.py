@@ -42,10 +42,11 @@ from wrt.kernels.influence.box_clipping import clipped_areas
 from wrt.kernels.influence.box_projection import NEEDS_NEAR, NEEDS_WINDOW, whole_areas
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SIDES = 2 * MAX_BINS
 """Boxes per axis: the union of all bins before each bin, and the union of each bin and all after it."""

@@ -50,9 +50,10 @@ from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import get_num_threads, launch, load
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK = MAX_WIDE_DEPTH + 1
 

@@ -58,8 +58,9 @@ from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MAX_UNDIVIDED_BLOCKS = 32
 """Blocks of references up to which a node is not divided by its planes: a compromise between duplicate references and the
@@ -101,6 +102,16 @@ class Cells:
     """(whole,) nonempty nodes of the kd-tree that are kept whole."""
     totals: wp.array(dtype=int)
     """(2,) lengths of the lists parted and whole."""
+
+
+@wp.struct
+class LeafLists:
+    """A kd-tree and the triangles that its leaves list."""
+
+    nodes: wp.array(dtype=wp.vec2i)
+    primitive: wp.array(dtype=int)
+    width: int
+    """Triangles per block of `primitive`."""
 
 
 @wp.kernel
@@ -209,29 +220,21 @@ def is_new(table: wp.array(dtype=int), triangle: int):
 
 
 @wp.func
-def gather(
-    nodes: wp.array(dtype=wp.vec2i),
-    primitive: wp.array(dtype=int),
-    list_width: int,
-    boxes: Boxes,
-    cells: Cells,
-    at: int,
-    references: wp.array(dtype=float),
-):
+def gather(lists: LeafLists, boxes: Boxes, cells: Cells, at: int, references: wp.array(dtype=float)):
     """Writes the references of the triangles below a node, each once, clipped to its cell; returns their number."""
     table = wp.zeros(shape=(SLOTS,), dtype=int)
     low = cells.low[at]
     high = cells.high[at]
     first = cells.references[at][0]
     listed = cells.references[at][1]
-    several = kdtree.split_axis(nodes[at]) != LEAF  # a leaf lists each triangle once, and may have any number
+    several = kdtree.split_axis(lists.nodes[at]) != LEAF  # a leaf lists each triangle once, and may have any number
     count = int(0)
     below = int(at)
     while listed > 0:
-        if kdtree.split_axis(nodes[below]) == LEAF:
-            triangles = kdtree.leaf_triangles(nodes[below])
+        if kdtree.split_axis(lists.nodes[below]) == LEAF:
+            triangles = kdtree.leaf_triangles(lists.nodes[below])
             for i in range(triangles):
-                triangle = primitive[kdtree.first_block(nodes[below]) * list_width + i]
+                triangle = lists.primitive[kdtree.first_block(lists.nodes[below]) * lists.width + i]
                 is_first = triangle >= 0
                 if several and is_first:
                     is_first = is_new(table, triangle)
@@ -249,9 +252,7 @@ build_subtree = make_build_subtree(SURFACE)
 @wp.kernel
 def divide_lists(
     first: int,
-    nodes: wp.array(dtype=wp.vec2i),
-    primitive: wp.array(dtype=int),
-    list_width: int,
+    lists: LeafLists,
     boxes: Boxes,
     cells: Cells,
     rules: BuildRules,
@@ -263,15 +264,15 @@ def divide_lists(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a run of nodes that are kept whole. list_width: width of the kd-tree's blocks. triangles: references of all leaves.
-    The other arguments are those of `wrt.builders.bvh.phases.bvh_subtrees`, with scratch memory per run."""
+    """Item: a run of nodes that are kept whole. triangles: references of all leaves. The other arguments are those of
+    `wrt.builders.bvh.phases.bvh_subtrees`, with scratch memory per run."""
     run = first + wp.tid()
     for number in range(run * LISTS_PER_ITEM, wp.min((run + 1) * LISTS_PER_ITEM, subtrees.shape[0])):
         at = cells.whole[number]
         task = Frame()
         task.node = cells.position[at]
         task.first = cells.references[at][0]
-        task.count = gather(nodes, primitive, list_width, boxes, cells, at, references)
+        task.count = gather(lists, boxes, cells, at, references)
         range_box(references, task.first, task.count, tree.box, task.node)
         end = build_subtree(rules, AllDirections(), references, triangles, task, run, scratch, domain, stack, tree)
         subtrees[number] = wp.vec2i(task.first + 1, end)
@@ -324,9 +325,10 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
         scratch, domain = make_scratch(runs, device), wp.empty(8 * STACK * runs, dtype=float, device=device)
         stack = wp.empty((runs, STACK), dtype=Frame, device=device)
         subtrees = wp.empty(whole, dtype=wp.vec2i, device=device)
-        lists = [nodes, tree.primitive, tree.width, triangles.boxes, cells]
+        lists = LeafLists()
+        lists.nodes, lists.primitive, lists.width = nodes, tree.primitive, tree.width
         work = [config.struct(), references, count, scratch, domain, stack, binary, subtrees]
-        launch(divide_lists, runs, [*lists, *work], device=device, chunk=1)
+        launch(divide_lists, runs, [lists, triangles.boxes, cells, *work], device=device, chunk=1)
         launch(join_boxes, 1, [cells, binary], device=device)
     with phase("collapse"):
         top = cells.pairs[:parted] if parted else None

@@ -32,9 +32,10 @@ from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceA
 from wrt.kernels.influence.box_clipping import projected_area
 from wrt.kernels.influence.view import AreaView, direction_at
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

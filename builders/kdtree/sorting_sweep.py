@@ -37,8 +37,9 @@ from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, advance
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 

@@ -33,10 +33,11 @@ from wrt.kernels.influence.area_lanes import LANE_WORDS, MARK_WORDS, load_block,
 from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -15,11 +15,12 @@ import warp as wp
 from wrt.kernels.influence.region_tests import Region
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
 from wrt.kernels.traversal.stream.stream_load import RAYS_TO_LANES, VALID_LANE
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LANE_WORDS = wp.constant(9 * LIST_LANES + 6)
 """Number of elements of `lanes`."""

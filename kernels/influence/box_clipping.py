@@ -20,8 +20,9 @@ import warp as wp
 
 from wrt.kernels.influence.box_projection import FACES, HEAD, NEEDS_NEAR, whole_area
 from wrt.kernels.influence.view import AreaView
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _EDGES = [(a, a | 1 << axis) for axis in range(3) for a in range(8) if not a >> axis & 1]
 _SIDES = [[(a, b) for a, b in zip(face, (*face[1:], face[0]), strict=True)] for face in FACES]

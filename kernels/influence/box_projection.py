@@ -28,9 +28,10 @@ References:
 import warp as wp
 
 from wrt.kernels.influence.view import AreaView
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 NEEDS_WINDOW = wp.constant(-1.0)
 """Returned instead of an area: the box must be clipped to the window."""

@@ -9,7 +9,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 MAX_CORNERS = 40
 """The two chains of a hull of 20 points have at most 39 corners, even if rounding, overflow or NaN corrupt the turn tests.

@@ -23,9 +23,10 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.sampling import TWO_PI, mix, spread_point
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SECOND = wp.constant(wp.uint32(0x51ED27))
 """Turns a seed into the seed of a second, independent pair of numbers."""

@@ -24,7 +24,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 ROUNDING = wp.constant(wp.float64(2.0**-46))
 """Error of the ends of a projection, as a fraction of the magnitudes that are summed: 2^6 roundings."""

@@ -18,8 +18,9 @@ import warp as wp
 
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
 from wrt.kernels.influence.view import AreaView, direction_at, picture_of, seen_from
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 def _outline(signs: tuple[int, ...]) -> list[int]:

@@ -27,7 +27,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 MAX_WIDE_DEPTH = 64
 """Greatest number of inner nodes on a path from the root; bounds the stack of every traversal."""

@@ -19,7 +19,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 MAX_TREE_DEPTH = 64
 """Greatest depth of a tree that a builder makes; bounds the stack of every traversal."""

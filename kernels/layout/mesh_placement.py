@@ -6,8 +6,9 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch, specialise
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 CHUNK = 4096
 """Vertices that are worth a chunk of their own."""
@@ -27,7 +28,7 @@ def make_shift(dtype: type) -> wp.Kernel:
         i = first + wp.tid()
         relative[i] = wp.vec3(wp.vec3d(vertices[i]) - center)
 
-    return wp.kernel(shift_vertices, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(shift_vertices)
 
 
 def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:

@@ -13,9 +13,10 @@ inf: every ray ends at `FARTHEST`, the largest float32.
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 TINY = wp.constant(2.0**-126)
 """Smallest normal float32."""

@@ -6,7 +6,9 @@ hundred rays is several times as fast as NumPy code (notebooks/records/2026-11-2
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 PAIRS = wp.constant(64)
 """Number of pairs of neighbouring rays that are compared; must be even."""

@@ -27,13 +27,14 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import Ray, checked_ray
 from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal, hit_position
 from wrt.kernels.query.spawn import spawn_origin
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate, Counters, start
 from wrt.kernels.traversal.search_results import Passed, results_of
 from wrt.kernels.traversal.single.walk_table import WALKS
-from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, NEXT, TraversalConfig
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, NEXT, StackConfig, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 TRIANGLE_TEST = "woop"
 """The test that handles use: watertight, and one of those that count crossings exactly."""
@@ -105,7 +106,8 @@ def handle_type(kind: str, width: int, levels: int) -> type:
 
     Args:
         kind: key in `WALKS`.
-        width, levels: as in `TraversalConfig`.
+        width: as in `TraversalConfig`.
+        levels: as in `StackConfig`.
     """
     Tree, make_walk = WALKS[kind]
 
@@ -118,7 +120,7 @@ def handle_type(kind: str, width: int, levels: int) -> type:
     handle = wp.struct(Handle)
     _handles.add(handle)
     for query, search in SEARCHES.items():
-        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, levels=levels)
+        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, stack=StackConfig(levels))
         search.add_overload(make_search(handle, make_walk(config), results_of(config)))
     return handle
 

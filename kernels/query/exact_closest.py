@@ -6,13 +6,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import FARTHEST, HitBatch, checked_ray, store_hit
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.search_results import ExactSearch
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -92,7 +93,7 @@ def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
         hits.uv[i] = wp.vec2d(search.u, search.v)
         store_hit(hits.rounded, i, wp.float32(search.t), search.primitive, wp.float32(search.u), wp.float32(search.v))
 
-    return wp.kernel(exact_hits, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(exact_hits)
 
 
 @wp.func

@@ -28,7 +28,9 @@ from functools import cache
 
 import warp as wp
 
-wp.set_module_options({"fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
+
+exact_module(__name__, gradients=True)
 
 
 @cache
@@ -71,4 +73,4 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp
                 positions[i] = Vector(origin + at * direction)
                 normals[i] = Vector(wp.normalize(wp.cross(edge1, edge2)))
 
-    return wp.kernel(meet_triangles, module="unique", enable_backward=True, module_options={"fuse_fp": False})
+    return specialised_kernel(meet_triangles, gradients=True)

@@ -8,8 +8,9 @@ their final positions.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 FEW = wp.constant(16)
 """A list of at most this many hits is sorted by insertion; a longer list by heapsort, in O(n log n)."""

@@ -12,9 +12,10 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, get_num_threads, launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LANES = 8
 """Triangles that are tested at a time."""

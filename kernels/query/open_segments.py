@@ -19,8 +19,9 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch, is_finite
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 TOUCH = wp.constant(2.0**-22)
 """Tolerance as a fraction of the largest coordinate: four roundings of half a unit in the last place, two of a point, two of a

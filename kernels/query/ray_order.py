@@ -24,9 +24,10 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.launch import get_num_threads, launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 CELLS = wp.constant(8)
 """Number of grid cells per axis."""

@@ -6,13 +6,14 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import Counters, start, store_best
 from wrt.kernels.traversal.search_results import Skipping
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @cache
@@ -44,4 +45,4 @@ def make_kernel(kind: str, config: TraversalConfig) -> wp.Kernel:
             best = walk(tree, triangles, ray, search, i, work)
         store(hits, i, best)
 
-    return wp.kernel(skipping_hits, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(skipping_hits)

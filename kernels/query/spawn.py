@@ -27,9 +27,10 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import TINY
 from wrt.kernels.query.hit_attributes import SceneMesh, triangle_of
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import reach
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 OFFSET = wp.constant(2.0**-21)
 """Distance of origins from the surface as a fraction of the point's reach: eight roundings of half a unit in the last place."""

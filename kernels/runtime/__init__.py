@@ -1,1 +1,1 @@
-"""The host side of kernels: available cores, the thread pool that runs CPU kernels, packed arguments, and schedules."""
+"""The host side of kernels: compiler options, cores, the thread pool that runs CPU kernels, packed arguments, and schedules."""

@@ -44,7 +44,9 @@ are shared.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MOST_SPINNING, SPIN_NS = 0, 16, 32, 48, 64, 65, 66
 FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64

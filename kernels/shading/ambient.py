@@ -10,10 +10,11 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.sampling import cosine_direction, mix, spread_point
 from wrt.kernels.shading.surface import Surface
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

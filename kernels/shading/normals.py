@@ -11,7 +11,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 MAX_VALENCE = wp.constant(256)
 """Vertices of more triangles are shaded flat, because each of their corners reads all the others."""

@@ -6,7 +6,9 @@ origin, or with a narrow field of view, loses no precision.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 
 @wp.struct

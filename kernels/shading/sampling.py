@@ -21,7 +21,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 TWO_PI = wp.constant(6.283185307179586)
 UNIT = wp.constant(2.0**-24)

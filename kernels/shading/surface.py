@@ -16,9 +16,10 @@ import warp as wp
 from wrt.kernels.layout.instance_maps import scene_normal
 from wrt.kernels.query.hit_attributes import SceneMesh, Triangle, triangle_of, winding
 from wrt.kernels.query.spawn import INSET, keep_from_edges, origin_offset
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.normals import unit_or_zero
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 OFFSET = wp.constant(2.0**-18)
 """Distance of secondary origins from the surface, relative to the point's reach: eight times that of `wrt.kernels.query.spawn`,

@@ -23,10 +23,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import FOR_LANES, lanes
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 NO_CHILD_CONSTANT = 0x7FFFFFFF
 NO_CHILD = wp.constant(NO_CHILD_CONSTANT)

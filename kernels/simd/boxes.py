@@ -26,7 +26,9 @@ References:
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 SLACK = wp.constant(2.0**-20)
 """Widening of boxes as a fraction of the ray's reach: 16 roundings of half a unit in the last place."""

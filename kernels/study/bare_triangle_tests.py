@@ -10,10 +10,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import FOR_LANES, lanes, lowest_bit
 from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _FRUSTA = """
     const float INF = WRT_INFINITY, *origin0 = (const float*)&origin;
@@ -91,7 +92,7 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
         begin = (first + wp.tid()) * wp.static(rays)
         trace_frustum(records, triangles, origins[begin * origin_stride], directions, begin, out_t, out_id)
 
-    return wp.kernel(frusta, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(frusta)
 
 
 @cache
@@ -128,7 +129,7 @@ def make_blocks(test: TestForm, width: int) -> wp.Kernel:
         out_t[i] = best
         out_id[i] = found
 
-    return wp.kernel(blocks, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(blocks)
 
 
 @cache
@@ -147,4 +148,4 @@ def make_pairs(test: TriangleTest) -> wp.Kernel:
         i = first + wp.tid()
         out[i] = intersect(prepare(origins[i * origin_stride], directions[i]), load(records, i, 1))
 
-    return wp.kernel(pairs, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(pairs)

@@ -9,12 +9,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.triangle.support.lane_form import LaneForm
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @cache
@@ -87,4 +88,4 @@ def make_kernel(test: TestForm) -> wp.Kernel:
                     last = wp.max(last, here)
             counts[item, wp.static(ends) + last] = counts[item, wp.static(ends) + last] + 1
 
-    return wp.kernel(count_exits, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(count_exits)

@@ -19,12 +19,13 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, prepare
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MoellerValues = wp.types.vector(length=12, dtype=wp.float32)
 PlueckerValues = wp.types.vector(length=13, dtype=wp.float32)

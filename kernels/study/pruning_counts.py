@@ -9,6 +9,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch, load_ray
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import clamp_to_box, ray_slabs, reach
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle.ferko.record_part import join, place
@@ -17,7 +18,7 @@ from wrt.kernels.triangle.ferko.variant import Variant, point_test, pruning_test
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, corners_high, corners_low, load_corners, load_own
 from wrt.kernels.triangle.support.vectors import prepare
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -70,4 +71,4 @@ def make_kernel(variant: Variant, width: int) -> wp.Kernel:
                         count.kept += wp.where(made > 0, 1, 0)
         counts[i] = count
 
-    return wp.kernel(count_comparisons, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(count_comparisons)

@@ -64,7 +64,7 @@ class Traversal:
         paper: authors, title, year.
         kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
         rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
-        packets: whether rays are traced in packets: `packet`, `shared_origin` and `culling` of the config apply.
+        packets: whether rays are traced in packets: `packet` of the config applies.
         mailbox: whether `mailbox` of the config applies, on a kd-tree.
         streams: whether rays are traced in streams: `stream` of the config applies.
         wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH

@@ -5,6 +5,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.crossings import take_crossing
 from wrt.kernels.traversal.leaf import CounterRows, improves, start, store_best, triangle_step
@@ -12,7 +13,7 @@ from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -68,4 +69,4 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         if wp.static(counting):
             counters.rows[i].triangles = tested
 
-    return wp.kernel(brute_force, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(brute_force)

@@ -32,6 +32,7 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
@@ -41,7 +42,7 @@ from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

@@ -27,10 +27,11 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray, store_hit
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import improves, start
 from wrt.kernels.triangle.support.vectors import cross, dot, miss
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -108,4 +109,4 @@ def make_kernel(edges: bool) -> wp.Kernel:
                     place += 1
         store_hit(hits, i, best.t, best.primitive, best.u, best.v)
 
-    return wp.kernel(brute_force_fans, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(brute_force_fans)

@@ -8,6 +8,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, store_hit
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, clamp_to_box, slab_interval
 from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
@@ -22,7 +23,7 @@ from wrt.kernels.triangle.support.record_blocks import (
     vertex_box,
 )
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -226,7 +227,7 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
 @cache
 def block_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
-    if config.one_by_one:
+    if config.single.one_by_one:
         return slot_by_slot(config)
     test = TRIANGLE_TESTS[config.triangle_test]
     width = config.width

@@ -37,9 +37,10 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 RING = 8
 """Number of triangles in an inverse mailbox."""

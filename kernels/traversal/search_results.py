@@ -3,9 +3,10 @@
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.traversal_config import EXACT, NEXT, TraversalConfig
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -20,8 +20,63 @@ NEAREST_QUERIES = (CLOSEST, ANY)
 
 
 @dataclass(frozen=True)
+class StackConfig:
+    """The stack of a walk through a wide tree.
+
+    Attributes:
+        levels: greatest number of inner nodes on a path, the size of the stack; at least the depth of the tree.
+        block: on CUDA, threads per block if stacks may be in shared memory; else 0.
+    """
+
+    levels: int = 16
+    block: int = 0
+
+
+@dataclass(frozen=True)
+class SingleConfig:
+    """Options of the walk of a single ray. Both are for measurements.
+
+    Attributes:
+        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); for `NEAREST_QUERIES`.
+        one_by_one: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
+    """
+
+    pairs: bool = False
+    one_by_one: bool = False
+
+
+@dataclass(frozen=True)
+class PacketConfig:
+    """Options of the traversals whose rays are in packets.
+
+    Attributes:
+        rays: rays per packet, a multiple of the width.
+        shared_origin: whether all rays of the batch start at the same point.
+        culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
+    """
+
+    rays: int = 64
+    shared_origin: bool = False
+    culling: str = "interval"
+
+
+@dataclass(frozen=True)
+class StreamConfig:
+    """Options of the traversals whose rays are in streams.
+
+    Attributes:
+        rays: rays per stream, 1 to 4096.
+    """
+
+    rays: int = 1024
+
+
+@dataclass(frozen=True)
 class TraversalConfig:
     """The key of one specialisation: a kernel is made and compiled once for each distinct value.
+
+    The options of one family of traversals are in a config of their own. Families that a traversal does not read keep their
+    defaults; other values would only compile the same code again.
 
     Attributes:
         triangle_test: key in `TRIANGLE_TESTS`.
@@ -29,19 +84,14 @@ class TraversalConfig:
         query: one of `QUERIES`, or `NEXT` or `EXACT`.
         coherent: whether neighbouring rays are expected to take similar paths through the tree; affects only speed.
         counters: whether work is counted per ray (`wrt.kernels.traversal.leaf.Counters`).
-        levels: greatest number of inner nodes on a path, the size of the stack; at least the depth of a wide tree.
-        packet: rays per packet, a multiple of the width.
-        shared_origin: whether all rays of the batch start at the same point.
-        culling: key in `wrt.kernels.traversal.packet.CULLINGS`.
-        stream: rays per stream, 1 to 4096.
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`.
-        block: on CUDA, threads per block if stacks may be in shared memory; else 0.
-        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); supported by the traversal
-            "single" for `NEAREST_QUERIES`.
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
         skipping: whether each ray ignores one triangle (`wrt.kernels.query.skip_triangle`); for the walks of "closest", "any"
             and "count".
-        one_by_one: whether a ray that is traced alone is tested against the triangles of a leaf one by one, by the scalar test.
+        stack: for wide trees.
+        single: for single rays.
+        packet: for packets.
+        stream: for streams.
     """
 
     triangle_test: str
@@ -49,17 +99,13 @@ class TraversalConfig:
     query: str = CLOSEST
     coherent: bool = True
     counters: bool = False
-    levels: int = 16
-    packet: int = 64
-    shared_origin: bool = False
-    culling: str = "interval"
-    stream: int = 1024
     mailbox: str = NONE
-    block: int = 0
-    pairs: bool = False
     cull_backfaces: bool = False
     skipping: bool = False
-    one_by_one: bool = False
+    stack: StackConfig = StackConfig()
+    single: SingleConfig = SingleConfig()
+    packet: PacketConfig = PacketConfig()
+    stream: StreamConfig = StreamConfig()
 
     @property
     def crossing(self) -> bool:

@@ -23,13 +23,14 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.axis_projection import PLANE_HIT, ROW_NAMES, RowsOfPlane, derive_rows, plane_hit
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, miss, prepare
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

@@ -26,6 +26,7 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import komatsu
 from wrt.kernels.triangle.komatsu import OriginPlanes, ScaledRay, along_plane, seen_from
 from wrt.kernels.triangle.support.lane_form import LaneForm, Step
@@ -33,7 +34,7 @@ from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import miss
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

@@ -26,6 +26,7 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
@@ -42,7 +43,7 @@ from wrt.kernels.triangle.support.vectors import (
     three,
 )
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 ThreePlanes = wp.types.vector(length=12, dtype=wp.float32)
 """Normals and constants of three planes: the triangle's, N . x = n; u = N_u . x + n_u; v = N_v . x + n_v."""

@@ -21,12 +21,13 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, prepare
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

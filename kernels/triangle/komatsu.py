@@ -40,12 +40,13 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import LaneForm, RayValue, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import cross, largest, scale_to_one
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 OriginPlanes = wp.types.vector(length=13, dtype=wp.float32)
 """A triangle relative to an origin: the normals of the planes through the origin and the edges opposite a, b and c, pointing

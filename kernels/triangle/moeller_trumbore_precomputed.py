@@ -22,12 +22,13 @@ References:
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, crossed, dot, dotted, minus, miss, names, prepare, three
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 Edges = wp.types.vector(length=12, dtype=wp.float32)
 """Vertex a, edges a - b and c - a, and the normal (b - a) x (c - a)."""

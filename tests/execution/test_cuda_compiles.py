@@ -34,7 +34,14 @@ from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.traversal_config import NEAREST_QUERIES, QUERIES, TraversalConfig
+from wrt.kernels.traversal.traversal_config import (
+    NEAREST_QUERIES,
+    QUERIES,
+    PacketConfig,
+    SingleConfig,
+    StackConfig,
+    TraversalConfig,
+)
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.ferko import VARIANTS
 from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
@@ -133,7 +140,7 @@ ANSWERS = [
 
 @pytest.mark.parametrize(("traversal", "tree", "triangle_test", "query"), ANSWERS)
 def test_traversal(traversal, tree, triangle_test, query, tmp_path):
-    config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=4)
+    config = TraversalConfig(triangle_test, 2, query, counters=query == "closest", packet=PacketConfig(4))
     kernel = TRAVERSALS[traversal].kernels[tree](config)
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
@@ -143,9 +150,9 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
 @pytest.mark.parametrize("query", NEAREST_QUERIES)
 def test_stacks_in_shared_memory(query, tmp_path):
     """As a scene on CUDA asks for them: nothing but the block's memory holds waiting children."""
-    config = TraversalConfig("woop", 2, query, levels=24, block=CUDA_BLOCK)
+    config = TraversalConfig("woop", 2, query, stack=StackConfig(24, CUDA_BLOCK))
     text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
-    words = 2 * (config.levels * (config.width - 1) + 1) * CUDA_BLOCK
+    words = 2 * (config.stack.levels * (config.width - 1) + 1) * CUDA_BLOCK
     assert re.search(rf"\.shared\b.*\[{4 * words}\]", text)
     assert not FUSIBLE.search(text)
 
@@ -153,7 +160,7 @@ def test_stacks_in_shared_memory(query, tmp_path):
 @pytest.mark.parametrize("shared_origin", [False, True])
 @pytest.mark.parametrize("culling", CULLINGS)
 def test_culling(culling, shared_origin, tmp_path):
-    config = TraversalConfig("woop", 2, packet=4, shared_origin=shared_origin, culling=culling)
+    config = TraversalConfig("woop", 2, packet=PacketConfig(4, shared_origin, culling))
     text = compile_to_ptx(TRAVERSALS["packet"].kernels["bvh"](config).module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
@@ -177,7 +184,9 @@ def test_packing(triangle_test, tmp_path):
     [
         lambda: make_fan_kernel(False),
         lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
-        lambda: TRAVERSALS["single"].kernels["bvh"](TraversalConfig("ferko_utm_bounds", 2, one_by_one=True)),
+        lambda: TRAVERSALS["single"].kernels["bvh"](
+            TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(one_by_one=True))
+        ),
         lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
         lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
         lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),

@@ -17,7 +17,7 @@ from wrt.execution.executor import trace
 from wrt.execution.planner import make_plan
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal import TRAVERSALS as TABLE
-from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import make_kernel
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -373,7 +373,7 @@ def test_from_many_threads(scene, rays):
 
 @pytest.mark.parametrize(("kind", "query"), [("bvh", "all"), ("kdtree", "closest")])
 def test_compiles_for_cuda(kind, query, tmp_path):
-    config = TraversalConfig("woop", 2, query, levels=24, block=CUDA_BLOCK if kind == "bvh" else 0)
+    config = TraversalConfig("woop", 2, query, stack=StackConfig(24, CUDA_BLOCK if kind == "bvh" else 0))
     text = compile_to_ptx(make_kernel(config, kind, 8).module, tmp_path)
     assert ".entry" in text
     assert "fma.rn.f32" not in text

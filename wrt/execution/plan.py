@@ -111,18 +111,26 @@ class ChosenPlan:
 
 def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) -> TraversalConfig:
     """The specialisation of the traversal that carries out a plan."""
-    from wrt.kernels.traversal.traversal_config import TraversalConfig
+    from wrt.kernels.traversal.traversal_config import PacketConfig, StackConfig, StreamConfig, TraversalConfig
 
-    traversal, options = traversal_of(plan), {}
+    traversal, families = traversal_of(plan), {}
     if traversal.packets:
-        options = {"packet": plan.packet, "shared_origin": plan.shared_origin, "culling": plan.culling}
+        families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling)
     if traversal.streams:
-        options["stream"] = plan.stream
+        families["stream"] = StreamConfig(plan.stream)
     if traversal.walks_boxes(plan.accelerator):
-        options["levels"] = stack_levels(walked_tree(plan, scene).depth)
-        options["block"] = CUDA_BLOCK if scene.device.is_cuda else 0
-    options |= {"mailbox": plan.mailbox, "cull_backfaces": plan.cull_backfaces}
-    return TraversalConfig(plan.triangle_test, plan.width, query, plan.coherent, counters, **options)
+        levels = stack_levels(walked_tree(plan, scene).depth)
+        families["stack"] = StackConfig(levels, CUDA_BLOCK if scene.device.is_cuda else 0)
+    return TraversalConfig(
+        plan.triangle_test,
+        plan.width,
+        query,
+        plan.coherent,
+        counters,
+        plan.mailbox,
+        plan.cull_backfaces,
+        **families,
+    )
 
 
 def stack_levels(depth: int) -> int:

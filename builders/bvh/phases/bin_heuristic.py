@@ -14,8 +14,9 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import BuildRules
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, half_area_of_both
 from wrt.builders.bvh.phases.bvh_bins import Binning, Scratch, best_plane
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @dataclass(frozen=True)

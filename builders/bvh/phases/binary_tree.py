@@ -11,8 +11,9 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LEAF = wp.constant(0)
 """`BinaryTree.pair` of a leaf."""

@@ -19,10 +19,11 @@ from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
 from wrt.builders.bvh.phases.binary_tree import split_cost
 from wrt.builders.cost import SplitCost, leaf_cost
 from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SLOT_BINS = 3 * MAX_BINS
 """Bins of a slot, at axis * bins + bin; packed densely if fewer bins are in use."""

@@ -38,9 +38,10 @@ from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import write_references
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_float, store_float
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @with_known_layout
@@ -162,7 +163,7 @@ def make_search_planes(heuristic: Heuristic) -> wp.Kernel:
                 to_right += chunks[c].count - left
         nodes[index] = node
 
-    return wp.kernel(search_planes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(search_planes)
 
 
 @with_known_layout

@@ -26,9 +26,10 @@ from wrt.builders.bvh.phases.bvh_bins import (
 )
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK = MAX_WIDE_DEPTH + 2
 
@@ -178,4 +179,4 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
         end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
         subtrees[slot] = wp.vec2i(task.first + 1, end)
 
-    return wp.kernel(build_subtrees, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(build_subtrees)

@@ -43,10 +43,11 @@ from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MAX_WIDTH = 16
 
@@ -169,7 +170,7 @@ def make_solve(heuristic: Heuristic) -> wp.Kernel:
                 pair = listed[pair]
             solve_pair(rules, rays, tree, costs, pair)
 
-    return wp.kernel(solve, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(solve)
 
 
 @cache
@@ -244,7 +245,7 @@ def make_pick_children(heuristic: Heuristic) -> wp.Kernel:
             wide.pick[index, lane] = NO_NODE
         wide.first[index] = counts
 
-    return wp.kernel(pick_children, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(pick_children)
 
 
 @wp.kernel

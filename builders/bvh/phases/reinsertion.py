@@ -46,8 +46,9 @@ from wrt.builders.tree import BuildStats
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK = MAX_WIDE_DEPTH + 2
 

@@ -23,7 +23,9 @@ from dataclasses import dataclass
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 ALL, LONGEST, FACING, IN_TURN = range(4)
 

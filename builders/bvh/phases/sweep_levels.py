@@ -30,9 +30,10 @@ from wrt.builders.bvh.phases.sweep_lists import (
 from wrt.builders.cost import leaf_cost
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 CHUNK = 4096
 """Triangles of a list that an item of a kernel takes together."""

@@ -7,9 +7,10 @@ from wrt.builders.radix_sort import sort_rows
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY, greatest, least
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 EMIT_CHUNK = 4096
 """Triangles whose keys are worth a chunk of their own."""

@@ -11,9 +11,10 @@ from wrt.builders.cost import SplitCost, SurfaceAreaCost, leaf_cost
 from wrt.builders.tree import Bvh
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, leaf_triangles
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY, greatest, least
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

@@ -17,9 +17,10 @@ import warp as wp
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, first_block, leaf_triangles
 from wrt.kernels.runtime.launch import launch, load
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY, greatest, least
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

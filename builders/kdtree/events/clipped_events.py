@@ -35,8 +35,9 @@ from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.layout.unchecked import load_byte, load_int, load_pair, store_int, store_pair
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LEFT, RIGHT, BOTH = wp.constant(1), wp.constant(2), wp.constant(3)
 """Values of `EventLists.side`."""

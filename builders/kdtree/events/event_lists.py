@@ -18,9 +18,10 @@ from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Parts, Task
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -12,8 +12,9 @@ import warp as wp
 from wrt.builders.radix_sort import sort_rows
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 END = wp.constant(0)
 PLANAR = wp.constant(1)

@@ -15,9 +15,10 @@ import warp as wp
 
 from wrt.builders.cost import PLANE_COST, AxisFrame, SplitCost
 from wrt.builders.kdtree.events.event_sort import END, START
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -14,8 +14,9 @@ import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, no_split, plane_cost
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

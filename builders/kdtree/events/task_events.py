@@ -10,8 +10,9 @@ from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.triangle_references import write_order
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func_native(

@@ -15,8 +15,9 @@ from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -6,8 +6,9 @@ import warp as wp
 
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

@@ -19,8 +19,9 @@ import warp as wp
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import get_num_threads, launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MAX_CELLS = 1 << 15
 """Most cells of the grid, so that their boxes fit the second-level cache of a core."""

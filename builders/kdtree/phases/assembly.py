@@ -9,8 +9,9 @@ import warp as wp
 from wrt.builders.kdtree.phases.kdtree_subtrees import Parts, Reservation, Result, Task
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

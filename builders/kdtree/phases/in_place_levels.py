@@ -32,9 +32,10 @@ from wrt.builders.tree import PathState, StopLimits, advance_path
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SLACK = 1.0 + 1e-5
 """Factor by which the bound of a chunk must exceed a known cost before the chunk is skipped: far more than rounding."""

@@ -29,8 +29,9 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch, specialise
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK = kdtree.MAX_TREE_DEPTH + 1
 
@@ -179,7 +180,7 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
                 frame = left
         results[number] = result
 
-    return wp.kernel(build_subtrees, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(build_subtrees)
 
 
 @wp.func

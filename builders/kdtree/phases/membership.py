@@ -3,8 +3,9 @@
 import warp as wp
 
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -14,8 +14,9 @@ from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.kernels.layout.unchecked import load_int, store_int, store_pair
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.kernel

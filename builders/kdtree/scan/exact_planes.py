@@ -14,9 +14,10 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LANES = 16
 """Boxes compared at once. Rows of `ReferenceLists.value` are padded to a multiple of it with NaN, which compares false."""

@@ -19,8 +19,9 @@ import warp as wp
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import HEAD
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 def counters_for(bins: int) -> int:

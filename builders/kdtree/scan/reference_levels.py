@@ -33,8 +33,9 @@ from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import copy_references, write_references
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 CHUNK = 8192
 """References in a chunk; the last chunk of a node has fewer."""
@@ -176,7 +177,7 @@ def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
                 node.frame.path = below
             nodes[index] = node
 
-    return wp.kernel(decide_by_search, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(decide_by_search)
 
 
 @wp.kernel

@@ -12,9 +12,10 @@ from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.builders.triangle_references import write_order
 from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 HEAD = f"""{FOR_LANES}
     constexpr int W = 8;

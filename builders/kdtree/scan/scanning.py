@@ -24,8 +24,9 @@ from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import copy_references
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SPARE_ROOM = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""

@@ -37,8 +37,9 @@ from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
 from wrt.builders.kdtree.scan.reference_lists import HEAD, ReferenceLists, Sides, partition, set_list
 from wrt.builders.triangle_references import ID_OFFSET
+from wrt.kernels.runtime.options import exact_module
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 PAD = 2.0**-14
 """Enlargement of cells and boxes, relative to the scene's largest extent: 1024 units of 2^-24, see the module's docstring."""

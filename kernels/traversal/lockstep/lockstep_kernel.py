@@ -42,6 +42,7 @@ import warp as wp
 
 from wrt.kernels.layout.kdtree_nodes import LEAF, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, enter, start, store_best
@@ -50,7 +51,7 @@ from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 RAYS_PER_LANE = 64
 """Rays of an item per lane: enough that idle lanes at the end of a run do not matter."""
@@ -214,4 +215,4 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 if wp.static(counting):
                     counters.rows[number[lane]].nodes = group.nodes[lane]
 
-    return wp.kernel(lockstep_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(lockstep_kdtree)

@@ -17,10 +17,11 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import FOR_LANES, lanes
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 ROWS = 2 * MAX_TREE_DEPTH
 """Number of rows of the log."""

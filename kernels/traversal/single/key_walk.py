@@ -12,13 +12,14 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters
 from wrt.kernels.traversal.search_results import results_of
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @cache

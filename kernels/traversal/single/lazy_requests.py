@@ -17,11 +17,12 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.traversal.leaf import enter
 from wrt.kernels.traversal.single.single_kdtree import Cell, step_guessing
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 UNTRACED = wp.constant(0)
 TO_HIT = wp.constant(1)

@@ -26,6 +26,7 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import met_boxes
 from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
@@ -39,7 +40,7 @@ from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 STACKED = 4
@@ -157,7 +158,7 @@ def inner_step(config: TraversalConfig) -> wp.Function:
 
 def stack_of(config: TraversalConfig) -> WaitingStack:
     """A stack with room for all children that a path can push."""
-    return waiting_stack(config.levels * (config.width - 1) + 1, config.block)
+    return waiting_stack(config.stack.levels * (config.width - 1) + 1, config.stack.block)
 
 
 @cache
@@ -204,7 +205,7 @@ def make_walk_with_stack(config: TraversalConfig) -> wp.Function:
 def make_walk_with_keys(config: TraversalConfig) -> wp.Function:
     """The walk with a row of keys per level."""
     LeafSearch, Results, begin = leaf_search(config.triangle_test), results_of(config), begin_search(config.triangle_test)
-    walk_keys = make_key_walk(config, config.levels, LeafSearch, make_leaf(config))
+    walk_keys = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
 
     @wp.func
     def walk(tree: WideNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[Results], i: int, work: wp.ref[Counters]):

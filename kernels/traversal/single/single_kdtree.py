@@ -36,6 +36,7 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start
 from wrt.kernels.traversal.leaf_steps import make_own_step
@@ -46,7 +47,7 @@ from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 ALL_LANES = wp.constant(wp.uint32(0xFFFFFFFF))
 """Mask of all triangles of a block."""
@@ -123,7 +124,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     own_step, Results = config.own_step, results_of(config)
     test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
-    children_of = kdtree.children_in_pairs if config.pairs else kdtree.children_depth_first
+    children_of = kdtree.children_in_pairs if config.single.pairs else kdtree.children_depth_first
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -38,4 +39,4 @@ def make_ray_kernel(config: TraversalConfig, Tree: type, make_walk: Callable[[Tr
         if wp.static(counting):
             counters.rows[i] = work
 
-    return wp.kernel(single_ray, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(single_ray)

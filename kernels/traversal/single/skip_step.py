@@ -15,10 +15,11 @@ other side of the edge at t near 0, and a ray from one of two coincident triangl
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate, improves
 from wrt.kernels.traversal.search_results import Skipping
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func

@@ -10,7 +10,9 @@ from functools import cache
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 SHARED_BYTES = 48 * 1024
 """Shared memory in bytes that a block can use by default."""

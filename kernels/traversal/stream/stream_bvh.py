@@ -25,6 +25,7 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
@@ -40,7 +41,7 @@ from wrt.kernels.traversal.stream.stream_pairs import Pairs, pair_tester
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 BELOW_ALL_KEYS = wp.constant(-0x80000000)
 """Less than every key: the last key visited, before the first child of a node."""
@@ -53,7 +54,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
     far_first = config.query == ANY and config.coherent
     filter_list, following = filter_boxes(config.width, config.triangle_test, far_first), next_child(config.width)
     test_pairs = pair_tester(config)
-    counting, width, levels, row = config.counters, config.width, config.levels, config.levels * config.width
+    counting, width, levels, row = config.counters, config.width, config.stack.levels, config.stack.levels * config.width
 
     @wp.func
     def trace(
@@ -138,8 +139,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
     load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
-    list_rays, counting, size = list_valid(config.triangle_test), config.counters, config.stream
-    room = (config.levels + 1) * size + LIST_LANES
+    list_rays, counting, size = list_valid(config.triangle_test), config.counters, config.stream.rays
+    room = (config.stack.levels + 1) * size + LIST_LANES
 
     def stream_bvh(
         first: int,
@@ -163,4 +164,4 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 counters.rows[begin] = work
             begin += wp.static(size)
 
-    return wp.kernel(stream_bvh, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(stream_bvh)

@@ -20,6 +20,7 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.crossings import take_crossing
@@ -30,7 +31,7 @@ from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, vertex_box
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _TEST = """
     for (int first = 0; first < count; first += L) {

@@ -29,6 +29,7 @@ from wrt.kernels.layout.bvh_nodes import MAX_LEAF_TRIANGLES, leaf_child
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
     StreamCounterRows,
@@ -43,7 +44,7 @@ from wrt.kernels.traversal.stream.stream_pairs import PAIRS, Pairs, pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 STACK_LISTS = 16
 """Size of the stack in rays, as a multiple of the stream."""
@@ -217,7 +218,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
     load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
-    counting, size = config.counters, config.stream
+    counting, size = config.counters, config.stream.rays
     piece = -(-size * STACK_LISTS // MAX_TREE_DEPTH)
     room, stack_room = piece + LIST_LANES, piece * MAX_TREE_DEPTH + LIST_LANES
 
@@ -278,4 +279,4 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 counters.rows[begin] = work
             begin += wp.static(size)
 
-    return wp.kernel(stream_kdtree, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(stream_kdtree)

@@ -8,7 +8,7 @@ stream of each child. Only active rays continue, and the lists of their numbers 
 not be neighbours: the longer the stream, the fuller the vectors. At a leaf the rays are filtered by the triangles in the same
 way (Gribble and Ramani 2008; Wald et al. 2007; Rahikainen 2013, section 3.4).
 
-**Implementation.** A stream has up to `TraversalConfig.stream` rays, with any origins, signs and ranges. Its rays are in a
+**Implementation.** A stream has up to `StreamConfig.rays` rays, with any origins, signs and ranges. Its rays are in a
 local array (`stream_ray`); everything else is lists of their numbers.
 * In the wide BVH (`stream_bvh`) the lanes of a box test hold the W children, as for a single ray. The gain of a stream is that
   there is no decision between consecutive tests, and that the children's lists are compacted 16 rays at a time.
@@ -40,12 +40,13 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, store_best
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 LIST_LANES = 16
 """Elements of a list that are filtered at a time, independent of the tree's width."""
@@ -93,7 +94,7 @@ def round_up(count: int):
 
 def rays_per_item(config: TraversalConfig) -> int:
     """Rays of a stream; an item of the kernel is one or more streams (`RayBatch.run`)."""
-    return config.stream
+    return config.stream.rays
 
 
 @cache

@@ -8,12 +8,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
 from wrt.kernels.traversal.stream.stream_lists import LISTS, PAIRS, Pairs
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _FILTER_BOXES = """
     const float* box = &bounds.data[(size_t)node * (6 * W)];

@@ -11,10 +11,11 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 PAIRS = 256
 """Greatest number of pairs, and of candidates, before they are tested; the lists also have room for those that one more step

@@ -13,13 +13,14 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.layout.unchecked import load_float
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, ray_words, stream_ray
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 COMMON_WORDS = 14
 """4-byte words of a `stream_ray` before the state of the triangle test: slabs, t_min, best."""

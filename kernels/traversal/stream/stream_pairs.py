@@ -14,6 +14,7 @@ import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.leaf import Candidate
@@ -24,7 +25,7 @@ from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @cache

@@ -34,6 +34,7 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Candidate, Counters, start
 from wrt.kernels.traversal.single.key_walk import make_key_walk
@@ -42,7 +43,7 @@ from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -100,7 +101,7 @@ def fuzzy_search(triangle_test: str) -> type:
 def make_visit(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
     FuzzySearch, width = fuzzy_search(config.triangle_test), config.width
-    walk_keys = make_key_walk(config, config.levels, leaf_search(config.triangle_test), make_leaf(config))
+    walk_keys = make_key_walk(config, config.stack.levels, leaf_search(config.triangle_test), make_leaf(config))
 
     @wp.func
     def visit(
@@ -123,7 +124,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     FuzzySearch, begin = fuzzy_search(config.triangle_test), begin_search(config.triangle_test)
-    walk_keys = make_key_walk(config, config.levels, FuzzySearch, make_visit(config))
+    walk_keys = make_key_walk(config, config.stack.levels, FuzzySearch, make_visit(config))
 
     @wp.func
     def walk(tree: FuzzyNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):

@@ -20,6 +20,7 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.instance_maps import Placement, ray_mask
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -35,7 +36,7 @@ from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _TRANSFORM = """
     const double *m = &place.to_object.data[0][0];
@@ -88,7 +89,7 @@ def make_begin(config: TraversalConfig) -> wp.Function:
     number, bound: receive the number of each ray and its t_max, -inf if it is invalid. bounds: receives the bounds of the
     packet, with the slack of the upper tree.
     """
-    load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet
+    load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet.rays
 
     @wp.func
     def start_packet(
@@ -124,7 +125,7 @@ def make_take(config: TraversalConfig) -> wp.Function:
 
     Shortens the rays, and returns the greatest t at which a hit still counts.
     """
-    packet_rays, any_hit = config.packet, config.query == ANY
+    packet_rays, any_hit = config.packet.rays, config.query == ANY
 
     @wp.func
     def take(
@@ -165,7 +166,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     """
     step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
     keep_leaf = occluder.keep_leaf(packet_layout(config))
-    transform, take, packet_rays = transform_packet(config.packet), make_take(config), config.packet
+    transform, take, packet_rays = transform_packet(config.packet.rays), make_take(config), config.packet.rays
 
     @wp.func
     def visit(
@@ -207,7 +208,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
     levels: greatest number of inner nodes on a path of the upper tree.
     """
     begin_packet, visit, cull = make_begin(config), make_visit(config), cull_boxes(packet_layout(config))
-    width, packet_rays, size, run = config.width, config.packet, packet_layout(config).size, rays_per_item(config)
+    width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 
     def packets_through_instances(
@@ -256,4 +257,4 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                         key = nearest(keys, level * wp.static(width))
             slot += wp.static(packet_rays)
 
-    return wp.kernel(packets_through_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(packets_through_instances)

@@ -29,6 +29,7 @@ from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_
 from wrt.kernels.layout.kdtree_nodes import KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
 from wrt.kernels.traversal.single.key_walk import make_key_walk
@@ -36,7 +37,7 @@ from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import ALL, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct
@@ -201,4 +202,4 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
         if wp.static(counting):
             counters.rows[i] = work
 
-    return wp.kernel(single_ray_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(single_ray_instances)

@@ -27,6 +27,7 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_mask
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import met_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
@@ -36,7 +37,7 @@ from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 ROOM = wp.constant(8)
 """Greatest number of instances in the list of a ray."""
@@ -148,7 +149,7 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
             search.entry[k * count + place] = entries[k]
         search.size[place] = size
 
-    return wp.kernel(list_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(list_instances)
 
 
 @wp.func
@@ -206,8 +207,8 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel by which streams trace a round; an item is a segment of one instance's rays."""
     StreamRay = stream_ray(config.triangle_test)
     load, store, trace = load_stream(config.triangle_test), store_stream(config), stream_bvh.make_trace(config)
-    list_valid, size = stream_bvh.list_valid(config.triangle_test), config.stream
-    room = (config.levels + 1) * size + LIST_LANES
+    list_valid, size = stream_bvh.list_valid(config.triangle_test), config.stream.rays
+    room = (config.stack.levels + 1) * size + LIST_LANES
 
     def streams_of_instances(
         first: int,
@@ -231,7 +232,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
             store(stream, begin, count, hits)
             begin += wp.static(size)
 
-    return wp.kernel(streams_of_instances, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(streams_of_instances)
 
 
 @wp.kernel

@@ -13,11 +13,12 @@ from typing import Any
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.ferko.rejection_regions import ABOVE, BELOW, LEFT, ORDER_OF_FOUR, RIGHT
 from wrt.kernels.triangle.ferko.similarity import IN_PLANE
 from wrt.kernels.triangle.support.lane_form import Step
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 FIXED_ORDER = {3: BELOW | LEFT << 3 | RIGHT << 6, 4: BELOW | ABOVE << 3 | LEFT << 6 | RIGHT << 9}
 """Orders without probabilities: cheap comparisons first. Every triangle has the same number of comparisons."""

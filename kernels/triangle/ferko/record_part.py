@@ -5,9 +5,10 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.support.record_blocks import Corners, Record
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @dataclass(frozen=True)

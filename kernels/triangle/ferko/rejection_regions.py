@@ -31,12 +31,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.ferko.record_part import Part
 from wrt.kernels.triangle.ferko.similarity import Similarity, similarity
 from wrt.kernels.triangle.ferko.triangle_bounds import circle_height
 from wrt.kernels.triangle.support.record_blocks import Corners
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 COMPARISONS = ("below", "above", "left", "right")
 BELOW, ABOVE, LEFT, RIGHT = range(1, 5)

@@ -22,11 +22,12 @@ from typing import Any
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.ferko.record_part import Part
 from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.vectors import cross, dot, three
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.struct

@@ -16,13 +16,14 @@ from typing import Any
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.ferko.record_part import Part
 from wrt.kernels.triangle.support import axis_projection as projection
 from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
 from wrt.kernels.triangle.support.lane_form import Step
 from wrt.kernels.triangle.support.record_blocks import Corners
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 UnitRows = wp.types.vector(length=7, dtype=wp.float32)
 """Number of the omitted axis, and the rows of u and v."""

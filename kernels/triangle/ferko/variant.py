@@ -5,6 +5,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle.ferko import triangle_bounds as bounds
 from wrt.kernels.triangle.ferko.pruning import FIXED_ORDER, prune, pruning_steps
 from wrt.kernels.triangle.ferko.record_part import Part, join, place
@@ -18,7 +19,7 @@ from wrt.kernels.triangle.support.record_blocks import Corners
 from wrt.kernels.triangle.support.triangle_contract import TriangleTest
 from wrt.kernels.triangle.support.vectors import PlainRay, cross, dot, dotted, miss, prepare, three
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 PAPER = "Pichler: Fast CPU Ray-Triangle Intersection Method, after Ferko and Ferko (2018)"
 

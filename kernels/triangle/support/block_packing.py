@@ -6,9 +6,10 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.launch import kept, launch, specialise
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @cache
@@ -46,7 +47,7 @@ def make_kernel(record: Record) -> wp.Kernel:
             for c in range(wp.static(own)):
                 records[at + (wp.static(VERTEX_COMPONENTS) + c) * width] = values[c]
 
-    return wp.kernel(pack_records, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(pack_records)
 
 
 def pack_blocks(

@@ -18,11 +18,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.support.operation_counts import Operations, count_operations
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
 """Names of a triangle's vertices in the steps of every test."""

@@ -8,7 +8,9 @@ from typing import Any
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
 
 
 @wp.struct

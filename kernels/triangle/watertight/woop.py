@@ -37,6 +37,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits, lanes
 from wrt.kernels.triangle.support.lane_form import HandWritten
 from wrt.kernels.triangle.support.operation_counts import Operations
@@ -46,7 +47,7 @@ from wrt.kernels.triangle.watertight.woop_areas import AREAS_SIZE, IS_THIN, PREC
 from wrt.kernels.triangle.watertight.woop_packets import PACKET
 from wrt.kernels.triangle.watertight.woop_streams import CANDIDATE_LANES, INCLUSIVE_SIDE, PREPARE_LANES
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 SMALL = wp.constant(1.1754944e-38)
 """Smallest normal float32. An area below it may have lost some or all of its digits."""

@@ -48,6 +48,7 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
@@ -60,7 +61,7 @@ from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 PACKETS = 4
 """Packets in the smallest tile that searches for an entry point."""
@@ -71,7 +72,7 @@ SPLIT = 16
 
 def rays_per_item(config: TraversalConfig) -> int:
     """Rays of a large tile; an item of the kernel is one tile."""
-    return SPLIT * PACKETS * config.packet
+    return SPLIT * PACKETS * config.packet.rays
 
 
 @cache
@@ -230,7 +231,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
-    packet_rays, small, large = config.packet, PACKETS * config.packet, rays_per_item(config)
+    packet_rays, small, large = config.packet.rays, PACKETS * config.packet.rays, rays_per_item(config)
     size, room = packet_layout(config).size, walk_memory(config)
 
     @wp.func
@@ -290,7 +291,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
                 begin += wp.static(packet_rays)
             part += wp.static(small)
 
-    return wp.kernel(entry_points, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(entry_points)
 
 
 make_mlrta = partial(make_kernel, accelerated=False)

@@ -13,6 +13,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step
 from wrt.kernels.traversal.packet.core.packet_block import SHORTEN
@@ -21,11 +22,11 @@ from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import ANY, SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _TAKE = """
     const int k = bounds.few.c[place];
@@ -129,7 +130,7 @@ def few_step(config: TraversalConfig) -> wp.Function:
     layout, any_hit = packet_layout(config), config.query == ANY
     take, give, count_work = take_ray(layout), give_ray(layout, any_hit), few_counts(config)
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
-    test_block = block_step(replace(config, one_by_one=False))
+    test_block = block_step(replace(config, single=SingleConfig()))
     width, counting = config.width, config.counters
 
     @wp.func

@@ -34,6 +34,7 @@ from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes, child_high, child_low
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.layout.unchecked import load_float, load_int, store_int
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -46,22 +47,22 @@ from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 def rays_per_item(config: TraversalConfig) -> int:
     """Rays of a packet; an item of the kernel is one packet."""
-    return config.packet
+    return config.packet.rays
 
 
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     layout = packet_layout(config)
-    load, store = load_packet(layout, CULLINGS[config.culling].slopes), store_packet(layout, config.query == ANY)
+    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.query == ANY)
     enter, split = enter_cell(layout), split_cell(layout)
     leaf_together, leaf_alone = leaf_step(config), few_step(config)
-    counting, size_of_packet, P = config.counters, layout.size, config.packet
+    counting, size_of_packet, P = config.counters, layout.size, config.packet.rays
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
     def omnidirectional(
@@ -130,4 +131,4 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         if wp.static(counting):
             counters.rows[begin] = work
 
-    return wp.kernel(omnidirectional, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(omnidirectional)

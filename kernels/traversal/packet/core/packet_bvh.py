@@ -29,6 +29,7 @@ import warp as wp
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -41,7 +42,7 @@ from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MIXED_AXES = 2
 """Greatest number of axes with both signs for which a packet is traversed as a whole."""
@@ -54,13 +55,13 @@ PATIENCE = 3
 def walk_memory(config: TraversalConfig) -> int:
     """Ints of local memory that a walk needs: its mailbox; a row of keys per level, aligned to a cache line; the nodes of the
     path."""
-    return MAILBOXES[config.mailbox].size + CACHE_LINE + config.levels * (config.width + 1)
+    return MAILBOXES[config.mailbox].size + CACHE_LINE + config.stack.levels * (config.width + 1)
 
 
 @cache
 def visit_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node."""
-    culling, width = CULLINGS[config.culling], config.width
+    culling, width = CULLINGS[config.packet.culling], config.width
     start_leaf, looks_at_leaves = culling.leaf(packet_layout(config)), culling.needs_boxes
     test_leaf, test_few = leaf_step(config), few_step(config)
 
@@ -91,13 +92,13 @@ def visit_leaf(config: TraversalConfig) -> wp.Function:
 def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
     abandoned."""
-    culling, layout = CULLINGS[config.culling], packet_layout(config)
+    culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
-    box_tests = config.width * (config.packet if culling.every_ray else 1)
+    box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
     remembered = MAILBOXES[config.mailbox].size
     last_leaf, keep_leaf, any_hit = occluder.last_leaf(layout), occluder.keep_leaf(layout), config.query == ANY
     width, counting = config.width, config.counters
-    row, patience = config.levels * config.width, PATIENCE * config.packet
+    row, patience = config.stack.levels * config.width, PATIENCE * config.packet.rays
 
     @wp.func
     def walk(

@@ -15,10 +15,11 @@ plane.
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 @wp.func_native(

@@ -34,6 +34,7 @@ import warp as wp
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.unchecked import load_float, load_int, store_int
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet.core.packet_cells import cross_plane, enter_box
@@ -43,7 +44,7 @@ from wrt.kernels.traversal.single.single_kdtree import Cell, make_walk, step_gue
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 PATIENCE = 4
 """Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by
@@ -66,7 +67,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     The walk starts at `tree.root`. If that is not the root of the whole tree, no ray of the packet may have a hit elsewhere.
     """
     test_leaf = leaf_step(config)
-    remembered, counting, patience = MAILBOXES[config.mailbox].size, config.counters, PATIENCE * config.packet
+    remembered, counting, patience = MAILBOXES[config.mailbox].size, config.counters, PATIENCE * config.packet.rays
 
     @wp.func
     def walk(

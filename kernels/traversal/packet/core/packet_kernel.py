@@ -11,6 +11,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -26,12 +27,12 @@ from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 
 def packet_layout(config: TraversalConfig) -> PacketLayout:
     """Memory layout of the packets of a config."""
-    return PacketLayout(config.packet, config.width, config.shared_origin, config.triangle_test)
+    return PacketLayout(config.packet.rays, config.width, config.packet.shared_origin, config.triangle_test)
 
 
 RUN = 8
@@ -40,7 +41,7 @@ RUN = 8
 
 def rays_per_item(config: TraversalConfig) -> int:
     """Rays of a run of packets; an item of the kernel is one run."""
-    return RUN * config.packet
+    return RUN * config.packet.rays
 
 
 @cache
@@ -48,7 +49,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, count, packet, bounds, mailbox, work)`: tests the `count` triangles of a leaf, from a block
     on."""
     layout = packet_layout(config)
-    cull_triangles = CULLINGS[config.culling].triangles(layout)
+    cull_triangles = CULLINGS[config.packet.culling].triangles(layout)
     test_triangles = test_block(layout, config.query == ANY)
     active_in, lanes_each = active_lanes(layout), lanes_a_triangle(layout)
     forget = MAILBOXES[config.mailbox].filter(config.width)
@@ -97,7 +98,7 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
     These are all of its rays, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) ->
     best`. `work` is the work done for the packet so far; it is added to that of the first ray.
     """
-    store, counting, packet_rays = store_best(config), config.counters, config.packet
+    store, counting, packet_rays = store_best(config), config.counters, config.packet.rays
     left_over = parting.goes_alone(packet_layout(config))
 
     @wp.func
@@ -134,7 +135,7 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
     False if rays are left over (`parting.goes_alone`). trace_together: the same for a packet that is not to be split.
     """
     layout = packet_layout(config)
-    take = parting.take_part(layout, CULLINGS[config.culling].slopes)
+    take = parting.take_part(layout, CULLINGS[config.packet.culling].slopes)
     settle, count_alone = parting.settle_part(layout), parting.count_alone(layout)
 
     @wp.func
@@ -180,7 +181,7 @@ def packet_step(
         mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
     """
     layout = packet_layout(config)
-    culling = CULLINGS[config.culling]
+    culling = CULLINGS[config.packet.culling]
     load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
     start_packet = culling.start(layout)
 
@@ -200,7 +201,7 @@ def packet_step(
             together = walk_packet(below, triangles, packet, memory, bounds, work)
         return together
 
-    alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.shared_origin
+    alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.packet.shared_origin
     trace = trace_parts(config, Tree, trace_together) if parts else trace_together
 
     @wp.func
@@ -236,7 +237,7 @@ def make_packet_kernel(
 ) -> wp.Kernel:
     """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as in `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
-    packet_rays, run, size = config.packet, rays_per_item(config), packet_layout(config).size
+    packet_rays, run, size = config.packet.rays, rays_per_item(config), packet_layout(config).size
 
     def packet_traversal(
         first: int,
@@ -255,4 +256,4 @@ def make_packet_kernel(
             step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)
             begin += wp.static(packet_rays)
 
-    return wp.kernel(packet_traversal, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+    return specialised_kernel(packet_traversal)

@@ -25,11 +25,12 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MOST_PARTS = 7
 """Greatest number of parts of a packet, including parts that are halved again; more are hardly ever needed

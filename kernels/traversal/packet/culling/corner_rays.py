@@ -35,11 +35,12 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import TINY
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MARGIN = 4.0
 """Error bound of an area, in slacks times the distance of its vertices from the ray."""

@@ -20,12 +20,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle.support.record_blocks import vertex_box
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _ENDS = """
     const float in_x = bounds.origin_in.c[0], in_y = bounds.origin_in.c[1], in_z = bounds.origin_in.c[2];

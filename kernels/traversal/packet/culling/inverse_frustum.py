@@ -34,12 +34,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 MARGIN = 8.0
 """Widening of boxes and triangles against the frustum, in slacks (`wrt.kernels.simd.boxes.SLACK` of the farthest reach)."""

@@ -16,12 +16,13 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.culling.inverse_frustum import SIDES
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _TRIANGLES = f"""
     if (bounds.frame < 0) {{{interval.TRIANGLES}}}

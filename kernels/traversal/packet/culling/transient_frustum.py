@@ -25,6 +25,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
 from wrt.kernels.traversal.packet.culling.two_plane_frustum import POINTS_ON_PLANES
@@ -33,7 +34,7 @@ from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _MEETING = f"""
     const float* box = &boxes.data[(size_t)node * (6 * W)] + lane;

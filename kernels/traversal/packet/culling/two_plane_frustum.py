@@ -27,13 +27,14 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 POINTS_ON_PLANES = """
     const float near_plane = bounds.near_plane, forward = bounds.forward, depth = bounds.depth;

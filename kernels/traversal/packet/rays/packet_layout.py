@@ -19,10 +19,11 @@ from dataclasses import dataclass
 import warp as wp
 
 from wrt.kernels.layout.unchecked import CACHE_LINE
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES, lane_bits
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 COMMON = ("inverse_x", "inverse_y", "inverse_z", "t_min", "t", "primitive", "u", "v", "slope_x", "slope_y", "main_axis")
 """Components of every packet."""

@@ -5,6 +5,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
@@ -12,7 +13,7 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _LOAD = """
     const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];

@@ -5,10 +5,11 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _STORE = """
     const int* found = (const int*)primitive;

@@ -9,12 +9,13 @@ ray, and no division.
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
+from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+exact_module(__name__)
 
 _HEAD = f"{FOR_LANES}    constexpr int RUN = 64;\n    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
 

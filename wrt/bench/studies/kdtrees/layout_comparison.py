@@ -62,9 +62,10 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHi
     from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_kernel
+    from wrt.kernels.traversal.traversal_config import SingleConfig
 
     plan = make_plan(scene.state, rays, "single", "auto")
-    config = replace(traversal_config(plan, scene.state, CLOSEST, False), pairs=True)
+    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(pairs=True))
     hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
     inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits.struct(), counters]

@@ -1,6 +1,6 @@
 """Queries by single rays whose leaves test triangles one by one, or a block at once: what a triangle test costs in a tree.
 
-Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `TraversalConfig.one_by_one` does.
+Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `SingleConfig.one_by_one` does.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from wrt.execution.device_hits import DeviceHits
 from wrt.execution.plan import plan_for_query, traversal_config
 from wrt.execution.planner import make_plan
 from wrt.execution.traversal_launch import divide, kernel_and_inputs, no_work
+from wrt.kernels.traversal.traversal_config import SingleConfig
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.traversal.leaf import Counters
 from wrt.rays.ray_buffers import to_device
@@ -34,7 +35,7 @@ def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, one_b
     """
     state, buffers = scene.state, to_device(rays, scene.device, scene.center)
     plan = plan_for_query(make_plan(state, buffers, "single", triangle_test, kind), kind)
-    config = replace(traversal_config(plan, state, kind, False), one_by_one=one_by_one)
+    config = replace(traversal_config(plan, state, kind, False), single=SingleConfig(one_by_one=one_by_one))
     batch, hits = buffers.batch, DeviceHits.new(kind, buffers.count, scene.device)
     kernel, inputs = kernel_and_inputs(state, plan, config, batch, hits.struct(), no_work(Counters, scene.device.alias))
 

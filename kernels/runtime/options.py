@@ -1,0 +1,40 @@
+"""The options with which kernels are compiled, and why.
+
+**No fused multiply-add** (`fuse_fp`). A compiler that may fuse a product and a sum rounds once where the source rounds twice,
+and it may fuse in one form of an expression and not in another. The scalar form of a triangle test and its lane form, a
+traversal and brute force, the CPU and CUDA would then give hits that differ in the last bits, and a watertight test could let
+a ray slip between two triangles. Without it, equal expressions give equal bits.
+
+**No gradients** (`enable_backward`). Searches have no useful derivative (`wrt.kernels.query.hit_gradients` says what has one),
+and code for backward passes would only take time to compile.
+"""
+
+from collections.abc import Callable
+
+import warp as wp
+
+EXACT = {"fuse_fp": False}
+"""Module options of all device code, with gradients or without."""
+
+
+def exact_module(name: str, gradients: bool = False) -> None:
+    """Sets the options of all kernels of a Python module. Call it at the top of the module.
+
+    Args:
+        name: name of the module, `__name__`.
+        gradients: whether the kernels have backward passes.
+    """
+    wp.set_module_options(EXACT | {"enable_backward": gradients}, name)
+
+
+def specialised_kernel(function: Callable, gradients: bool = False) -> wp.Kernel:
+    """The kernel of a function that a factory made, in a Warp module of its own, with the options of `exact_module`.
+
+    Specialisations of one function differ in the values that they capture (`wp.static`). In a module of its own, each is
+    compiled when it is first launched, and making another does not compile it again.
+
+    Args:
+        function: the function of the kernel.
+        gradients: whether the kernel has a backward pass.
+    """
+    return wp.kernel(function, module="unique", enable_backward=gradients, module_options=EXACT)

@@ -1,0 +1,109 @@
+"""C++ snippets use only names that they declare.
+
+Warp compiles the snippets of a module in one file, behind its own headers. A name that a snippet does not declare may be found
+there by chance, as long as another snippet or the next version of Warp happens to declare it.
+"""
+
+from __future__ import annotations
+
+import ast
+import gc
+import inspect
+from pathlib import Path
+
+import pytest
+import warp as wp
+from device_modules import ROOT, device_modules
+from native_names import free_names
+
+from wrt.kernels.simd.box_lanes import ray_boxes
+from wrt.kernels.study.bare_triangle_tests import make_frusta
+from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
+from wrt.kernels.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.traversal_config import QUERIES, PacketConfig, StackConfig, TraversalConfig
+from wrt.kernels.traversal.two_level.instance_packets import make_kernel as make_instance_packets
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
+
+WIDTH = 4
+
+
+def make_all_kernels() -> list[wp.Kernel]:
+    """Makes kernels, without compiling them, so that every factory of snippets is called with each entry of its table."""
+    config = TraversalConfig("woop", WIDTH)
+    answers = [(way, tree, query) for way in TRAVERSALS.values() for tree in way.trees for query in QUERIES]
+    kernels = [
+        way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.answers(query, tree)
+    ]
+    packets, streams, single = (TRAVERSALS[name].kernels for name in ("packet", "stream", "single"))
+    for name, test in TRIANGLE_TESTS.items():
+        kernels += [make["bvh"](TraversalConfig(name, WIDTH)) for make in (packets, streams, single)]
+        kernels.append(make_packing_kernel(test.record))
+    for name in CULLINGS:
+        options = [PacketConfig(64, shared_origin, name) for shared_origin in (False, True)]
+        kernels += [packets["bvh"](TraversalConfig("woop", WIDTH, packet=packet)) for packet in options]
+    for name in MAILBOXES:
+        kernels += [make["kdtree"](TraversalConfig("woop", WIDTH, mailbox=name)) for make in (packets, single)]
+    for form in PUBLISHED.values():
+        kernels += [make_frusta(form, WIDTH, WIDTH), make_exit_kernel(form)]
+    kernels.append(single["bvh"](TraversalConfig("woop", WIDTH, stack=StackConfig(24, 64))))
+    kernels.append(make_instance_packets(config, 8))
+    return kernels
+
+
+@pytest.fixture(scope="module")
+def snippets():
+    """All native functions of kernels/ and builders/, by file and name; a factory has made several of some."""
+    device_modules()
+    kept = make_all_kernels(), ray_boxes(WIDTH)
+    found: dict[tuple[str, str], list[wp.Function]] = {}
+    for function in gc.get_objects():
+        if isinstance(function, wp.Function) and function.native_snippet is not None:
+            code = inspect.unwrap(function.func).__code__
+            path = Path(code.co_filename)
+            if path.is_relative_to(ROOT / "kernels") or path.is_relative_to(ROOT / "builders"):
+                found.setdefault((str(path.relative_to(ROOT)), code.co_name), []).append(function)
+    yield found
+    del kept
+
+
+def test_snippets_declare_their_names(snippets):
+    wrong = set()
+    for (path, name), functions in snippets.items():
+        for function in functions:
+            parameters = inspect.signature(function.func).parameters
+            wrong |= {f"{path}, {name}: {free}" for free in free_names(function.native_snippet, parameters)}
+    assert not wrong, "names that no snippet declares:\n" + "\n".join(sorted(wrong))
+
+
+def test_every_snippet_is_checked(snippets):
+    """A snippet of a factory that `make_all_kernels` does not call would go unchecked."""
+    written = set()
+    for path in [*(ROOT / "kernels").rglob("*.py"), *(ROOT / "builders").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(mark) for mark in node.decorator_list):
+                written.add((str(path.relative_to(ROOT)), node.name))
+    assert len(written) > 100
+    assert written <= snippets.keys(), f"call their factories in make_all_kernels: {sorted(written - snippets.keys())}"
+
+
+@pytest.mark.parametrize(
+    ("snippet", "free"),
+    [
+        ("return values.data[i] + k;", {"k"}),
+        ("int a = 1, *b = nullptr; for (int j = 0, n = a; j < n; ++j) values.data[j] = b[c];", {"c"}),
+        ("WRT_FOR_LANES(j) values.data[j] = 0;", {"WRT_FOR_LANES", "j"}),
+        ("#define EACH(j) for (int j = 0; j < W; ++j)\n EACH(j) values.data[j] = 0;", {"W"}),
+        ("#define PAIR(x) const float x##_low = 0.0f, x##_high = 1.0f\n PAIR(t); return t_low + t_high + t;", {"t"}),
+        ("#if defined(__CUDA_ARCH__)\n return __popc(i);\n#else\n return popcount(i);\n#endif", {"popcount"}),
+        ("auto twice = [](const int* p, unsigned at) { return 2 * p[at] + outer; }; return twice(&i, 0u);", {"outer"}),
+        ("enum { FIRST, SECOND = 3 }; typedef void (*entry_t)(int); const entry_t f = (entry_t)FIRST; f(THIRD);", {"THIRD"}),
+        ('struct Row { float x; }; Row row{1e-3f}; /* y */ wp::vec_t<3, wp::int32> v; v[0] = row.x; // z "w"', set()),
+        ("const float ends[2] = {low, 1.0f}; return (int)ends[0];", {"low"}),
+    ],
+)
+def test_free_names(snippet, free):
+    assert free_names(snippet, ("values", "i")) == free
