@@ -30,8 +30,8 @@ QUERY = (
 """Modules from `Scene.intersect` to the kernel, what is called there, and what it does."""
 
 ASIDE = {
-    "wrt.execution.executor": ("wrt.rays", "wrt.execution.planner"),
-    "wrt.execution.prepared": ("wrt.execution.device_hits",),
+    "wrt.execution.executor": ("wrt.rays", "wrt.planning.planner"),
+    "wrt.execution.prepared": ("wrt.state.device_hits",),
 }
 """What a module on the way calls beside the next one."""
 

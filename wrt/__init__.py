@@ -43,7 +43,7 @@ _HOME = {
     "KdTree": "wrt.accelerators.tree_descriptions",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
-    "Plan": "wrt.execution.plan",
+    "Plan": "wrt.planning.plan",
     "PlaneCaster": "wrt.known_rays.ray_casters",
     "PlaneInfluenceArea": "wrt.builders.influence.influence_area",
     "PointInfluenceArea": "wrt.builders.influence.influence_area",

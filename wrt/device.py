@@ -41,7 +41,6 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.execution.plan import Plan, stack_levels
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.query.device_functions import (
     TRIANGLE_TEST,
@@ -59,10 +58,11 @@ from wrt.kernels.query.device_functions import (
     spawn,
 )
 from wrt.kernels.runtime import launch as launching
+from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
+    from wrt.state.scene_state import SceneState
 
 __all__ = [
     "Hit",

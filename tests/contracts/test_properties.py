@@ -23,7 +23,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import wrt
-from wrt.execution.plan import Plan
+from wrt.planning.plan import Plan
 
 LONG = int(os.environ.get("WRT_PROPERTY_EXAMPLES", "0"))
 EXAMPLES = settings(

@@ -14,11 +14,11 @@ from conftest import mixed_rays
 
 import wrt
 from wrt.execution.prepared import PreparedQuery
-from wrt.execution.query_cache import MAX_PLANS, QueryCache
-from wrt.execution.query_kinds import FEW_RAYS
 from wrt.kernels.runtime.launch import use_threads
 from wrt.rays.ray_arrays import lay_out
 from wrt.rays.rays import Rays
+from wrt.state.query_cache import MAX_PLANS, QueryCache
+from wrt.state.query_kinds import FEW_RAYS
 
 ATTRIBUTES = ("t", "uv", "primitive_id", "geometry_id", "instance_id", "is_hit", "position", "normal")
 COUNT = 60
@@ -280,3 +280,12 @@ def test_plans_are_bounded():
         assert cache.keep_plan(number, f"plan {number}") == f"plan {number}"
         assert cache.plan(number) == f"plan {number}"
         assert len(cache.plans) <= MAX_PLANS
+
+
+def test_batches_of_many_lengths_share_what_is_prepared():
+    """A plan is chosen for each length, but batches with equal plans use one prepared query after the other."""
+    scene = wrt.Scene(teapot(), device="cpu")
+    origins, directions = mixed_rays(scene.flattened(), 3000)
+    for count in range(1200, 1240):
+        scene.intersect(origins[:count], directions[:count], traversal="single")
+    assert len(prepared_by(scene)) == 1

@@ -12,9 +12,11 @@ import pytest
 
 import wrt.execution
 import wrt.kernels
-from wrt.execution.planner import choose_culling, choose_traversal
+import wrt.planning
+import wrt.state
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.planning.planner import choose_culling, choose_traversal
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
@@ -135,7 +137,7 @@ def test_a_new_traversal_is_chosen_by_its_entry(monkeypatch):
     assert choose_traversal(make_scene("lazy", 500, False, False, 0.0), rays, "closest")[0] == "lockstep", "it is not complete"
 
 
-ROOMS = [Path(wrt.execution.__file__).parent, Path(wrt.kernels.__file__).parent]
+ROOMS = [Path(room.__file__).parent for room in (wrt.execution, wrt.planning, wrt.state, wrt.kernels)]
 
 
 def test_nothing_compares_the_name_of_a_traversal():

@@ -9,12 +9,12 @@ import pytest
 from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_rays
 
 import wrt
-import wrt.execution.planner
-from wrt.execution.plan import Plan
+import wrt.planning.planner
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_bvh import PATIENCE
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.planning.plan import Plan
 
 FITTING = [
     (c, t, own)
@@ -335,7 +335,7 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     rng = np.random.default_rng(0)
     origins, directions = rng.normal(size=(2, 70_000, 3)).astype(np.float32)
     assert scene.explain(origins, directions).reorder == "none"
-    monkeypatch.setattr(wrt.execution.planner, "CACHED_BYTES", 1)
+    monkeypatch.setattr(wrt.planning.planner, "CACHED_BYTES", 1)
     scene.state.cache.clear()  # which rays like these have
     assert scene.explain(origins, directions).reorder == "cells"
     assert scene.explain(origins[:1], directions).reorder == "none"

@@ -18,13 +18,13 @@ from wrt.builders.convert.node_layouts import LAYOUTS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.kdtree_config import AXES
 from wrt.builders.tree import TERMINATIONS
-from wrt.execution.planner import DEFAULT_TEST
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import ORDERS, TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.planning.planner import DEFAULT_TEST
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "algorithms.md").read_text(encoding="utf-8")
 

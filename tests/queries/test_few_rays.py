@@ -9,7 +9,7 @@ from conftest import assert_same_hits, mixed_rays
 
 import wrt
 from wrt.execution.executor import may_stage
-from wrt.execution.query_kinds import CLOSEST, FEW_RAYS, Query
+from wrt.state.query_kinds import CLOSEST, FEW_RAYS, Query
 
 pytestmark = pytest.mark.width
 

@@ -14,11 +14,11 @@ from test_cuda_compiles import compile_to_ptx
 
 import wrt
 from wrt.execution.executor import trace
-from wrt.execution.planner import make_plan
 from wrt.kernels.runtime.launch import CUDA_BLOCK, use_threads
 from wrt.kernels.traversal import TRAVERSALS as TABLE
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_single import make_kernel
+from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 

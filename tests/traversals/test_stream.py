@@ -10,11 +10,11 @@ from conftest import ENGINE_TESTS, SCENES, assert_same_hits, brute_force, mixed_
 from test_packets import beams
 
 import wrt
-from wrt.execution.plan import Plan
-from wrt.execution.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
-from wrt.execution.planner import CUDA_STREAM, STREAMS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.planning.plan import Plan
+from wrt.planning.plan_checks import MAX_CUDA_STREAM, MAX_STREAM
+from wrt.planning.planner import CUDA_STREAM, STREAMS
 
 pytestmark = pytest.mark.width
 

@@ -19,8 +19,8 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
-from wrt.execution.query_kinds import AUTO
 from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     import trimesh

@@ -9,16 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.cli.arguments import (
-    UpDirection,
-    Vector,
-    check_name,
-    load_mesh,
-    make_scene,
-    model_options,
-    progress,
-    start_warp,
-)
+from wrt.cli.arguments import UpDirection, Vector, check_name, load_mesh, make_scene, model_options, progress, start_warp
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import PinholeCamera

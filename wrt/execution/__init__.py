@@ -1,1 +1,1 @@
-"""From rays to answers: the plan, the prepared kernel, and the launch."""
+"""From a plan to answers: prepared queries, batches, and their launches."""

@@ -32,18 +32,18 @@ from wrt.builders.influence.area_top_level import (
     triangles_in,
 )
 from wrt.execution.batch import trace_batch
-from wrt.execution.device_hits import DeviceHits
-from wrt.execution.plan import Plan, traversal_of
 from wrt.kernels.influence.area_assignment import assign_rays, mark_rest
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
+from wrt.planning.plan import Plan, traversal_of
+from wrt.state.device_hits import DeviceHits
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.triangle_boxes import TriangleBoxes
-    from wrt.execution.scene_state import SceneState
+    from wrt.state.scene_state import SceneState
 
 
 CHUNK, CUDA_CHUNK = 4096, 64

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
 from wrt.execution.instance_rounds import trace_rounds
 from wrt.execution.lazy_tracing import trace_lazily
-from wrt.execution.plan import Plan, traversal_of
 from wrt.execution.traversal_launch import no_work, run_kernel
-from wrt.execution.wide_trees import can_be_wide, wide_form_savings
 from wrt.memory import empty
+from wrt.planning.plan import Plan, traversal_of
+from wrt.state.device_hits import DeviceHits
+from wrt.state.wide_trees import can_be_wide, wide_form_savings
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.state.scene_state import SceneState
 
 
 def trace_batch(

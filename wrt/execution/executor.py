@@ -14,18 +14,18 @@ import warp as wp
 
 from wrt.execution.area_trees import trace_by_area
 from wrt.execution.batch import trace_batch
-from wrt.execution.planner import chosen_plan, find_plan
 from wrt.execution.prepared import PreparedQuery
-from wrt.execution.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
 from wrt.kernels.runtime.launch import use_threads
+from wrt.planning.planner import chosen_plan, find_plan
 from wrt.rays.ray_buffers import RayBuffers, set_mask, to_device
 from wrt.rays.staged_rays import STAGED
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.device_hits import DeviceHits
-    from wrt.execution.plan import ChosenPlan, Plan
-    from wrt.execution.scene_state import SceneState
+    from wrt.planning.plan import ChosenPlan, Plan
     from wrt.rays.rays import Rays, ResultForm
+    from wrt.state.device_hits import DeviceHits
+    from wrt.state.scene_state import SceneState
 
 
 class Answer(NamedTuple):

@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
-from wrt.execution.plan import Plan, stack_levels, traversal_config, traversal_of
-from wrt.execution.query_kinds import ANY, COUNT
 from wrt.execution.traversal_launch import counter_rows, no_work, run_kernel
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import get_num_threads, launch, specialise
 from wrt.memory import empty, new_rays
+from wrt.planning.plan import Plan, stack_levels, traversal_config, traversal_of
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import ANY, COUNT
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal.two_level.instance_streams import Sorted
+    from wrt.state.scene_state import SceneState
 
 CHUNKS_PER_THREAD = 4
 

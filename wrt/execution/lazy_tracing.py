@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
-from wrt.execution.query_kinds import ANY, CLOSEST
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import ANY, CLOSEST
 
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree, Snapshot

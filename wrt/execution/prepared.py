@@ -10,7 +10,7 @@ work to share. On CUDA it was recorded once and is repeated on the current strea
 **Staged rays.** Few rays in NumPy arrays are copied to memory of the prepared query, and their answers from it, because
 making Warp arrays of them takes longer than tracing them.
 
-**Threads.** A prepared query serves one caller at a time (`wrt.execution.query_cache`).
+**Threads.** A prepared query serves one caller at a time (`wrt.state.query_cache`).
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits, written
-from wrt.execution.plan import traversal_config, traversal_of
-from wrt.execution.query_kinds import FEW_RAYS
 from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, RecordedLaunch
 from wrt.memory import new_rays
+from wrt.planning.plan import traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch
 from wrt.rays.staged_rays import STAGED
+from wrt.state.device_hits import DeviceHits, written
+from wrt.state.query_kinds import FEW_RAYS
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
+    from wrt.planning.plan import Plan
     from wrt.rays.ray_arrays import Layout, RayArrays
     from wrt.rays.staged_rays import StagedRays
+    from wrt.state.scene_state import SceneState
 
 FEW_CHUNKS = Chunks(chunk=64)
 """Chunks of few rays: some 20 us of work. A helper that spins joins in less than one, and nobody waits for one that sleeps."""
@@ -44,7 +44,7 @@ class PreparedQuery:
 
     Args:
         scene: whose rays these are; not kept.
-        plan: the query's own (`wrt.execution.plan.plan_for_query`).
+        plan: the query's own (`wrt.planning.plan.plan_for_query`).
         kind: "closest", "any" or "count".
         layout: of the rays, or `STAGED`.
     """

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.execution.plan import Plan, kernel_factory, stack_levels, traversal_config, traversal_of, walked_tree
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, get_num_threads, kept, launch, specialise
+from wrt.planning.plan import Plan, kernel_factory, stack_levels, traversal_config, traversal_of, walked_tree
 
 if TYPE_CHECKING:
-    from wrt.execution.device_hits import DeviceHits
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal.traversal_config import TraversalConfig
+    from wrt.state.device_hits import DeviceHits
+    from wrt.state.scene_state import SceneState
 
 BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.execution.plan import walked_tree
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.memory import empty
+from wrt.planning.plan import walked_tree
 from wrt.rays.ray_buffers import shared_origin
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.planning.plan import Plan
+    from wrt.state.scene_state import SceneState
 
 
 def records_of(scene: SceneState, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:

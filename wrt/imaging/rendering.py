@@ -18,13 +18,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
-from wrt.execution.query_kinds import AUTO
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
+from wrt.state.query_kinds import AUTO
 
 __all__ = ["corner_normals", "default_light", "render"]
 

@@ -30,22 +30,22 @@ import warp as wp
 
 from wrt.execution.area_trees import assign, with_range
 from wrt.execution.batch import trace_batch
-from wrt.execution.plan import Plan, plan_for_query
-from wrt.execution.planner import make_plan
-from wrt.execution.query_kinds import ANY, AUTO, CLOSEST
 from wrt.imaging.cameras import check_whole
 from wrt.kernels.query.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.memory import empty
+from wrt.planning.plan import Plan, plan_for_query
+from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import as_rays
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.scene.scene import Scene
+    from wrt.state.scene_state import SceneState
 
 AREA_LOOKUP_COST = 2.0
 """Cost of finding the area of a ray, in node visits (notebooks/records/2026-11-21-influence-areas.md)."""

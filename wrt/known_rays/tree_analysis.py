@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.execution.executor import trace
-from wrt.execution.planner import make_plan
-from wrt.execution.query_kinds import CLOSEST, COUNT
 from wrt.kernels.runtime.launch import use_threads
+from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+from wrt.state.query_kinds import CLOSEST, COUNT
 
 if TYPE_CHECKING:
     from wrt.builders.bvh.bvh_analysis import BoxMeasures
     from wrt.builders.influence.influence_area import InfluenceArea
-    from wrt.execution.device_hits import DeviceHits
     from wrt.scene.scene import Scene
+    from wrt.state.device_hits import DeviceHits
 
 __all__ = ["CountedWork", "TreeAnalysis", "analyse"]
 

@@ -18,20 +18,20 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.batch import run
-from wrt.execution.device_hits import DeviceHits, shaped
 from wrt.execution.executor import on_device
-from wrt.execution.plan import Plan, traversal_of
-from wrt.execution.planner import find_plan
-from wrt.execution.query_kinds import ALL, COUNT, Query
 from wrt.execution.traversal_launch import no_work
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
+from wrt.planning.plan import Plan, traversal_of
+from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
+from wrt.state.device_hits import DeviceHits, shaped
+from wrt.state.query_kinds import ALL, COUNT, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.rays.rays import Rays, ResultForm
+    from wrt.state.scene_state import SceneState
 
 ROOM = 8
 """Slots for hits of each ray in the first pass, 16 bytes each; 4 to 8 are best (notebooks/records/2026-11-21-queries.md)."""

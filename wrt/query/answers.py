@@ -5,15 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from wrt.execution.executor import answer
-from wrt.execution.query_kinds import AUTO, Query
 from wrt.query import pickled_hits  # noqa: F401, says how hits are pickled
 from wrt.query.exact_hits import find_precisely
 from wrt.query.hits import Hits
 from wrt.query.skip import answer_skipping
+from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.rays.rays import Rays
+    from wrt.state.scene_state import SceneState
 
 
 def closest_hits(

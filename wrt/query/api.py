@@ -5,21 +5,21 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from wrt.execution.executor import on_device
-from wrt.execution.planner import find_plan
-from wrt.execution.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
 from wrt.kernels.runtime.launch import use_threads
+from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
 from wrt.query.blocks import BlockQueries
 from wrt.rays.rays import as_rays
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
+    from wrt.planning.plan import Plan
     from wrt.query.all_hits import AllHits
     from wrt.query.hits import Hits
     from wrt.query.verification import Verification
+    from wrt.state.scene_state import SceneState
 
 
 class Queries(BlockQueries):

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.execution.plan import Plan
-from wrt.execution.query_kinds import AUTO
+from wrt.planning.plan import Plan
 from wrt.rays.rays import Rays, leading_shape
+from wrt.state.query_kinds import AUTO
 
 BYTES_PER_RAY = 320
 """Largest memory per ray: 32 bytes on the device, 46 while rays are sorted, 16 for a hit and 93 for all attributes computed

@@ -9,24 +9,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
 from wrt.execution.executor import on_device
-from wrt.execution.plan import traversal_config
-from wrt.execution.planner import DEFAULT_TEST, find_plan
-from wrt.execution.query_kinds import AUTO, CLOSEST, EXACT, Query
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
 from wrt.memory import empty
+from wrt.planning.plan import traversal_config
+from wrt.planning.planner import DEFAULT_TEST, find_plan
 from wrt.query.hits import Hits
 from wrt.rays.ray_arrays import flatten_shared
 from wrt.rays.rays import as_vectors
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import AUTO, CLOSEST, EXACT, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.query.exact_closest import ExactHits, ExactMesh, ExactRays
+    from wrt.planning.plan import Plan
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.rays.rays import Rays, ResultForm
+    from wrt.state.scene_state import SceneState
 
 
 class PreciseHits(Hits):

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import shaped
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
+from wrt.state.device_hits import shaped
 
 if TYPE_CHECKING:
-    from wrt.execution.device_hits import DeviceHits
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
+    from wrt.planning.plan import Plan
     from wrt.rays.rays import ResultForm
+    from wrt.state.device_hits import DeviceHits
+    from wrt.state.scene_state import SceneState
 
 
 class Hits:

@@ -21,21 +21,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
 from wrt.execution.executor import trace
-from wrt.execution.plan import Plan
-from wrt.execution.planner import make_plan
-from wrt.execution.query_kinds import ANY, AUTO, COUNT
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty
+from wrt.planning.plan import Plan
+from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import ANY, AUTO, COUNT
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.scene_state import SceneState
 
 DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8472, 0.4534))
 """Directions far from each other, and from all axes and diagonals."""

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DTYPES, DeviceHits
 from wrt.query.all_hits import AllHits
 from wrt.query.exact_hits import PreciseHits
 from wrt.query.hits import Hits
 from wrt.rays.rays import ResultForm
+from wrt.state.device_hits import DTYPES, DeviceHits
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
+    from wrt.planning.plan import Plan
 
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
 

@@ -14,19 +14,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.device_hits import DeviceHits
 from wrt.execution.executor import Answer, on_device
-from wrt.execution.plan import plan_for_query, traversal_config
-from wrt.execution.planner import find_plan
-from wrt.execution.query_kinds import AUTO, Query
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
+from wrt.planning.plan import plan_for_query, traversal_config
+from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import AUTO, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.rays.rays import Rays
+    from wrt.state.scene_state import SceneState
 
 
 def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask: Any, precise: bool = False) -> Answer:

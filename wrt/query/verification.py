@@ -28,15 +28,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrt.execution.query_kinds import ANY, CLOSEST, Query
 from wrt.kernels.query.nearest64 import corner_rows, nearest_hits
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
 from wrt.rays.rays import Rays
+from wrt.state.query_kinds import ANY, CLOSEST, Query
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
+    from wrt.state.scene_state import SceneState
 
 TOLERANCE = 2.0**-21
 """Largest accepted error, as a share of the ray's reach: eight roundings of half a unit in the last place."""

@@ -8,16 +8,16 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace
-from wrt.execution.planner import make_plan
-from wrt.execution.query_kinds import ALL, AUTO, CLOSEST
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.memory import empty, new_rays
+from wrt.planning.planner import make_plan
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.rays.rays import as_vectors
+from wrt.state.query_kinds import ALL, AUTO, CLOSEST
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
+    from wrt.state.scene_state import SceneState
 
 BLOCK = 1 << 20
 """Pairs traced at a time, which takes about 60 MB."""

@@ -9,8 +9,6 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.tree_descriptions import Bvh
-from wrt.execution.query_kinds import AUTO
-from wrt.execution.scene_state import Settings, new_mark
 from wrt.kernels.layout.mesh_placement import relative_to
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
@@ -18,6 +16,8 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.scene import Scene, as_settings
+from wrt.state.query_kinds import AUTO
+from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common

@@ -20,8 +20,8 @@ from wrt.kernels.layout.instance_maps import Placement
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
-    from wrt.execution.scene_state import SceneState
     from wrt.meshes.instance import Instance
+    from wrt.state.scene_state import SceneState
 
 CELLS = 8
 """Cells per axis of the grid that covers a mesh."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from wrt.execution.query_kinds import AUTO
 from wrt.kernels.runtime.launch import use_threads
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.scene import Scene, as_settings
+from wrt.state.query_kinds import AUTO
 
 
 class InstancedScene(Scene):

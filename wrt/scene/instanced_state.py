@@ -15,8 +15,6 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
-from wrt.execution.query_cache import QueryCache
-from wrt.execution.scene_state import SceneState, Settings, new_mark
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.layout.instance_maps import Geometry, Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
@@ -27,11 +25,13 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center
 from wrt.scene.instance_boxes import InstanceBoxes, build_upper, cover
 from wrt.scene.mesh_state import MeshState, build_state
+from wrt.state.query_cache import QueryCache
+from wrt.state.scene_state import SceneState, Settings, new_mark
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.traversal.two_level.instance_single import InstanceTree
+    from wrt.planning.plan import Plan
     from wrt.scene.updates import UpdatePolicy, UpdateReport
 
 MAX_TRIANGLES = (1 << 31) - 1

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.area_trees import build_area_trees
-from wrt.execution.query_cache import QueryCache
-from wrt.execution.scene_state import SceneState, Settings
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
@@ -17,6 +15,8 @@ from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, moved_mesh, place_meshes
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
+from wrt.state.query_cache import QueryCache
+from wrt.state.scene_state import SceneState, Settings
 
 if TYPE_CHECKING:
     from pathlib import Path

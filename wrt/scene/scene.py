@@ -9,8 +9,6 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
-from wrt.execution.query_kinds import AUTO
-from wrt.execution.scene_state import SceneState, Settings
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import as_device, check_num_threads, use_threads
@@ -21,6 +19,8 @@ from wrt.query.api import Queries
 from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.mesh_state import build_state
 from wrt.scene.updates import UpdatePolicy, as_policy
+from wrt.state.query_kinds import AUTO
+from wrt.state.scene_state import SceneState, Settings
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from wrt.builders import tree as common
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.execution.area_trees import AreaTrees
-    from wrt.execution.plan import Plan
     from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+    from wrt.planning.plan import Plan
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport

@@ -36,9 +36,9 @@ from wrt.scene.archives import read_archive, write_archive
 if TYPE_CHECKING:
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
-    from wrt.execution.scene_state import SceneState
     from wrt.meshes.placement import PlacedMeshes
     from wrt.scene.updates import TreeRecipe
+    from wrt.state.scene_state import SceneState
 
 FORMAT = 2
 """Version of the file format; incremented when the contents change."""

@@ -15,18 +15,18 @@ from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
-from wrt.execution.planner import make_plan
-from wrt.execution.query_kinds import CLOSEST
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.meshes.mesh import TriangleMesh
+from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
+from wrt.state.query_kinds import CLOSEST
 
 if TYPE_CHECKING:
     from wrt.builders import tree as common
-    from wrt.execution.device_hits import DeviceHits
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.device_hits import DeviceHits
 
 REFERENCE = "random"
 """The layout that all figures refer to."""
@@ -57,12 +57,12 @@ class LayoutFigures:
 
 def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHits:
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
-    from wrt.execution.device_hits import DeviceHits
-    from wrt.execution.plan import traversal_config
     from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_kernel
     from wrt.kernels.traversal.traversal_config import SingleConfig
+    from wrt.planning.plan import traversal_config
+    from wrt.state.device_hits import DeviceHits
 
     plan = make_plan(scene.state, rays, "single", "auto")
     config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(pairs=True))

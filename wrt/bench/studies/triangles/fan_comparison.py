@@ -16,13 +16,13 @@ from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.bench.studies.triangles.pichler_tables import SCENES
 from wrt.builders.triangle_fans import TriangleFans, build_fans
-from wrt.execution.device_hits import DeviceHits
 from wrt.execution.traversal_launch import BRUTE_FORCE_TESTS
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.fan_brute_force import FanSet, make_kernel
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
+from wrt.state.device_hits import DeviceHits
 
 TESTS = ("moeller_trumbore", "moeller_trumbore_precomputed", "baldwin_weber")
 """Triangle by triangle; the first is the reference."""

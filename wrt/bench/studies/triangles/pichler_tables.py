@@ -27,7 +27,6 @@ import warp as wp
 from wrt.bench.core.single_thread_timing import ratios, timed
 from wrt.bench.core.workloads import Workload, WorkloadMaker
 from wrt.bench.studies.triangles.leaf_queries import leaf_query
-from wrt.execution.query_kinds import ANY, CLOSEST
 from wrt.imaging.cameras import PinholeCamera
 from wrt.imaging.rendering import render
 from wrt.kernels.runtime.launch import launch
@@ -41,6 +40,7 @@ from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.scenes import build
+from wrt.state.query_kinds import ANY, CLOSEST
 
 Row = dict[str, Any]
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from wrt.execution.answer_checks import check_answer, check_origins
-from wrt.execution.query_kinds import ALL, COUNT
-from wrt.execution.wide_trees import wide_width
+from wrt.planning.answer_checks import check_answer, check_origins
+from wrt.state.query_kinds import ALL, COUNT
+from wrt.state.wide_trees import wide_width
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.execution.plan import Plan
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.packet import Culling
     from wrt.kernels.triangle import TriangleTest
+    from wrt.planning.plan import Plan
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.scene_state import SceneState
 
 MAX_PACKET = 256
 """Largest number of rays of a packet: 16 x 16."""

@@ -7,17 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from wrt.execution.query_kinds import ANY
-from wrt.execution.wide_trees import wide_tree
 from wrt.kernels.runtime.launch import CUDA_BLOCK
+from wrt.state.query_kinds import ANY
+from wrt.state.wide_trees import wide_tree
 
 if TYPE_CHECKING:
     import warp as wp
 
     from wrt.builders.tree import Bvh, KdTree
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.traversal_config import TraversalConfig
+    from wrt.state.scene_state import SceneState
 
 
 @dataclass(frozen=True, kw_only=True)

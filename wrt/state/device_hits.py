@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.execution.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.memory import empty, keep_alive
+from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
 
 if TYPE_CHECKING:
     from wrt.rays.rays import ResultForm

@@ -17,9 +17,9 @@ from wrt.kernels.runtime.launch import use_threads
 
 if TYPE_CHECKING:
     from wrt.builders.tree import Bvh
-    from wrt.execution.query_cache import KnownRecords
-    from wrt.execution.scene_state import SceneState
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.query_cache import KnownRecords
+    from wrt.state.scene_state import SceneState
 
 MIN_WIDTH = 2
 """Smallest number of children of a wide node, whatever the width of the kd-tree's blocks."""

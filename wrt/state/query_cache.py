@@ -1,7 +1,7 @@
 """What queries learn about a scene and keep for the next ones: plans, prepared queries, triangle records, a wide tree.
 
-A scene's state never changes (`wrt.execution.scene_state`); this cache beside it does. It has a lock of its own. Prepared
-queries are kept with their plan (`wrt.execution.plan.ChosenPlan`). Each serves one caller at a time: it is taken out and put
+A scene's state never changes (`wrt.state.scene_state`); this cache beside it does. It has a lock of its own. Prepared
+queries are kept with their plan (`wrt.planning.plan.ChosenPlan`). Each serves one caller at a time: it is taken out and put
 back, and as many are made as callers run at once.
 """
 
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 MAX_PLANS = 64
 """Plans that a cache holds; one more clears them, and the queries prepared for them."""
 
+MAX_CHOICES = 256
+"""Choices that a cache holds; one more clears them."""
+
 Origin = tuple[float, float, float]
 """A point relative to the scene's centre."""
 
@@ -34,7 +37,7 @@ class QueryCache:
     Attributes:
         lock: guards what is not one operation on a dict or a deque.
         records: triangle records by kind of tree and record (`wrt.execution.triangle_records`).
-        wide: a `wrt.execution.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
+        wide: a `wrt.state.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
         missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
         tables: what kernels read of instanced meshes, by kind of tree and triangle test.
     """
@@ -46,6 +49,7 @@ class QueryCache:
         self.missed_savings = 0.0
         self.tables: dict[tuple[str, str], Any] = {}
         self._plans: dict[Hashable, Any] = {}
+        self._choices: dict[Hashable, Any] = {}
         _caches.add(self)
 
     @property
@@ -55,7 +59,7 @@ class QueryCache:
             return [*self._plans.values()]
 
     def plan(self, key: Hashable) -> Any | None:
-        """The `wrt.execution.plan.ChosenPlan` of a key; None if there is none."""
+        """The `wrt.planning.plan.ChosenPlan` of a key; None if there is none."""
         return self._plans.get(key)
 
     def keep_plan(self, key: Hashable, plan: Any) -> Any:
@@ -63,13 +67,27 @@ class QueryCache:
         with self.lock:
             if len(self._plans) >= MAX_PLANS:
                 self._plans.clear()
+                self._choices.clear()
             self._plans[key] = plan
         return plan
 
+    def choice(self, key: Hashable) -> Any | None:
+        """The plan that was chosen before for queries and rays of a key; None if it is not known."""
+        return self._choices.get(key)
+
+    def keep_choice(self, key: Hashable, plan: Any) -> Any:
+        """Keeps which plan was chosen, and returns it. Batches of many shapes share few plans, so these are kept apart."""
+        with self.lock:
+            if len(self._choices) >= MAX_CHOICES:
+                self._choices.clear()
+            self._choices[key] = plan
+        return plan
+
     def clear(self) -> None:
-        """Drops plans and the queries that are prepared for them."""
+        """Drops plans, the queries that are prepared for them, and what was chosen."""
         with self.lock:
             self._plans.clear()
+            self._choices.clear()
 
 
 def _renew_locks() -> None:

@@ -15,9 +15,9 @@ from uuid import uuid4
 import numpy as np
 import warp as wp
 
-from wrt.execution.query_cache import QueryCache
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
+from wrt.state.query_cache import QueryCache
 
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from wrt.execution.query_kinds import ALL, COUNT
-from wrt.execution.wide_trees import can_be_wide
 from wrt.rays.ray_buffers import shares_origin
+from wrt.state.query_kinds import ALL, COUNT
+from wrt.state.wide_trees import can_be_wide
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.triangle import TriangleTest
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.scene_state import SceneState
 
 
 def can_answer(traversal: Traversal, scene: SceneState, query: str, cull_backfaces: bool) -> bool:

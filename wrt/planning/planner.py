@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from wrt.execution.answer_checks import can_answer, check_answer, check_origins
-from wrt.execution.plan import ChosenPlan, Plan, plan_for_query, traversal_of
-from wrt.execution.plan_checks import check_plan, fits
-from wrt.execution.query_kinds import ALL, AUTO, CLOSEST, COUNT, FEW_RAYS, Query
-from wrt.execution.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.kernels.runtime.launch import get_num_threads
+from wrt.planning.answer_checks import can_answer, check_answer, check_origins
+from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
+from wrt.planning.plan_checks import check_plan, fits
+from wrt.state.query_kinds import ALL, AUTO, CLOSEST, COUNT, FEW_RAYS, Query
+from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.execution.scene_state import SceneState
     from wrt.kernels.traversal import Traversal
     from wrt.kernels.traversal.traversal_scores import Situation
     from wrt.kernels.triangle import TriangleTest
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.scene_state import SceneState
 
 DEFAULT_TEST = "woop"
 """The triangle test of "auto": the only watertight one. It costs a few per cent over Moeller and Trumbore's test at most
@@ -81,11 +81,11 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
     size = count > 1 if each_alone else (rays.shape, get_num_threads())
     found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
     key = kind, traversal, triangle_test, cull_backfaces, size, found
-    chosen = scene.cache.plan(key)
+    chosen = scene.cache.choice(key)
     if chosen is not None:
         return chosen
     plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
-    return scene.cache.keep_plan(key, choose_for(scene, plan, rays, kind))
+    return scene.cache.keep_choice(key, chosen_plan(scene, plan, rays, kind))
 
 
 def chosen_plan(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
