@@ -39,7 +39,6 @@ from wrt.kernels.triangle.support.record_blocks import Corners
 
 exact_module(__name__)
 
-COMPARISONS = ("below", "above", "left", "right")
 BELOW, ABOVE, LEFT, RIGHT = range(1, 5)
 """Digits of an order, which is an octal number. The first comparison is the lowest digit."""
 

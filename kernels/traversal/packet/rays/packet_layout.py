@@ -16,8 +16,6 @@ kept                 the ray's t while the rays of another part are active; abse
 
 from dataclasses import dataclass
 
-import warp as wp
-
 from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES, lane_bits
@@ -32,12 +30,6 @@ OWN_ORIGIN = ("origin_x", "origin_y", "origin_z", "slack", "part", "kept")
 """Further components of packets without a shared origin."""
 
 _FIRST_ROW = f"(-((size_t)packet.data / 4) & {CACHE_LINE - 1})"
-
-
-@wp.func_native(f"return (int){_FIRST_ROW};")
-def first_row(packet: wp.array(dtype=float)) -> int:
-    """Number of floats before the first component."""
-    ...
 
 
 @dataclass(frozen=True)
