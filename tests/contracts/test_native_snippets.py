@@ -63,7 +63,7 @@ def snippets():
     for function in gc.get_objects():
         if isinstance(function, wp.Function) and function.native_snippet is not None:
             code = inspect.unwrap(function.func).__code__
-            path = Path(code.co_filename)
+            path = Path(code.co_filename).resolve()  # an editable install may link to the file
             if path.is_relative_to(ROOT / "kernels") or path.is_relative_to(ROOT / "builders"):
                 found.setdefault((str(path.relative_to(ROOT)), code.co_name), []).append(function)
     yield found
