@@ -1,4 +1,4 @@
-"""How far triangles stray in the spaces of clusters: what motion decomposition assigns them by (`motion`)."""
+"""How far triangles stray in the spaces of clusters: what motion decomposition assigns them by (`motion_clusters`)."""
 
 import numpy as np
 import warp as wp

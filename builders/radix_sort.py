@@ -1,11 +1,11 @@
-"""A parallel radix sort of float keys with values, for the rows of a matrix at once; on CUDA it is Warp's.
+"""A parallel radix sort of float keys with values, for several rows at once. On CUDA it is Warp's sort.
 
-**Algorithm.** Least significant digit first, four passes over digits of 8 bits. A pass cuts each row into chunks: every chunk
-counts its digits, a scan over digits and chunks turns the counts into places, every chunk then moves its keys and values in
-order. So the sort is stable, and the result does not depend on threads or chunks. Keys are ordered as IEEE 754 totally orders
-them: negative numbers from the largest magnitude on, -0.0 before 0.0.
+**Algorithm.** Least significant digit first, four passes over digits of 8 bits. A pass divides each row into chunks. Every
+chunk counts its digits, a scan over digits and chunks turns the counts into positions, and every chunk moves its keys and
+values in order. So the sort is stable, and the result does not depend on threads or chunks. Keys are ordered by the total order
+of IEEE 754: negative numbers by decreasing magnitude, -0.0 before 0.0.
 
-**Memory.** A row has room for twice its keys; passes move them to the other half and back.
+**Memory.** A row has room for twice its keys. Passes move them to the other half and back.
 
 References:
     C. Benthin: Realtime ray tracing on current CPU architectures. Ph.D. thesis, Saarland University, 2006 (parallel build).
@@ -143,12 +143,12 @@ def move_keys(
 
 
 def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:
-    """Sorts the first `count[row]` keys of each of three rows, ascending, and the values with them.
+    """Sorts the first `count[row]` keys of each of three rows in ascending order, together with the values.
 
     Args:
         keys: (3, capacity) float32, without NaN; a row has room for at least twice its keys.
         values: (3, capacity) int32.
-        count: keys of each row.
+        count: number of keys of each row.
     """
     device, half, most = keys.device, keys.shape[1] // 2, max(count)
     if device.is_cuda:

@@ -2,15 +2,15 @@
 
 **Problem.** A sweep over sorted centroids costs O(N log N) and three sorts, and most of its planes are nearly equal.
 
-**Algorithm.** Centroids are sorted into a few bins along each axis, and only the planes between bins are tried (`bins`). Large
-nodes are split level by level, in parallel over chunks of triangles (`levels`). The others are tasks, each of which builds a
-subtree depth first (`subtrees`). Reinsertion may then improve the binary tree (`reinsertion`). Finally, the tree is collapsed
-to nodes of W children (`collapse`).
+**Algorithm.** Centroids are sorted into a few bins along each axis, and only the planes between bins are tried (`bvh_bins`).
+Large nodes are split level by level, in parallel over chunks of triangles (`bvh_levels`). The others are tasks, each of which
+builds a subtree depth first (`bvh_subtrees`). Reinsertion may then improve the binary tree (`reinsertion`). Finally, the tree
+is collapsed to nodes of W children (`collapse`).
 
-**Data.** References (`wrt.builders.triangle_references`), bins (`bins`) and a binary tree (`tree`).
+**Data.** References (`wrt.builders.triangle_references`), bins (`bvh_bins`) and a binary tree (`binary_tree`).
 
-**Phases.** References: `make_references`. Top levels: `build_levels` (search, partition and emit of `levels`). Subtrees:
-`build_subtrees` (stop, search, partition and emit of `subtrees`). Then reinsertion and collapse.
+**Phases.** References: `make_references`. Top levels: `build_levels` (search, partition and emit of `bvh_levels`). Subtrees:
+`build_subtrees` (stop, search, partition and emit of `bvh_subtrees`). Then reinsertion and collapse.
 
 **Complexity.** O(N) per level of the tree, with sequential memory access only. References take 64 bytes per triangle. Nodes use
 as much as the tree needs of a reservation of 88 bytes per triangle.

@@ -1,7 +1,8 @@
 """Binned build of a bounding volume hierarchy for rays whose directions are known: projected areas, chosen axes.
 
 **Problem.** The binned build weighs boxes by surface area and tries the planes of all axes (`binned`). For the rays of
-influence areas, boxes have other weights (`wrt.builders.influence.projected_cost`), and some axes are rarely useful (`axes`).
+influence areas, boxes have other weights (`wrt.builders.influence.projected_cost`), and some axes are rarely useful
+(`split_axes`).
 
 **Algorithm.** The loops are those of the binned build. For each axis that is tried, a sweep over its bins writes the boxes on
 both sides of every plane, component by component. These are weighed in vector lanes, one box per lane, for every kind of area
@@ -15,7 +16,7 @@ stop rule.
 **Complexity.** That of the binned build, times the number of influence areas.
 
 **What we changed.** The published build handles one area and is recursive. Where no other axis is acceptable, it weighs the
-planes of the longest side by surface area; see `axes`.
+planes of the longest side by surface area; see `split_axes`.
 
 References:
     L. Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing. MSc thesis,

@@ -1,16 +1,21 @@
-"""Exact sweep SAH build of a bounding volume hierarchy: the reference for the binned one.
+"""Exact sweep SAH build of a bounding volume hierarchy: the reference for the binned build.
 
-**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right leaves the area of every
-suffix, a sweep from the left tries all n - 1 partitions of each axis; the best one's sides are marked, and the three lists
-are partitioned in order, so that they stay sorted (Goldsmith and Salmon 1987 for the cost; the three sorted lists as in
-Pharr, Jakob and Humphreys 2016, section 4.3, are older than any of their descriptions).
+**Problem.** Bins approximate the best plane. An exact build is needed to measure what they lose.
 
-Large nodes are split level by level, parallel over chunks of their lists (`sweep_levels`); the others are tasks, each of which
+**Algorithm.** The triangles are sorted by centroid once per axis. In a node, a sweep from the right computes the area of every
+suffix, and a sweep from the left evaluates all n - 1 partitions of each axis. The sides of the best one are marked, and the
+three lists are partitioned stably, so that they stay sorted. (The cost is that of Goldsmith and Salmon 1987.)
+
+**Data.** Three lists of triangle ids, sorted by centroid, and the areas of the suffixes of one list (`Workspace`).
+
+**Phases** of a node, in `build_by_sweep`: stop, `search`, `partition`, emit.
+
+Large nodes are split level by level, parallel over chunks of their lists (`sweep_levels`). The others are tasks, each of which
 builds a subtree depth first.
 
 **Complexity.** O(N log N) for a balanced tree. The tree is the same for any number of threads, chunks and tasks.
 
-It shares the cost model, the stop rules and the collapse with the other builders, and nothing else.
+The build shares only the cost model, the stop rules and the collapse with the other builders.
 
 References:
     J. Goldsmith, J. Salmon: Automatic creation of object hierarchies for ray tracing. IEEE CG&A 7(5), 1987.
@@ -127,7 +132,7 @@ def build_by_sweep(
     tree: BinaryTree,
     subtrees: wp.array(dtype=wp.vec2i),
 ):
-    """Item: a task. stack: (tasks, STACK). subtrees: (tasks,) the pairs made."""
+    """Item: a task. stack: (tasks, STACK). subtrees: (tasks,) ranges of the pairs made."""
     number = first + wp.tid()
     frame = tasks[number]
     begin = frame.first + 1

@@ -1,22 +1,29 @@
-"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark, Stoll 2006; survey, section 4.2).
+"""Build of an approximate SAH kd-tree from adaptive samples of the cost (Hunt, Mark and Stoll 2006).
 
-**Problem.** The cost along an axis is known exactly only at every end of every box; a few evenly spaced samples miss its steps.
+**Problem.** Evaluating the cost at every end of every box is expensive, and a few evenly spaced samples miss its steps.
 
-**Algorithm.** Let C_L and C_R be the triangles to the left and to the right of a plane. A first scan of the node takes 8 evenly
-spaced samples an axis. C_L - C_R climbs from -n to n; 8 more samples go where it climbs most: of 8 levels evenly spaced from
--n to n, each gives one sample to the segment in which it is crossed, and the samples of a segment divide it evenly. A second
-scan counts at all 16. Between two samples C_L and C_R are taken as linear; the areas of both sides are, so the cost is a
-quadratic, whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
+**Algorithm.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. A first scan of the node
+takes 8 evenly spaced samples per axis. C_L - C_R increases from -n to n, and 8 more samples go where it increases most: of 8
+levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the samples of a segment
+divide it evenly. A second scan counts at all 16 samples. Between two samples C_L and C_R are interpolated linearly. The areas
+of both sides are linear too, so the cost is a quadratic, whose minimum is tried along with the samples. Nodes of at most 36
+triangles are searched exactly (`exact_planes`).
 
-**Complexity.** O(N) a level: two scans, the second of which compares with 16 planes at a time.
+**Data.** One list of references per node (`reference_lists`).
 
-**What we changed.** The samples divide the box of a node's triangles instead of the node's own, so its faces, which cut off
-empty space, are planes too. The quadratic leaves out that leaves are counted in blocks; the cost of its minimum does not.
+**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, which calls `place_samples`,
+`count_samples` and `search_axis` for each axis. Classify and partition: `reference_lists.divide`, one pass
+over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `kdtree_subtrees` for inner nodes.
+
+**Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
+
+**What we changed.** The samples divide the box of a node's triangles, not the node's own box, so its faces, which cut off empty
+space, are candidate planes too. The quadratic ignores that leaves are counted in blocks; the cost of its minimum does not.
 
 References:
     W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
 import warp as wp

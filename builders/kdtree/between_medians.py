@@ -1,23 +1,29 @@
-"""Local search: the best plane between the spatial and the object median (MacDonald and Booth 1990; survey, section 4.1).
+"""Local search: the best plane between the spatial and the object median (MacDonald and Booth 1990).
 
-**Problem.** A median ignores the cost, and a search of all planes looks at most of them in vain.
+**Problem.** A median ignores the cost, and a search of all planes evaluates many that cannot be best.
 
-**Algorithm.** If no triangle straddled the planes, the one of least cost would lie between the spatial and the object median:
-beyond either, moving the plane towards it shrinks the child that has more than its share. So 16 planes, evenly spaced from one
-median to the other, are counted in one scan of the node (`adaptive_sampling`), and the cheapest is taken. The axis is chosen
-as by the medians (`medians`).
+**Algorithm.** If no triangle straddled the planes, the one of least cost would lie between the spatial and the object median.
+Beyond either median, moving the plane towards it shrinks the child that has more than its share. So 16 planes, evenly spaced
+from one median to the other, are counted in one scan of the node (`adaptive_sampling`), and the cheapest is taken. The axis is
+chosen as in `medians`.
 
-**Complexity.** O(N) a level: a selection for the object median, and a scan.
+**Data.** One list of references per node (`reference_lists`).
 
-**Measured** (one core of a Zen 5, against the in-place builder): bunny and atrium 1.01 of the cost, 0.25 to 0.3 of the time to
-build, 1.05 to 1.15 of the time of random rays; the spatial median alone has 1.2 to 1.4 of the cost, the object median 1.8 to 7.
+**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, which calls `search_axis` and `try_box_faces`.
+Classify and partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves,
+the loop of `kdtree_subtrees` for inner nodes.
 
-**What we changed.** The faces of the box of a node's triangles are tried too, along every axis: between the medians there is no
-plane that cuts off empty space.
+**Complexity.** O(N) per level: a selection for the object median, and a scan.
+
+**What we changed.** The faces of the box of a node's triangles are tried too, along every axis, because no plane between the
+medians cuts off empty space.
+
+**Limits.** Trees cost about as much as exact ones, but random rays are somewhat slower
+(notebooks/records/2026-11-21-kdtree-builders.md).
 
 References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.1).
 """
 
 import warp as wp

@@ -2,16 +2,16 @@
 
 **Problem.** Sorting all events, and keeping them sorted through every split, takes most of the time of an exact build.
 
-**Algorithm.** Count the begins and ends of boxes in 32 bins per axis, and try only the planes between bins (`bins`). In large
-nodes only every log10(n)-th triangle is counted. Nodes of at most 32 triangles are searched exactly (`exact_planes`). Large
-nodes are split level by level, by all threads together (`reference_levels`). The others are tasks in a pool that all threads
-share, each of which builds a subtree depth first (`subtrees`).
+**Algorithm.** Count the begins and ends of boxes in 32 bins per axis, and try only the planes between bins (`kdtree_bins`). In
+large nodes only every log10(n)-th triangle is counted. Nodes of at most 32 triangles are searched exactly (`exact_planes`).
+Large nodes are split level by level, by all threads together (`reference_levels`). The others are tasks in a pool that all
+threads share, each of which builds a subtree depth first (`kdtree_subtrees`).
 
 **Data.** One list of references per node (`reference_lists`).
 
 **Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, by bins or exactly. Classify and partition:
-`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `subtrees` for
-inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
+`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
+`kdtree_subtrees` for inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
 
 **Complexity.** O(N) per level, with sequential memory access only.
 

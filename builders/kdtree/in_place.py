@@ -3,17 +3,18 @@
 **Problem.** A depth-first build has one node, then two, then four to share among the cores, and meanwhile copies every list at
 every level.
 
-**Algorithm.** The events of all triangles are sorted once per axis (`events`). The top levels are built breadth first, in
-parallel over the geometry and in place: nodes are assigned to triangles, triangles are not moved to nodes (`levels`). As soon
-as there are enough live nodes, each becomes a task that builds its subtree depth first (`subtrees`). The parts are then
-assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts or ends
-is tried.
+**Algorithm.** The events of all triangles are sorted once per axis (`event_sort`). The top levels are built breadth first, in
+parallel over the geometry and in place: nodes are assigned to triangles, triangles are not moved to nodes (`in_place_levels`).
+As soon as there are enough live nodes, each becomes a task that builds its subtree depth first (`kdtree_subtrees`). The parts
+are then assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts
+or ends is tried.
 
-**Data.** Sorted events of the whole mesh (`events`), and for each triangle the list of its nodes (`levels.Membership`); in the
-tasks, sorted events per node (`event_lists`).
+**Data.** Sorted events of the whole mesh (`event_sort`), and for each triangle the list of its nodes (`membership.Membership`); in
+the tasks, sorted events per node (`event_lists`).
 
-**Phases.** Sort: `sorted_events`. Top levels: `build_levels` (search, stop, emit and classify of `levels`). Fill: `fill` copies
-events and triangles to the tasks. Subtrees: search, stop, classify, partition and emit of `subtrees`. Assembly: `assemble`.
+**Phases.** Sort: `sorted_events`. Top levels: `build_levels` (search, stop, emit and classify of `in_place_levels`). Fill:
+`task_fill` copies events and triangles to the tasks. Subtrees: search, stop, classify, partition and emit of `kdtree_subtrees`.
+Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 

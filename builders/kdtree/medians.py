@@ -1,12 +1,20 @@
-"""Median splits: a node is halved, in space or in number, and the cost only says when to stop (survey, chapter 4).
+"""Median splits: a node is halved in space or in number; the cost only decides when to stop (Fussell and Subramanian 1988).
 
-**Algorithm.** The spatial median is the middle of the node's box along an axis; the object median is the plane with as many
-triangles on one side as on the other, here the median of the boxes' middles. The axis is the longest of the node, or x, y, z in
-turn (`KdTreeConfig.axis`): the longest was long thought the better one, and Wald (2004) found that it need not be. An axis
-on which no plane divides the node is passed over.
+**Problem.** A search for the cheapest plane takes most of the time of a build.
 
-**Complexity.** O(N) a level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N)
-on average, for the other.
+**Algorithm.** The spatial median is the middle of the node's box along an axis. The object median is the plane with equally
+many triangles on both sides, here the median of the boxes' centres. The axis is the longest of the node, or x, y, z in turn
+(`KdTreeConfig.axis`). The longest was long considered the better choice; Wald (2004) found that it need not be. An axis on
+which no plane divides the node is skipped.
+
+**Data.** One list of references per node (`reference_lists`).
+
+**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search_space` or `search_objects`. Classify and
+partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
+`kdtree_subtrees` for inner nodes.
+
+**Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
+average, for the object median.
 
 **What we changed.** The older builds stop at a fixed depth or leaf size. Here every builder stops by the same rules
 (`wrt.builders.tree.StopRules`), so that trees differ by their planes alone.
@@ -15,7 +23,7 @@ References:
     D. S. Fussell, K. R. Subramanian: Fast ray tracing using k-d trees. Technical report TR-88-07, University of Texas, 1988.
     C. A. R. Hoare: Algorithm 65: Find. Communications of the ACM 4(7), 1961.
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (chapter 4).
 """
 
 import warp as wp

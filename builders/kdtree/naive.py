@@ -1,17 +1,26 @@
-"""Naive build of an SAH kd-tree in O(N^2): every plane against every triangle (survey, Algorithm 4.1.2).
+"""Naive build of an SAH kd-tree in O(N^2): every plane against every triangle (Wald and Havran 2006).
 
-**Algorithm.** At every node, the planes at both ends of every triangle's box are each compared with all triangles of the node
+**Problem.** The cost has its minimum at an end of some triangle's box, so all these planes must be compared.
+
+**Algorithm.** At every node, the planes at both ends of every triangle's box are compared with all triangles of the node
 (`exact_planes`). Nothing is sorted.
 
-**Complexity.** O(N^2), too slow for more than some ten thousand triangles; it shows what sorting is good for, and makes the
-sorting builders' tree by another way.
+**Data.** One list of references per node (`reference_lists`).
 
-**What we changed.** Triangles are those whose boxes meet the node's, not those that themselves do; 16 are compared at a time.
+**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `exact_planes.search_exactly`. Classify and partition:
+`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
+`kdtree_subtrees` for inner nodes.
+
+**Complexity.** O(N^2), too slow for more than a few ten thousand triangles. The builder shows the benefit of sorting, and
+reproduces the tree of the sorting builders by an independent method.
+
+**What we changed.** A node's triangles are those whose boxes meet it, not those that meet it themselves. 16 are compared at a
+time.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
         IEEE Symposium on Interactive Ray Tracing 2006.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
 """
 
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig

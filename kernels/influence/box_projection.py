@@ -15,7 +15,7 @@ faces are quadrilaterals, whose area is half the cross product of their diagonal
 instead. That takes less arithmetic, but the corners differ from box to box; the form here runs in vector lanes, one box per
 lane.
 
-`clipping` handles boxes that the window or the near plane cuts.
+`box_clipping` handles boxes that the window or the near plane cuts.
 
 The far end of an area is ignored, because rays continue beyond it. Projections of radial areas are measured in the plane at
 depth 1.

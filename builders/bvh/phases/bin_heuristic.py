@@ -1,7 +1,8 @@
 """Interface between a binned build and its cost model, and the model for rays in all directions.
 
-The loops of the binned build and of the collapse are written once (`levels`, `subtrees`, `collapse`) and compiled for each
-`Heuristic`. Rays in all directions meet a box in proportion to its surface area. `projected` has the model for known rays.
+The loops of the binned build and of the collapse are written once (`bvh_levels`, `bvh_subtrees`, `collapse`) and compiled for
+each `Heuristic`. Rays in all directions meet a box in proportion to its surface area. `projected_binned` has the model for
+known rays.
 
 References:
     J. D. MacDonald, K. S. Booth: Heuristics for ray tracing using space subdivision. The Visual Computer 6, 1990.

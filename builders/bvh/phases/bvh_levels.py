@@ -7,7 +7,7 @@ A level takes four launches:
     search      every node merges the bins of its chunks, finds its best plane, and computes the write positions of its chunks:
                 the counts in a chunk's own bins tell how many of its triangles go to the left
     partition   every chunk moves its triangles to the other buffer, in order, and writes the centroid boxes of both sides
-    emit        lists the children that are still large, with their chunks; the others become tasks (`subtrees`)
+    emit        lists the children that are still large, with their chunks; the others become tasks (`bvh_subtrees`)
 
 Minima and counts do not depend on order and grouping. So the result does not depend on chunks or threads, and a node gets the
 same split as in a task.

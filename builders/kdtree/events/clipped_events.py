@@ -4,9 +4,9 @@
 longer contains all events of a child. Sorting every child's list again would cost a factor of log N.
 
 **Algorithm.** Partition removes the events of straddlers from both children's lists, and assembles from them the boxes of the
-straddlers (axis by axis: no box of a reference is stored elsewhere). Each straddler is clipped to both cells (`clipping`). The
-events of the remaining parts are sorted separately and merged into the child's lists, from the back, so that a list grows in
-place.
+straddlers (axis by axis: no box of a reference is stored elsewhere). Each straddler is clipped to both cells
+(`split_clipping`). The events of the remaining parts are sorted separately and merged into the child's lists, from the back, so
+that a list grows in place.
 
 **Data.** A clipped triangle has at most as many events on an axis as before. So the child that is compacted in place has room
 for them in its own list, and the appended child leaves as much room as the straddlers' events took.

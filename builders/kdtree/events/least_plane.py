@@ -5,8 +5,8 @@ this is half the time of an exact build.
 
 **Algorithm.** The counts at 16 events are prefix sums over their types; the 16 costs are then lanes of one vector. Each lane
 keeps the least cost so far and the block of 16 in which it occurred. The plane itself is found by a sweep that starts at the
-first such block (`planes`), so that ties, and the counts of the plane, are decided in one place. Both costs have the same bits,
-because both come from `PLANE_COST`.
+first such block (`sweep_planes`), so that ties, and the counts of the plane, are decided in one place. Both costs have the same
+bits, because both come from `PLANE_COST`.
 
 **Limits.** The axis must have no planar triangles, which are tried on both sides.
 """

@@ -1,8 +1,8 @@
-"""Finds the triangles of cells that are to be built (`lazy`) among those of the clusters that may meet a cell.
+"""Finds the triangles of cells that are to be built (`lazy_kdtree`) among those of the clusters that may meet a cell.
 
 A cell's list of triangles is complete if its list of clusters is: a triangle whose box meets the interior of a cell belongs to
 a cluster whose box does. A triangle in the plane between two cells belongs to the upper one. Clusters extend slightly beyond
-their triangles (`clusters`), so that both cells list its cluster.
+their triangles (`triangle_clusters`), so that both cells list its cluster.
 
 The phases are count, scan and fill. One item is a pair of a cell and a cluster.
 """

@@ -4,12 +4,12 @@
 than tracing the rays.
 
 **Algorithm.** A scanning build can build a part of a tree without reading the rest. It need not start from triangles: the nodes
-of an existing hierarchy can represent them. The presort here is a grid (`clusters`), two passes over the triangles. The binned
-builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of clusters,
-which are not built yet. When rays request cells, their triangles are found among those of their clusters (`cell_lists`). The
-subtrees of all requested cells are built in one batch on all threads (`subtrees`), and inserted into the tree (`grafting`). A
-cell of many triangles is itself sorted into clusters and divided into cells, like the root. So a small detailed object in a
-large scene is one cell until a ray reaches it.
+of an existing hierarchy can represent them. The presort here is a grid (`triangle_clusters`), two passes over the triangles.
+The binned builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of
+clusters, which are not built yet. When rays request cells, their triangles are found among those of their clusters
+(`cell_lists`). The subtrees of all requested cells are built in one batch on all threads (`kdtree_subtrees`), and inserted into
+the tree (`kdtree_grafting`). A cell of many triangles is itself sorted into clusters and divided into cells, like the root. So
+a small detailed object in a large scene is one cell until a ray reaches it.
 
 **Data.** The skeleton holds the planes above the cells, and a leaf for each cell; it tells which cells are not built
 (`wrt.kernels.traversal.single.lazy_requests`). The tree that is traced has the same planes and the subtrees built so far. Cells

@@ -1,25 +1,27 @@
-"""The top of the in-place build: all live nodes of a level at once (Choi et al. 2010; survey, Algorithm 4.2.2).
+"""The top levels of the in-place build: all live nodes of a level at once (Choi et al. 2010).
 
-Data does not move: events stay in the order in which they were sorted once, and triangles know the nodes they lie in
-(`membership`). A level takes four phases, each parallel over chunks of events or triangles from the root on:
+**Data.** Data does not move: events stay in their sorted order, and each triangle has a list of its nodes (`membership`).
+
+**Phases.** A level takes four phases. Each is parallel over chunks of events or triangles, from the root on:
 
     search      FindBestPlane: every chunk counts, per live node, the triangles that begin and end in it; a scan over the
-                chunks gives each chunk the counts to its left; every chunk then evaluates its planes; the best of all
-                chunks is the node's split
+                chunks gives each chunk the counts before it; every chunk then evaluates its planes; the best of all chunks
+                is the node's split
     stop, emit  NewGen: a node with a split gets two children, the others are finished
-    classify    ClassifyTriangles: every triangle exchanges its nodes for their children (count, scan, fill)
+    classify    ClassifyTriangles: every triangle replaces its nodes by their children (count, scan, fill)
 
-Chunks begin where the position changes, so that planes are never shared; the winner among chunks is taken in the order
-of the axes and positions. So neither threads nor chunks show in the result.
+Chunks begin where the position changes, so no plane is shared between chunks. The best plane among chunks is selected in the
+order of the axes and positions. So the result does not depend on threads or chunks.
 
-**What we changed.** Most chunks are not searched, and in the others only for nodes that may have their best plane there. The
-counts before and behind a chunk bound the cost of all its planes from below; planes at which chunks begin have their true cost
-already. A chunk whose bound is above the least of these cannot hold a node's best plane (`may_contain_best`). On the bunny's
-first three levels 10 to 14 % of the chunks are searched, on a dragon's 3 to 8 %.
+**What we changed.** Most chunks are not searched, and the others only for nodes that may have their best plane there. The
+counts before and behind a chunk bound the cost of all its planes from below. The exact cost is known for planes at which chunks
+begin. A chunk whose bound exceeds the least of these costs cannot contain a node's best plane (`may_contain_best`). A few
+percent of the chunks remain (notebooks/records/2026-11-21-kdtree-builders.md).
 
 References:
-    B. Choi et al.: Parallel SAH k-D tree construction. High Performance Graphics 2010.
-    V. Rahikainen: On real-time ray tracing. MSc thesis, University of Tampere, 2013 (the survey).
+    B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
+        High Performance Graphics 2010.
+    V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.2).
 """
 
 import warp as wp

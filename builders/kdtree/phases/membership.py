@@ -1,4 +1,5 @@
-"""Which live nodes triangles lie in, while nothing but that moves: what the in-place build keeps of a level (`levels`)."""
+"""Which live nodes triangles lie in, while nothing but that moves: what the in-place build keeps of a level
+(`in_place_levels`)."""
 
 import warp as wp
 

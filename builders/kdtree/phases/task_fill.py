@@ -21,7 +21,7 @@ exact_module(__name__)
 
 @wp.kernel
 def count_task_triangles(first: int, triangles: int, membership: Membership, counts: wp.array2d(dtype=int)):
-    """Item: a chunk of triangles. counts: (chunks, live nodes)."""
+    """Item: a chunk of triangles. Counts its triangles per task. counts: (chunks, live nodes)."""
     chunk = first + wp.tid()
     row = counts[chunk]
     for task in range(counts.shape[1]):
@@ -64,8 +64,11 @@ def fill_task_triangles(
     local: Membership,
     lists: EventLists,
 ):
-    """Item: a chunk of triangles. local: the triangles' indices within their tasks, where `membership` has the tasks; it has no
-    entries of its own in `Membership.shared` for how many there are."""
+    """Item: a chunk of triangles. Copies their ids.
+
+    local: the triangles' indices within their tasks, at the same places where `membership` holds the tasks. The counts at the
+    head of each list in `Membership.shared` have no counterpart.
+    """
     chunk = first + wp.tid()
     row = places[chunk]
     for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):

@@ -1,15 +1,15 @@
-"""The top of a build that scans references: all large nodes of a level at once, parallel over chunks of their references.
+"""The top levels of a build that scans references: all large nodes of a level at once, parallel over chunks of references.
 
-    search      every chunk bins its references (`bins`); every node merges the bins of its chunks, and stops or splits
-    classify    every chunk counts its references on both sides of its node's plane, and finds their boxes
-    emit        the host lists the children, and says where each chunk has to write; this is the one round trip of a level
+    search      every chunk bins its references (`kdtree_bins`); every node merges the bins of its chunks, and stops or splits
+    classify    every chunk counts its references on both sides of its node's plane, and computes their boxes
+    emit        the host lists the children and computes the write positions of the chunks; the only host round trip of a level
     partition   every chunk moves its references to the next level's buffer, in order
 
-A builder may search in another way than by bins (`make_decide`): then every node is searched by one thread.
+A node that is small enough, or is a leaf, waits for the end of the levels; its references are copied unchanged. Counts and
+minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same split as in a
+task.
 
-A node that is small enough, or that stays a leaf, waits for the end of the levels; its references move along unchanged. Counts
-and minima are the same in any grouping, so neither chunks nor threads show in the result, and a node gets the split that a
-task would give it.
+A builder may search without bins (`make_decide`): then one thread searches each node.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic

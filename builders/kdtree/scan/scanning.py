@@ -1,9 +1,9 @@
-"""A build that scans references: top levels by all threads together, then a pool of tasks, one a subtree.
+"""A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
 
-What is common to the builders that search by scanning: `reference_levels` splits large nodes, `subtrees` builds the others with
-the builder's own search, `assembly` puts the parts together. A search that is not cut into chunks is done by one thread for
-each large node. All threads then divide the node's list (`uniform_scan`). So with two threads, only the search of the root
-keeps one of them waiting.
+This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `kdtree_subtrees` builds
+the others with the builder's own search, and `assembly` combines the parts. A search that is not divided into chunks runs
+on one thread per large node; then all threads divide the node's list (`uniform_scan`). So only the search of the root keeps the
+other threads waiting.
 """
 
 from dataclasses import dataclass
@@ -58,14 +58,14 @@ def copy_lists(
 
 @dataclass(frozen=True)
 class Scan:
-    """What a builder that scans supplies.
+    """The builder-specific part of a scanning build.
 
     Attributes:
         method: how subtrees are built.
         levels: how the top is split.
-        values: floats that a search in a node writes down; None for as many as it has triangles, but at least MIN_VALUES.
-        counters: counters that it needs behind those of the bins.
-        search: the method's, where large nodes are searched by it too; None for bins.
+        values: floats that a search in a node writes; None for as many as the node has triangles, but at least MIN_VALUES.
+        counters: counters that it needs in addition to those of the bins.
+        search: the search of `method`, if large nodes are searched by it too; None for bins.
     """
 
     method: Method

@@ -25,8 +25,8 @@ and so are the hits, to the bit.
 Figures: notebooks/records/2026-11-21-single-rays.md.
 
 **Limits.** Camera rays gain nothing, and shadow rays to a point light lose, because their branches are predicted well in
-`single`. On CUDA one thread processes all lanes in a loop, which is correct but slow; there each hardware lane should have a
-ray, as in `single`. A run is 64 rays per lane, so small batches occupy few threads.
+`single_kdtree`. On CUDA one thread processes all lanes in a loop, which is correct but slow; there each hardware lane should
+have a ray, as in `single_kdtree`. A run is 64 rays per lane, so small batches occupy few threads.
 
 References:
     T. Foley, J. Sugerman: KD-tree acceleration structures for a GPU raytracer. Graphics Hardware 2005.

@@ -1,8 +1,9 @@
 """Ray packets: several rays that traverse a tree together.
 
-A packet of P rays is one local array, component by component (`layout`), with intervals over its rays (`bounds`). `load` and
-`store` move rays in and hits out. `block` tests the rays against the triangles of a leaf, W rays at a time. A *culling* decides
-for all rays at once which child boxes and which triangles no ray can hit. A packet whose rays diverge is split (`parting`).
+A packet of P rays is one local array, component by component (`packet_layout`), with intervals over its rays (`packet_bounds`).
+`packet_load` and `packet_store` move rays in and hits out. `packet_block` tests the rays against the triangles of a leaf, W
+rays at a time. A *culling* decides for all rays at once which child boxes and which triangles no ray can hit. A packet whose
+rays diverge is split (`packet_splitting`).
 
 **Contract of a culling.** All its functions are made for a `PacketLayout`: `boxes` tests W child boxes, `triangles` tests the W
 triangles of a block, `start` prepares a packet for its traversal, `leaf` inspects its rays before a leaf is tested. They must

@@ -2,8 +2,8 @@
 
 A lazily built tree (`wrt.builders.kdtree.lazy.lazy_kdtree`) has a skeleton: the planes above its cells. A leaf of the skeleton
 with triangles is a cell that is not built yet; its "first block" is the number of the cell. A leaf without triangles is built,
-or empty. After rays have been traced through the built part, they traverse the skeleton as `single` does, from the start of
-their range to their hit, and mark the first unbuilt cells on the way. A ray that marks none has its final answer: everything
+or empty. After rays have been traced through the built part, they traverse the skeleton as `single_kdtree` does, from the start
+of their range to their hit, and mark the first unbuilt cells on the way. A ray that marks none has its final answer: everything
 that could precede its hit was built when it was traced.
 
 References:

@@ -9,7 +9,8 @@ the next packet of the run tests it first. If it occludes all rays of that packe
 **Data.** One int behind the components of a packet: the number of the leaf's lane (node * width + lane) + 1, or 0 for none. It
 is 0 if some rays of the last packet were unoccluded or its traversal was abandoned, at the start of each run of packets, and at
 the start of each instance, whose tree is another one (`wrt.kernels.traversal.two_level.instance_packets`). The parts of a split
-packet (`parting`) count as packets. The results do not depend on it, because an any-hit query only asks whether there is a hit.
+packet (`packet_splitting`) count as packets. The results do not depend on it, because an any-hit query only asks whether there
+is a hit.
 
 The effect depends on the size of the occluders: large in scenes of large triangles, none on fine meshes
 (notebooks/records/2026-11-22-leaf-rays.md).

@@ -12,7 +12,7 @@ does not end the search; the search continues with the next cell on the stack.
 (2013), the source of this file, does not give the rule of the paper.
 
 **Leaves.** If more than `FEW` rays of the packet have reached a leaf, W rays are tested against a triangle at a time; otherwise
-each ray is tested against W triangles at a time (`few_rays`). The lanes are filled in both cases.
+each ray is tested against W triangles at a time (`few_active_rays`). The lanes are filled in both cases.
 
 **Differences from the paper.** A cell on the stack is its node and its box, not P intervals. When it is popped, the intervals
 are computed from the box, clipped to the current best hits. The size of the stack does not depend on the packet. Rays with

@@ -6,8 +6,8 @@
 meets the child's box: one step for all rays, W children at a time. At a leaf the triangles that no ray can hit are culled, W at
 a time, and only then are rays tested, W at a time against each remaining triangle (Wald et al. 2001 for rays in lanes; Reshetov
 et al. 2005 for large packets). The rest of a level is dropped once its nearest child lies beyond the farthest of the rays' best
-hits. Leaves that few rays meet are tested ray by ray (`few_rays`). Any-hit packets start at the leaf that occluded the last
-packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
+hits. Leaves that few rays meet are tested ray by ray (`few_active_rays`). Any-hit packets start at the leaf that occluded the
+last packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
 
 **Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
 the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may

@@ -95,8 +95,8 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
     """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: traces the rays of the packet at `begin` one by
     one.
 
-    These are all of its rays, or those that `parting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) ->
-    best`. `work` is the work done for the packet so far; it is added to that of the first ray.
+    These are all of its rays, or those that `packet_splitting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i,
+    work) -> best`. `work` is the work done for the packet so far; it is added to that of the first ray.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet.rays
     left_over = parting.goes_alone(packet_layout(config))

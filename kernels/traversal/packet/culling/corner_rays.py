@@ -7,12 +7,12 @@ four. If all of them pass the same edge on its outer side, so do all rays in bet
 is tested.
 
 **Validity.** The paper also traverses the tree with the four rays alone. Reshetov et al. (2005) note that this is wrong: a box
-may lie within the shaft without touching any of its corners. Boxes are therefore culled by `interval` here. The four rays bound
-the others only if all rays start at one point and have the same main axis. As a function of the two slopes (s, t), the signed
-area of an edge (p, q) seen from a shared origin is that of (p_x - s p_z, p_y - t p_z) and (q_x - s q_z, q_y - t q_z), in which
-the product s t cancels. The area is therefore linear, and is greatest and least at the corners of the rectangle of slopes. With
-separate origins it is not linear. Batches without a shared origin, and packets with different main axes, are culled by the
-boxes of the triangles, as in `interval`.
+may lie within the shaft without touching any of its corners. Boxes are therefore culled by `interval_culling` here. The four
+rays bound the others only if all rays start at one point and have the same main axis. As a function of the two slopes (s, t),
+the signed area of an edge (p, q) seen from a shared origin is that of (p_x - s p_z, p_y - t p_z) and (q_x - s q_z, q_y - t
+q_z), in which the product s t cancels. The area is therefore linear, and is greatest and least at the corners of the rectangle
+of slopes. With separate origins it is not linear. Batches without a shared origin, and packets with different main axes, are
+culled by the boxes of the triangles, as in `interval_culling`.
 
 **Differences from the paper.** The corner rays are virtual: the four pairs of extreme slopes. Both sides of a triangle are
 tested: it is culled if neither all three areas can be >= 0 nor all three <= 0, which includes the paper's single edge.

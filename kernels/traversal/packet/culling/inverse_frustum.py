@@ -15,8 +15,9 @@ of the origins at the start, widened by the extreme slopes.
 
 **Differences from the paper.** The tree is a BVH, so a box is tested as a whole, not one plane per step. Children are ordered
 by the entry along the main axis, by interval arithmetic. At a leaf the box of each triangle is tested in the same way, and the
-two further tests, for all three pairs of axes, are those of `interval`. A packet has no frustum, and is culled by `interval`,
-if the main axes of its rays or their signs along it differ, or if a direction is so short that 1 / direction may overflow.
+two further tests, for all three pairs of axes, are those of `interval_culling`. A packet has no frustum, and is culled by
+`interval_culling`, if the main axes of its rays or their signs along it differ, or if a direction is so short that 1 /
+direction may overflow.
 
 **Why the hits do not change.** The ray of a hit meets the triangle's own widened box (`wrt.kernels.simd.boxes`). The computed
 entries and exits have a t in common, and each is rounded three times, so at this t the ray is, in exact arithmetic, within

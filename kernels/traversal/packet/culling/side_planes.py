@@ -3,8 +3,8 @@
 Each side plane of a frustum along a main axis contains one of the other axes, so the side of a vertex follows from its position
 along one axis and a line over its depth (Reshetov 2007). In equation 3.3 of Rahikainen (2013) this comparison is the bracket.
 The first factor there has the sign of y01 - y00, and the bracket identifies the inside only if that sign is known. The vertices
-must be outside by the margin of `frustum`: the error of the line, plus the distance at which an `accurate` triangle test may
-find a hit beside a triangle.
+must be outside by the margin of `inverse_frustum`: the error of the line, plus the distance at which an `accurate` triangle
+test may find a hit beside a triangle.
 
 References:
     A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing

@@ -12,8 +12,8 @@ if few do, they are listed and no frustum is made.
 origins differ (notebooks/records/2026-11-21-packets.md).
 
 **Differences from the paper.** `vertex` is the same without the transient frustum, evaluated with the test's own numbers. Here
-the two planes are those of the widened box, which contains all hits on the leaf's triangles. Nodes are culled by `interval`,
-and so is a packet without a main axis.
+the two planes are those of the widened box, which contains all hits on the leaf's triangles. Nodes are culled by
+`interval_culling`, and so is a packet without a main axis.
 
 References:
     A. Reshetov: Faster ray packets - triangle intersection through vertex culling. IEEE Symposium on Interactive Ray Tracing

@@ -9,13 +9,14 @@ Each ray crosses both, and two rectangles bound the points. The volume between c
 frustum around all rays: at every depth a ray is a weighted mean of its own two points, and therefore between the means of the
 extremes.
 
-**Data.** The lines of `PacketBounds`, as in `frustum`: side is the near rectangle, rise is the difference of the two rectangles
-divided by the depth. The set-up intersects P rays with two planes, once per packet; the other cullings do not have this cost.
+**Data.** The lines of `PacketBounds`, as in `inverse_frustum`: side is the near rectangle, rise is the difference of the two
+rectangles divided by the depth. The set-up intersects P rays with two planes, once per packet; the other cullings do not have
+this cost.
 
-**Differences from the paper.** Boxes are culled as in `frustum`; triangles are culled if their three vertices lie outside the
-same side (`side_planes`). If the scene ends soon after the origins, the far plane is moved to at least half of the reach, so
-that extending a side backward magnifies its rounding at most five times. If all rays share an origin, the near rectangle is
-that point. A packet without a main axis is culled by `interval`.
+**Differences from the paper.** Boxes are culled as in `inverse_frustum`; triangles are culled if their three vertices lie
+outside the same side (`side_planes`). If the scene ends soon after the origins, the far plane is moved to at least half of the
+reach, so that extending a side backward magnifies its rounding at most five times. If all rays share an origin, the near
+rectangle is that point. A packet without a main axis is culled by `interval_culling`.
 
 References:
     R. Overbeck, R. Ramamoorthi, W. R. Mark: Large ray packets for real-time Whitted ray tracing. IEEE Symposium on Interactive

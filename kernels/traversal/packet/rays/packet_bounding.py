@@ -1,4 +1,5 @@
-"""Bounds of the active rays of a packet, computed from its components: on loading, and again for each part (`parting`).
+"""Bounds of the active rays of a packet, computed from its components: on loading, and again for each part
+(`packet_splitting`).
 
 Inactive rays are replaced by the first active one, so that the loops need no masks.
 """

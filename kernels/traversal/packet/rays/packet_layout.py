@@ -9,7 +9,7 @@ slope_x, _y          direction along the next two axes after the main one, in cy
 main_axis            bits of an int: axis of the largest component of the direction
 origin_x, _y, _z     relative to the scene's centre; absent if all rays share an origin (`PacketBounds.origin_low`)
 slack                widening of boxes (`wrt.kernels.simd.boxes`); absent if all rays share an origin (`PacketBounds.slack`)
-part                 bits of an int: part of a split packet that contains the ray (`parting`); absent likewise
+part                 bits of an int: part of a split packet that contains the ray (`packet_splitting`); absent likewise
 kept                 the ray's t while the rays of another part are active; absent likewise
 ...                  per-ray data of the triangle test (`PacketForm.state`)
 """

@@ -85,7 +85,8 @@ _LOAD = """
 
 @cache
 def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
-    """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`numbers`); low, high: bounds of the scene.
+    """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`ray_numbers`); low, high: bounds of the
+    scene.
 
     slopes: whether slopes are bounded (`Culling.slopes`). Invalid rays and places beyond the end of the batch are inactive:
     their t is -inf, which no hit improves.
