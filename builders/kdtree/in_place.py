@@ -9,8 +9,8 @@ As soon as there are enough live nodes, each becomes a task that builds its subt
 are then assembled in depth-first order (`assembly`). The SAH is exact everywhere: every plane at which a triangle's box starts
 or ends is tried.
 
-**Data.** Sorted events of the whole mesh (`event_sort`), and for each triangle the list of its nodes (`membership.Membership`); in
-the tasks, sorted events per node (`event_lists`).
+**Data.** Sorted events of the whole mesh (`event_sort`), and for each triangle the list of its nodes (`membership.Membership`);
+in the tasks, sorted events per node (`event_lists`).
 
 **Phases.** Sort: `sorted_events`. Top levels: `build_levels` (search, stop, emit and classify of `in_place_levels`). Fill:
 `task_fill` copies events and triangles to the tasks. Subtrees: search, stop, classify, partition and emit of `kdtree_subtrees`.

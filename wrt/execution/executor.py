@@ -50,7 +50,7 @@ def answer(scene: SceneState, rays: Rays, query: Query, mask: Any = None) -> Ans
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect`.
     """
-    if scene.num_threads is None:  # spares few rays a twentieth of their time
+    if scene.num_threads is None:  # spares few rays a context
         return _answer(scene, rays, query, mask)
     with use_threads(scene.num_threads):
         return _answer(scene, rays, query, mask)

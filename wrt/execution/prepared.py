@@ -2,7 +2,8 @@
 
 Of a query of few rays, and of one of many rays on fast hardware, most of the time would be Python's: for a plan, structs, and
 the arguments of a launch. So a scene's cache keeps a prepared query for each plan, kind of query, and layout of rays. A call
-writes the addresses of its rays and of memory for its answers, and launches. Records: notebooks/records.
+writes the addresses of its rays and of memory for its answers, and launches. (What that saves:
+notebooks/records/2026-11-22-one-way-through-a-query.md.)
 
 **Launch policies.** On the CPU the launch goes to the thread pool, or stays on the caller's thread where there is too little
 work to share. On CUDA it was recorded once and is repeated on the current stream.
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
 FEW_CHUNKS = Chunks(chunk=64)
-"""Chunks of few rays: some 20 us of work. A helper that spins joins in less than one, and nobody waits for one that sleeps."""
+"""Chunks of few rays: worth the time in which a helper that spins joins; nobody waits for one that sleeps."""
 
 
 class PreparedQuery:

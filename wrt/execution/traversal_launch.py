@@ -22,10 +22,10 @@ BRUTE_FORCE_TESTS = 10_000_000
 """Triangle tests that brute force does in one launch on the CPU: some hundredths of a second."""
 
 MIN_CHUNK = 256
-"""Rays that are worth a chunk of their own on the CPU: tens of microseconds, where claiming a chunk takes less than one."""
+"""Rays that are worth a chunk of their own on the CPU: much longer to trace than a chunk takes to be claimed."""
 
 STREAMS_IN_A_ROW = 16
-"""Streams of an item at most: Warp clears an item's local memory, which takes 5 ns a ray if it is for one stream."""
+"""Streams of an item at most: Warp clears the local memory of an item, which several streams then share."""
 
 ITEMS_PER_THREAD = 32
 """Items of streams that a thread has at least, if rays are many: enough to balance the load."""

@@ -223,8 +223,7 @@ class Queries(BlockQueries):
             assert report.ok
 
         A quarter of the rays is random, a quarter is aimed at vertices, a quarter at edges, and a quarter grazes triangles.
-        The reference tests every triangle, one ray at a time on one core: about 25 ms a ray for a million triangles, and
-        550 bytes of memory a triangle (notebooks/records/2026-11-21-queries.md).
+        The reference tests every triangle against every ray, so the time grows with the number of triangles and of samples.
 
         Args:
             samples: number of rays, at least 4.
