@@ -3,6 +3,8 @@
 Warp keeps compiled kernels in a folder of the user or in the folder that WARP_CACHE_PATH names. On a read-only file system or a
 full disk it fails with the system's error about some file. This module finds the cause, warns on stderr, and continues with a
 temporary folder, which the process removes at exit.
+
+The first call of a query compiles its kernels, which takes seconds. A user at a terminal is told so beforehand.
 """
 
 import atexit
@@ -10,6 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
+from functools import cache
 
 import warp as wp
 
@@ -31,6 +34,8 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
 
     If the kernel cache is not writable, it switches to a temporary folder.
     """
+    if sys.stderr is not None and sys.stderr.isatty() and not is_compiled(module, block_dim):
+        announce_compilation()
     try:
         module.load(device, block_dim=block_dim)
     except Exception:
@@ -40,6 +45,22 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
         use_temporary_folder(error)
         module.mark_modified()  # clears Warp's record of the failed build
         module.load(device, block_dim=block_dim)
+
+
+def is_compiled(module: wp.Module, block_dim: int) -> bool:
+    """Whether the kernel cache has a module."""
+    return os.path.isdir(os.path.join(wp.config.kernel_cache_dir, module.get_module_identifier(block_dim)))
+
+
+@cache
+def announce_compilation() -> None:
+    """Says on stderr, once per process, that kernels are being compiled."""
+    print(
+        "wrt: compiling kernels for this machine, which takes some seconds each; later runs take them from "
+        f"'{wp.config.kernel_cache_dir}'.",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def find_fault(folder: str) -> OSError | None:

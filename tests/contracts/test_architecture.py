@@ -65,8 +65,13 @@ def test_way_of_a_query(monkeypatch, count):
     scene.intersect(rays * 9, -rays)
     assert ways
     floor = import_graph.floors(import_graph.imports())
+    monkeypatch.syspath_prepend(import_graph.ROOT / "docs")
+    import drawings
+
+    drawn = [module for module, _, _ in drawings.QUERY][1:]  # after the scene, which inherits its queries
     for way in ways:
         way = [*way, PreparedLaunch.__module__]
         assert way[0] == "wrt.query.api"
         assert len(way) <= MOST_MODULES, way
+        assert way == drawn[: len(way)], "docs/drawings.py draws another way"
         assert [floor[name] for name in way] == sorted((floor[name] for name in way), reverse=True), way
