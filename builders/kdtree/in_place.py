@@ -30,6 +30,8 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2, algorithm 4.2.2).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import warp as wp
 
@@ -50,12 +52,14 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import array_of_structs
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
 
-TASKS_PER_THREAD = 2
-"""Live nodes per thread at which the build switches to subtrees, with many threads. Small, because every level that the threads
-split together costs each of them a pass over memory (notebooks/records/2026-11-22-scaling.md)."""
-
 MIN_TASKS = 8
-"""Live nodes at which the build switches to subtrees, with few threads; enough to balance their load."""
+"""Least number of live nodes at which the build switches to subtrees, with two to eight threads; with more, one per thread. Small,
+because every level that the threads split together costs each of them a pass over memory
+(notebooks/records/2026-11-22-scaling.md)."""
+
+LARGEST_SHARE = 1.2
+"""Greatest size of a live node at which the build switches to subtrees, in triangles of the mesh per thread: one large subtree
+would keep its thread busy after all others have finished (notebooks/records/2026-11-22-scaling.md)."""
 
 CLIPPED_TRIANGLES = 1 << 12
 """Triangles of the mesh per live node at which a clipping build switches to subtrees, for any number of threads."""
@@ -79,22 +83,43 @@ KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, 
 """One kernel of each module, compiled before the phases of the build are timed."""
 
 
+SCAN_COUNTS = 4096
+"""Counts per block of the scan over chunks."""
+
+
+class TaskTarget(NamedTuple):
+    """When the build switches from levels to subtrees.
+
+    Attributes:
+        tasks: least number of live nodes.
+        triangles: greatest number of triangles of a live node.
+    """
+
+    tasks: int
+    triangles: int
+
+
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
+    return build_in_place(triangles, config, task_target(triangles.count, config))
+
+
+def task_target(count: int, config: KdTreeConfig) -> TaskTarget:
+    """Tasks that balance the load of the threads."""
     if config.split_clipping:  # which levels clip is not to depend on the threads
-        return build_in_place(triangles, config, triangles.count // CLIPPED_TRIANGLES)
-    tasks = TASKS_PER_THREAD * get_num_threads()
-    return build_in_place(triangles, config, max(tasks, min(2 * tasks, MIN_TASKS)))
+        return TaskTarget(count // CLIPPED_TRIANGLES, count)
+    threads = get_num_threads()
+    return TaskTarget(max(threads, min(4 * threads, MIN_TASKS)), int(LARGEST_SHARE * count / threads))
 
 
-def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, least_tasks: int) -> KdTree:
-    """Builds the tree; levels are split together until there are `least_tasks` tasks."""
+def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, target: TaskTarget) -> KdTree:
+    """Builds the tree; levels are split together until the live nodes meet the target."""
     builder = InPlaceBuilder(triangles, config)
     load((*KERNELS, specialise(make_build_subtrees, builder.method)), builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
-        membership = builder.build_levels(events, least_tasks)
+        membership = builder.build_levels(events, target)
     spare = SPARE_ROOM
     while True:
         with builder.phase("fill"):
@@ -144,18 +169,18 @@ class InPlaceBuilder:
         """Launches a kernel on the build's device."""
         launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=ITEM_CHUNKS_PER_THREAD)
 
-    def build_levels(self, events: Events, least_tasks: int) -> Membership:
-        """Builds level after level until there are enough live nodes; returns the nodes that contain each triangle."""
+    def build_levels(self, events: Events, target: TaskTarget) -> Membership:
+        """Builds level after level until the live nodes meet the target; returns the nodes that contain each triangle."""
         membership = Membership()
         membership.node = wp.zeros(self.triangles.count, dtype=int, device=self.device)
         membership.shared = wp.empty(1, dtype=int, device=self.device)
-        open_nodes = 1
-        while 0 < open_nodes < least_tasks and len(self.levels) < MAX_LEVELS:
+        open_nodes, largest = 1, self.triangles.count
+        while 0 < open_nodes and len(self.levels) < MAX_LEVELS and (open_nodes < target.tasks or largest > target.triangles):
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
-            counts = wp.empty(2, dtype=int, device=self.device)
+            counts = wp.empty(3, dtype=int, device=self.device)
             self.run(level_phase.emit_children, 1, self.live, children, counts)
-            total, open_nodes = map(int, counts.numpy())
+            total, open_nodes, largest = map(int, counts.numpy())
             membership = self.reclassify(membership)
             self.levels.append(self.live.numpy())
             self.live = children[:total]
@@ -175,15 +200,30 @@ class InPlaceBuilder:
         """Finds the split of every live node."""
         nodes = len(self.live)
         chunks = cut_events(events, nodes)
-        counts = wp.empty((3, chunks, nodes), dtype=wp.vec2i, device=self.device)
-        least_known_cost = wp.empty((3, nodes), dtype=float, device=self.device)
+        counts = wp.empty((3, chunks, nodes), dtype=wp.vec3i, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
         sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
         self.run(level_phase.count_events, 3 * chunks, events, membership, counts)
-        self.run(level_phase.scan_chunks, 3 * nodes, self.cost, events, self.live, counts, least_known_cost, chunk=16)
+        least_known_cost = self.scan(events, counts)
         work = [membership, self.live, counts, least_known_cost, frames, sweeps]
         self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
         self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
+
+    def scan(self, events: Events, counts: wp.array) -> wp.array:
+        """Turns counts of chunks into the counts before them; returns each node's least cost of its first
+        planes in the chunks."""
+        chunks, nodes = counts.shape[1:]
+        block_chunks = max(1, SCAN_COUNTS // nodes)
+        blocks = -(-chunks // block_chunks)
+        before = wp.zeros((3, blocks, nodes), dtype=wp.vec2i, device=self.device)
+        if blocks > 1:
+            self.run(level_phase.sum_blocks, 3 * blocks, block_chunks, counts, before)
+            self.run(level_phase.scan_blocks, 3, before)
+        block_cost = wp.empty((3, blocks, nodes), dtype=float, device=self.device)
+        self.run(level_phase.scan_chunks, 3 * blocks, self.cost, events, self.live, block_chunks, counts, before, block_cost)
+        least_known_cost = wp.empty(nodes, dtype=float, device=self.device)
+        self.run(level_phase.least_of_blocks, nodes, block_cost, least_known_cost, chunk=64)
+        return least_known_cost
 
     def reclassify(self, membership: Membership) -> Membership:
         """Computes the triangles' nodes on the next level."""

@@ -23,7 +23,7 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
-from wrt.builders.kdtree.in_place import build_in_place
+from wrt.builders.kdtree.in_place import TaskTarget, build_in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.tree import KdTree
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -33,4 +33,4 @@ from wrt.kernels.runtime.launch import use_threads
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread."""
     with use_threads(1):
-        return build_in_place(triangles, config, least_tasks=1)
+        return build_in_place(triangles, config, TaskTarget(tasks=1, triangles=triangles.count))

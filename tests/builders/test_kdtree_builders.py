@@ -201,11 +201,29 @@ def test_exact_builders_equal_the_judge_where_chunks_are_left_out(soup, monkeypa
     """The levels search few of the chunks of a large mesh; in none of the others is a best plane, or one of equals."""
     mesh = soup(10_000, seed=4)
     judge, _ = build(mesh, "sorting_sweep")
-    monkeypatch.setattr(in_place, "TASKS_PER_THREAD", 64)
+    use_tasks(monkeypatch, 256)
     with use_threads(4):
         tree, _ = build(mesh)
     np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
     np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+
+
+def use_tasks(monkeypatch, tasks):
+    """Has the levels go on until there are so many tasks."""
+    monkeypatch.setattr(in_place, "task_target", lambda count, config: in_place.TaskTarget(tasks, count))
+
+
+def test_levels_leave_out_no_chunk_for_a_plane_that_is_no_event_of_the_node():
+    """Levels once took the cost of a plane just above flat ground, where a chunk began but no event of the node lay, for one that
+    the node could have. It was less than the node's best, so the chunk with the best was left out: other trees with 12 threads
+    than with one."""
+    mesh = wrt.scenes.build("teapot", level=40)
+    with use_threads(1):
+        reference, _ = build(mesh)
+    with use_threads(16):
+        tree, _ = build(mesh)
+    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+    np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
@@ -213,8 +231,8 @@ def test_threads_and_tasks_do_not_show(threads, monkeypatch):
     """Bit for bit the same tree, whatever the threads, the chunks, and the level at which subtrees take over."""
     mesh = wrt.scenes.build("wood", trees=3)
     reference, _ = build(mesh)
-    for tasks, levels in ((16, 12), (1, 12), (64, 12), (1000, 3)):
-        monkeypatch.setattr(in_place, "TASKS_PER_THREAD", tasks)
+    for tasks, levels in ((16, 12), (1, 12), (500, 12), (8000, 3)):
+        use_tasks(monkeypatch, tasks)
         monkeypatch.setattr(in_place, "MAX_LEVELS", levels)
         with use_threads(threads):
             tree, _ = build(mesh)

@@ -14,8 +14,8 @@ Chunks begin where the position changes, so no plane is shared between chunks. T
 order of the axes and positions. So the result does not depend on threads or chunks.
 
 **What we changed.** Most chunks are not searched, and the others only for nodes that may have their best plane there. The
-counts before and behind a chunk bound the cost of all its planes from below. The exact cost is known for planes at which chunks
-begin. A chunk whose bound exceeds the least of these costs cannot contain a node's best plane (`may_contain_best`). A few
+counts before and behind a chunk bound the cost of all its planes from below. They also give the cost of a node's first plane in
+each chunk. A chunk whose bound exceeds the least of these costs cannot contain a node's best plane (`may_contain_best`). A few
 percent of the chunks remain (notebooks/records/2026-11-21-kdtree-builders.md).
 
 References:
@@ -77,7 +77,7 @@ def chunk_begin(events: Events, axis: int, chunk: int):
     f"""
     const size_t row = (size_t)axis * events.value.shape[1];
     auto* of_node = counts.data + ((size_t)axis * counts.shape[1] + chunk) * counts.shape[2];
-    for (int node = 0; node < counts.shape[2]; ++node) of_node[node].c[0] = of_node[node].c[1] = 0;
+    for (int node = 0; node < counts.shape[2]; ++node) of_node[node].c[0] = of_node[node].c[1] = 0, of_node[node].c[2] = -1;
     for (int i = begin; i < end; ++i) {{
         const int value = events.value.data[row + i], kind = value & 3, triangle = value >> 2;
         const int begins = kind != {int(END)}, ends = kind != {int(START)};
@@ -89,6 +89,7 @@ def chunk_begin(events: Events, axis: int, chunk: int):
             auto& count = of_node[nodes[m]];
             count.c[0] += begins;
             count.c[1] += ends;
+            if (count.c[2] < 0) count.c[2] = i;
         }}
     }}
 """
@@ -100,19 +101,50 @@ def count_range(
     begin: int,
     end: int,
     membership: Membership,
-    counts: wp.array3d(dtype=wp.vec2i),
+    counts: wp.array3d(dtype=wp.vec3i),
 ):
-    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk."""
+    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk, and finds
+    the node's first event there."""
     ...
 
 
 @wp.kernel
-def count_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=wp.vec2i)):
-    """Item: axis * chunks + chunk. counts: (3, chunks, nodes), (triangles that begin, triangles that end) in the chunk."""
+def count_events(first: int, events: Events, membership: Membership, counts: wp.array3d(dtype=wp.vec3i)):
+    """Item: axis * chunks + chunk.
+
+    counts: (3, chunks, nodes) output: triangles that begin in the chunk, triangles that end, and the first event or -1."""
     item = first + wp.tid()
     axis = item / counts.shape[1]
     chunk = item % counts.shape[1]
     count_range(events, axis, chunk, chunk_begin(events, axis, chunk), chunk_begin(events, axis, chunk + 1), membership, counts)
+
+
+@wp.kernel
+def sum_blocks(first: int, block_chunks: int, counts: wp.array3d(dtype=wp.vec3i), sums: wp.array3d(dtype=wp.vec2i)):
+    """Item: axis * blocks + block. Adds the counts of the block's chunks. sums: (3, blocks, nodes) output."""
+    item = first + wp.tid()
+    axis = item / sums.shape[1]
+    block = item % sums.shape[1]
+    row = sums[axis, block]
+    for index in range(row.shape[0]):
+        row[index] = wp.vec2i(0, 0)
+    for chunk in range(block * block_chunks, wp.min(counts.shape[1], (block + 1) * block_chunks)):
+        of_chunk = counts[axis, chunk]
+        for index in range(row.shape[0]):
+            here = of_chunk[index]
+            row[index] = row[index] + wp.vec2i(here[0], here[1])
+
+
+@wp.kernel
+def scan_blocks(first: int, sums: wp.array3d(dtype=wp.vec2i)):
+    """Item: an axis. Turns the sums of blocks into the counts before them."""
+    axis = first + wp.tid()
+    for index in range(sums.shape[2]):
+        total = wp.vec2i(0, 0)
+        for block in range(sums.shape[1]):
+            here = sums[axis, block, index]
+            sums[axis, block, index] = total
+            total += here
 
 
 @wp.kernel
@@ -121,30 +153,48 @@ def scan_chunks(
     cost: SplitCost,
     events: Events,
     nodes: wp.array(dtype=LiveNode),
-    counts: wp.array3d(dtype=wp.vec2i),
-    least_known_cost: wp.array2d(dtype=float),
+    block_chunks: int,
+    counts: wp.array3d(dtype=wp.vec3i),
+    before: wp.array3d(dtype=wp.vec2i),
+    block_cost: wp.array3d(dtype=float),
 ):
-    """Item: axis * nodes + node. Turns the counts of chunks into the counts before them.
+    """Item: axis * blocks + block. Turns the counts of the block's chunks into the counts before them.
 
-    least_known_cost: (3, nodes) output, least cost of the planes at which chunks begin."""
+    before: (3, blocks, nodes) counts before the block; overwritten. block_cost: (3, blocks, nodes) output, the least cost of each
+    node's first planes in the block's chunks."""
     item = first + wp.tid()
-    axis = item / counts.shape[2]
-    index = item % counts.shape[2]
-    node = nodes[index]
-    along = axis_frame(cost, axis, node.low, node.high, node.triangles)
-    total = wp.vec2i(0, 0)
+    axis = item / before.shape[1]
+    block = item % before.shape[1]
+    total = before[axis, block]
+    least = block_cost[axis, block]
+    for index in range(total.shape[0]):
+        least[index] = INFINITY
+    for chunk in range(block * block_chunks, wp.min(counts.shape[1], (block + 1) * block_chunks)):
+        of_chunk = counts[axis, chunk]
+        for index in range(total.shape[0]):
+            so_far = total[index]
+            here = of_chunk[index]
+            of_chunk[index] = wp.vec3i(so_far[0], so_far[1], here[2])
+            total[index] = so_far + wp.vec2i(here[0], here[1])
+            if here[2] >= 0:
+                node = nodes[index]
+                position = event_position(events, axis, here[2])
+                if position > node.low[axis] and position < node.high[axis]:
+                    along = axis_frame(cost, axis, node.low, node.high, node.triangles)
+                    # what ends there still counts as on the right: the plane costs no more than this
+                    known = plane_cost(cost, along, position, so_far[0], node.triangles - so_far[1])
+                    least[index] = wp.min(least[index], known)
+
+
+@wp.kernel
+def least_of_blocks(first: int, block_cost: wp.array3d(dtype=float), least_known_cost: wp.array(dtype=float)):
+    """Item: a live node. least_known_cost: (nodes,) output, its least cost of all blocks and axes."""
+    index = first + wp.tid()
     least = float(INFINITY)
-    for chunk in range(counts.shape[1]):
-        here = counts[axis, chunk, index]
-        counts[axis, chunk, index] = total
-        begin = chunk_begin(events, axis, chunk)
-        if begin < events.count[axis]:
-            position = event_position(events, axis, begin)
-            if position > along.low and position < along.high:
-                # what ends there still counts as on the right: the plane costs no more than this
-                least = wp.min(least, plane_cost(cost, along, position, total[0], node.triangles - total[1]))
-        total += here
-    least_known_cost[axis, index] = least
+    for axis in range(3):
+        for block in range(block_cost.shape[1]):
+            least = wp.min(least, block_cost[axis, block, index])
+    least_known_cost[index] = least
 
 
 @wp.func
@@ -155,14 +205,13 @@ def may_contain_best(
     end: float,
     left: int,
     right: int,
-    index: int,
-    least_known_cost: wp.array2d(dtype=float),
+    known: float,
 ):
     """Whether a plane of a chunk may be a node's best. left triangles begin before the chunk, right ones end behind it, and its
-    positions are begin .. end. The bound is the least cost of a split of the node without the slab between these positions."""
+    positions are begin .. end. known: the least cost of the node's first planes in the chunks. The bound is the least cost of a split
+    of the node without the slab between these positions."""
     low = wp.max(begin, along.low)
     high = wp.min(end, along.high)
-    known = wp.min(least_known_cost[0, index], wp.min(least_known_cost[1, index], least_known_cost[2, index]))
     thin = along
     thin.high = along.high - (high - low)
     return low <= high and not (plane_cost(cost, thin, low, left, right) > known * SLACK)
@@ -201,8 +250,8 @@ def search_planes(
     events: Events,
     membership: Membership,
     nodes: wp.array(dtype=LiveNode),
-    before: wp.array3d(dtype=wp.vec2i),
-    least_known_cost: wp.array2d(dtype=float),
+    before: wp.array3d(dtype=wp.vec3i),
+    least_known_cost: wp.array(dtype=float),
     frames: wp.array3d(dtype=AxisFrame),
     sweeps: wp.array3d(dtype=Sweep),
 ):
@@ -221,9 +270,9 @@ def search_planes(
     for index in range(before.shape[2]):
         node = nodes[index]
         counts = before[axis, chunk, index]
-        behind = wp.vec2i(node.triangles, node.triangles)
+        ended = node.triangles
         if chunk + 1 < before.shape[1]:
-            behind = before[axis, chunk + 1, index]
+            ended = before[axis, chunk + 1, index][1]
         row[index] = start_sweep(counts[0], node.triangles - counts[1])
         along[index] = axis_frame(cost, axis, node.low, node.high, node.triangles)
         is_candidate = bool(False)
@@ -231,7 +280,7 @@ def search_planes(
             at = event_position(events, axis, begin)
             to = event_position(events, axis, end - 1)
             is_candidate = may_contain_best(
-                cost, along[index], at, to, counts[0], node.triangles - behind[1], index, least_known_cost
+                cost, along[index], at, to, counts[0], node.triangles - ended, least_known_cost[index]
             )
         if is_candidate:
             any_candidate = True
@@ -270,9 +319,12 @@ def decide(
 
 @wp.kernel
 def emit_children(first: int, nodes: wp.array(dtype=LiveNode), children: wp.array(dtype=LiveNode), count: wp.array(dtype=int)):
-    """One item. Lists the next level's nodes in order. count: (2,) number of its nodes and of those that are not finished."""
+    """One item. Lists the next level's nodes in order.
+
+    count: (3,) number of its nodes, of those that are not finished, and of the triangles of the largest of the latter."""
     total = int(0)
     open_nodes = int(0)
+    largest = int(0)
     for index in range(nodes.shape[0]):
         node = nodes[index]
         node.left = total
@@ -293,8 +345,10 @@ def emit_children(first: int, nodes: wp.array(dtype=LiveNode), children: wp.arra
             children[total + 1] = right
             total += 2
             open_nodes += 2
+            largest = wp.max(largest, wp.max(left.triangles, right.triangles))
     count[0] = total
     count[1] = open_nodes
+    count[2] = largest
 
 
 @wp.func

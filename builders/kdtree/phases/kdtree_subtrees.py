@@ -112,13 +112,14 @@ class Method:
 
 @cache
 def make_build_subtrees(method: Method) -> wp.Kernel:
-    """The kernel that builds the tasks' subtrees; one item is a task. frames: (tasks,) roots. stack: (tasks, STACK)."""
+    """The kernel that builds the tasks' subtrees; item i is the task order[i]. frames: (tasks,) roots. stack: (tasks, STACK)."""
     memory_type, search, divide, emit_leaf = method.memory, method.search, method.divide, method.emit_leaf
 
     def build_subtrees(
         first: int,
         cost: SplitCost,
         limits: StopLimits,
+        order: wp.array(dtype=int),
         tasks: wp.array(dtype=Task),
         frames: wp.array(dtype=Frame),
         memory: memory_type,
@@ -126,7 +127,7 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
         stack: wp.array2d(dtype=Frame),
         results: wp.array(dtype=Result),
     ):
-        number = first + wp.tid()
+        number = order[first + wp.tid()]
         task = tasks[number]
         frame = frames[number]
         width = 1 << cost.width_bits
@@ -214,6 +215,8 @@ class Reservation:
         total = self._share("blocks", ((1 + spare) * 2 * sizes / width).astype(np.int64) + 64)
         self.parts.primitive = wp.empty(total * width, dtype=int, device=device)
         self.tasks = wp.array(self.rooms, dtype=Task, device=device)
+        self.order = wp.array(np.argsort(-sizes, kind="stable"), dtype=int, device=device)
+        """Tasks from the largest to the smallest: a thread that begins a large one last keeps the others waiting."""
 
     def _share(self, name: str, capacity: np.ndarray) -> int:
         self.rooms[f"{name}_first"] = np.cumsum(capacity) - capacity
@@ -225,7 +228,7 @@ class Reservation:
 def build_subtrees(
     method: Method, triangles: TriangleBoxes, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
 ) -> wp.array:
-    """Builds all subtrees; the threads take them from one pool. Returns the result of each task.
+    """Builds all subtrees, the largest first; the threads take them from one pool. Returns the result of each task.
 
     Args:
         method: how subtrees are built.
@@ -239,6 +242,6 @@ def build_subtrees(
     stack = wp.empty((count, STACK), dtype=Frame, device=device)
     results = wp.empty(count, dtype=Result, device=device)
     rules = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size)]
-    inputs = [*rules, room.tasks, frames, memory, room.parts, stack, results]
+    inputs = [*rules, room.order, room.tasks, frames, memory, room.parts, stack, results]
     launch(specialise(make_build_subtrees, method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
     return results
