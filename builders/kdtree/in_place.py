@@ -53,8 +53,8 @@ from wrt.kernels.layout.struct_arrays import array_of_structs
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
 
 MIN_TASKS = 8
-"""Least number of live nodes at which the build switches to subtrees, with two to eight threads; with more, one per thread. Small,
-because every level that the threads split together costs each of them a pass over memory
+"""Least number of live nodes at which the build switches to subtrees, with two to eight threads; with more, one per thread.
+Small, because every level that the threads split together costs each of them a pass over memory
 (notebooks/records/2026-11-22-scaling.md)."""
 
 LARGEST_SHARE = 1.2
@@ -175,7 +175,7 @@ class InPlaceBuilder:
         membership.node = wp.zeros(self.triangles.count, dtype=int, device=self.device)
         membership.shared = wp.empty(1, dtype=int, device=self.device)
         open_nodes, largest = 1, self.triangles.count
-        while 0 < open_nodes and len(self.levels) < MAX_LEVELS and (open_nodes < target.tasks or largest > target.triangles):
+        while open_nodes > 0 and len(self.levels) < MAX_LEVELS and (open_nodes < target.tasks or largest > target.triangles):
             self.split_level(events, membership)
             children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
             counts = wp.empty(3, dtype=int, device=self.device)

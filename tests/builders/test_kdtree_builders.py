@@ -214,9 +214,9 @@ def use_tasks(monkeypatch, tasks):
 
 
 def test_levels_leave_out_no_chunk_for_a_plane_that_is_no_event_of_the_node():
-    """Levels once took the cost of a plane just above flat ground, where a chunk began but no event of the node lay, for one that
-    the node could have. It was less than the node's best, so the chunk with the best was left out: other trees with 12 threads
-    than with one."""
+    """Levels once took the cost of a plane just above flat ground, where a chunk began but no event of the node lay, for one
+    that the node could have. It was less than the node's best, so the chunk with the best was left out: another tree with 12
+    threads than with one."""
     mesh = wrt.scenes.build("teapot", level=40)
     with use_threads(1):
         reference, _ = build(mesh)

@@ -103,8 +103,8 @@ def count_range(
     membership: Membership,
     counts: wp.array3d(dtype=wp.vec3i),
 ):
-    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk, and finds
-    the node's first event there."""
+    """Counts, per live node, the triangles that begin and those that end among the events begin .. end - 1 of a chunk, and
+    finds the node's first event there."""
     ...
 
 
@@ -160,8 +160,8 @@ def scan_chunks(
 ):
     """Item: axis * blocks + block. Turns the counts of the block's chunks into the counts before them.
 
-    before: (3, blocks, nodes) counts before the block; overwritten. block_cost: (3, blocks, nodes) output, the least cost of each
-    node's first planes in the block's chunks."""
+    before: (3, blocks, nodes) counts before the block; overwritten. block_cost: (3, blocks, nodes) output, the least cost of
+    each node's first planes in the block's chunks."""
     item = first + wp.tid()
     axis = item / before.shape[1]
     block = item % before.shape[1]
@@ -208,8 +208,8 @@ def may_contain_best(
     known: float,
 ):
     """Whether a plane of a chunk may be a node's best. left triangles begin before the chunk, right ones end behind it, and its
-    positions are begin .. end. known: the least cost of the node's first planes in the chunks. The bound is the least cost of a split
-    of the node without the slab between these positions."""
+    positions are begin .. end. known: the least cost of the node's first planes in the chunks. The bound is the least cost of a
+    split of the node without the slab between these positions."""
     low = wp.max(begin, along.low)
     high = wp.min(end, along.high)
     thin = along

@@ -112,7 +112,7 @@ class Method:
 
 @cache
 def make_build_subtrees(method: Method) -> wp.Kernel:
-    """The kernel that builds the tasks' subtrees; item i is the task order[i]. frames: (tasks,) roots. stack: (tasks, STACK)."""
+    """The kernel that builds the tasks' subtrees. Item i: the task order[i]. frames: (tasks,) roots. stack: (tasks, STACK)."""
     memory_type, search, divide, emit_leaf = method.memory, method.search, method.divide, method.emit_leaf
 
     def build_subtrees(
