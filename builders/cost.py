@@ -132,7 +132,7 @@ class AxisFrame:
     high: float
     face: float
     """Half the area of the two faces perpendicular to the axis; 0 with a mailbox, see the module's docstring."""
-    rim: float
+    perimeter: float
     """Half the perimeter of such a face."""
     inverse_area: float
     base: float
@@ -172,8 +172,8 @@ def axis_frame(cost: SplitCost, axis: int, low: wp.vec3, high: wp.vec3, triangle
     frame.low = low[axis]
     frame.high = high[axis]
     frame.face = one * two
-    frame.rim = one + two
-    frame.inverse_area = 1.0 / (frame.face + size[axis] * frame.rim)
+    frame.perimeter = one + two
+    frame.inverse_area = 1.0 / (frame.face + size[axis] * frame.perimeter)
     frame.base = cost.traversal
     if cost.mailbox:
         frame.base = cost.traversal + leaf_cost(cost, triangles) * (frame.face * frame.inverse_area)
@@ -185,8 +185,8 @@ PLANE_COST = (
     LEAF_COST
     + """
     const auto plane_cost = [&](float position, int left, int right) {
-        const float area_left = (frame.face + (position - frame.low) * frame.rim) * frame.inverse_area;
-        const float area_right = (frame.face + (frame.high - position) * frame.rim) * frame.inverse_area;
+        const float area_left = (frame.face + (position - frame.low) * frame.perimeter) * frame.inverse_area;
+        const float area_right = (frame.face + (frame.high - position) * frame.perimeter) * frame.inverse_area;
         const float split_cost = frame.base + (area_left * leaf_cost(left) + area_right * leaf_cost(right));
         return left == 0 || right == 0 ? split_cost * cost.empty_factor : split_cost;
     };

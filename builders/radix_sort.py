@@ -159,11 +159,11 @@ def sort_rows(keys: wp.array, values: wp.array, count: wp.vec3i) -> None:
     chunks = max(1, -(-most // size))
     places = wp.empty((3, int(DIGITS) * chunks), dtype=int, device=device)
     scan = PreparedLaunch(scan_digits, [places], device)
-    one_by_one = Chunks(1, 1)
+    single_items = Chunks(1, 1)
     for number in range(PASSES):
         source, target = (0, half) if number % 2 == 0 else (half, 0)
         part = [count, size, source, 8 * number, places]
-        PreparedLaunch(count_digits, [keys, *part], device).run(3 * chunks, one_by_one)
-        scan.run(3, one_by_one)
+        PreparedLaunch(count_digits, [keys, *part], device).run(3 * chunks, single_items)
+        scan.run(3, single_items)
         part = [count, size, source, target, 8 * number, places]
-        PreparedLaunch(move_keys, [keys, values, *part], device).run(3 * chunks, one_by_one)
+        PreparedLaunch(move_keys, [keys, values, *part], device).run(3 * chunks, single_items)

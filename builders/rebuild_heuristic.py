@@ -89,14 +89,14 @@ def degraded_subtrees(
                 visited &= ~degraded
         found = [search(int(below[i]), share * float(probability[i])) for i in np.flatnonzero(visited)]
         parts += [part for below_child in found for part in below_child]
-        several = sum(map(bool, found)) > 1
-        if len(parts) > MAX_SUBTREES or (several and triangles is not None and more_work(parts, node, triangles)):
+        is_multiple = sum(map(bool, found)) > 1
+        if len(parts) > MAX_SUBTREES or (is_multiple and triangles is not None and costs_more(parts, node, triangles)):
             return [(node,)]
         return parts
 
     return search(0, 1.0)
 
 
-def more_work(parts: list[Part], node: int, triangles: Triangles) -> bool:
+def costs_more(parts: list[Part], node: int, triangles: Triangles) -> bool:
     """Whether the parts of a node list more triangles in total than the whole node."""
     return sum(len(triangles(child)) for part in parts for child in part) > len(triangles(node))

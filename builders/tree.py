@@ -66,7 +66,6 @@ class StopRules:
 
     Raises:
         ValueError: a value is out of range, or the termination is unknown.
-        ValueError: a value is out of range, or an unknown termination.
 
     References:
         V. Havran, J. Bittner: On improving kd-trees for ray shooting. WSCG 2002.
@@ -115,8 +114,8 @@ class PathState:
 
 
 @wp.func
-def advance_path(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: PathState, split: Split, size: wp.vec3):
-    """The allowances of the children of a node whose box has this size. `bad_splits` is -1 if the node becomes a leaf instead.
+def stop(limits: StopLimits, cost: SplitCost, depth: int, triangles: int, path: PathState, split: Split, size: wp.vec3):
+    """Phase "stop": the allowances of the children of a node whose box has this size; `bad_splits` is -1 if it becomes a leaf.
 
     The bound on the growth of every path bounds the references of all leaves together, to the same multiple of the triangles.
     """

@@ -65,7 +65,7 @@ class TriangleFans:
         return np.diff(self.first) - 1
 
 
-class _Cutter:
+class _FanBuilder:
     """The remaining triangles and their adjacency."""
 
     def __init__(self, faces: np.ndarray) -> None:
@@ -136,20 +136,20 @@ def build_fans(faces: np.ndarray) -> TriangleFans:
     """
     faces = np.asarray(faces)
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    cutter = _Cutter(faces[proper])
+    fan_builder = _FanBuilder(faces[proper])
     number = np.flatnonzero(proper)
-    fitness = {vertex: cutter.fitness(vertex) for vertex in cutter.at}
+    fitness = {vertex: fan_builder.fitness(vertex) for vertex in fan_builder.at}
     queue = [(-value, vertex) for vertex, value in fitness.items()]
     heapify(queue)
     fans = [(int(faces[n, 0]), [int(v) for v in faces[n, 1:]], [int(n)]) for n in np.flatnonzero(~proper)]
     while queue:
         value, centre = heappop(queue)
-        if -value != fitness.get(centre) or not cutter.at[centre]:
+        if -value != fitness.get(centre) or not fan_builder.at[centre]:
             continue
-        rows = cutter.take(centre)
-        fans += [(centre, rim_of(centre, [cutter.faces[n] for n in row]), number[row].tolist()) for row in rows]
-        for vertex in cutter.near(rows):
-            changed = cutter.fitness(vertex) if cutter.at[vertex] else None
+        rows = fan_builder.take(centre)
+        fans += [(centre, rim_of(centre, [fan_builder.faces[n] for n in row]), number[row].tolist()) for row in rows]
+        for vertex in fan_builder.near(rows):
+            changed = fan_builder.fitness(vertex) if fan_builder.at[vertex] else None
             if changed is not None and changed != fitness[vertex]:
                 heappush(queue, (-changed, vertex))
             fitness[vertex] = changed

@@ -75,7 +75,7 @@ def trees(triangles: int) -> dict[str, wrt.KdTree | wrt.Bvh]:
 def traversals(scene: wrt.Scene, query: str) -> list[str]:
     """Those that answer a query on the scene's tree."""
     kind, lazy = scene.accelerator.kind, scene.lazy_tree is not None
-    return [n for n, way in TRAVERSALS.items() if kind in way.trees and way.answers(query, kind) and not (lazy and way.wide)]
+    return [n for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind) and not (lazy and way.wide)]
 
 
 def check_inside(scene: wrt.Scene, body: Body, rng: np.random.Generator, count: int, ways: tuple[str, str]) -> dict[str, int]:

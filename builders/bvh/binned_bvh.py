@@ -40,7 +40,7 @@ from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode, Totals, make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
 from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_kernels
-from wrt.builders.bvh.phases.reinsertion import find_places, reinsert
+from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import array_of_structs
@@ -117,7 +117,7 @@ class BinnedBuilder:
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""
-        moving = [find_places] if self.config.reinsertion else []
+        moving = [find_insertion_positions] if self.config.reinsertion else []
         return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *moving, *collapse_kernels(self.heuristic)]
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
@@ -145,22 +145,22 @@ class BinnedBuilder:
             return
         root.chunk_count = chunks
         root.part_count = chunks
-        most_nodes = count // self.large + 1
-        most_chunks = chunks + most_nodes
-        nodes = [wp.empty(most_nodes, dtype=LiveNode, device=device) for _ in range(2)]
-        lists = [wp.empty(most_chunks, dtype=Chunk, device=device) for _ in range(2)]
-        tasks = wp.empty(2 * most_nodes * MAX_LEVELS, dtype=Frame, device=device)
-        top = wp.empty(most_nodes * MAX_LEVELS, dtype=int, device=device)
+        max_nodes = count // self.large + 1
+        max_chunks = chunks + max_nodes
+        nodes = [wp.empty(max_nodes, dtype=LiveNode, device=device) for _ in range(2)]
+        lists = [wp.empty(max_chunks, dtype=Chunk, device=device) for _ in range(2)]
+        tasks = wp.empty(2 * max_nodes * MAX_LEVELS, dtype=Frame, device=device)
+        top = wp.empty(max_nodes * MAX_LEVELS, dtype=int, device=device)
         numbers = wp.array([1, chunks, 0, 0, 0], dtype=int, device=device)
         totals = wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=device)
-        scratch = make_scratch(most_chunks + most_nodes, device)
-        domain = wp.empty(8 * most_chunks, dtype=float, device=device)
+        scratch = make_scratch(max_chunks + max_nodes, device)
+        domain = wp.empty(8 * max_chunks, dtype=float, device=device)
         wp.copy(nodes[0], array_of_structs([root], LiveNode, device), count=1)
         self.run(level_phase.cut_root, 1, nodes[0], size, lists[0])
 
         def level(nodes: wp.array, lists: wp.array, next_nodes: wp.array, next_lists: wp.array) -> list[Step]:
             binned = [self.rules, self.references, nodes, lists, self.parts, domain, scratch]
-            searched = [self.rules, self.rays, count, nodes, lists, domain, scratch, most_chunks, self.tree]
+            searched = [self.rules, self.rays, count, nodes, lists, domain, scratch, max_chunks, self.tree]
             moved = [self.references, nodes, lists, self.parts]
             emitted = [count, self.large, size, MAX_LEVELS, nodes, next_nodes, next_lists, tasks, top, totals]
             return [

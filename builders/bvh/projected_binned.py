@@ -56,7 +56,7 @@ BOX_FLOATS = 6 * SIDES
 
 
 @wp.struct
-class Attempt:
+class AxisSearch:
     """The best plane so far."""
 
     plane: Plane
@@ -136,7 +136,7 @@ def sweep_axis(
     }}
     return by_near ? {float(NEEDS_NEAR)}f : by_window ? {float(NEEDS_WINDOW)}f : 0.0f;
 """)
-def most_needed(areas: wp.array(dtype=float), count: int) -> float:
+def areas_needed(areas: wp.array(dtype=float), count: int) -> float:
     """The most complete clipping that any of the boxes needs: NEEDS_NEAR, NEEDS_WINDOW, or 0.0 for none."""
     ...
 
@@ -149,7 +149,7 @@ def add_projected(mixture: Mixture, count: int, boxes: wp.array(dtype=float), we
         view = mixture.views[v]
         factor = mixture.factor[v]
         whole_areas(view, boxes, count, areas)
-        needed = most_needed(areas, count)
+        needed = areas_needed(areas, count)
         if needed < 0.0:
             clipped_areas(view, boxes, count, needed == NEEDS_NEAR, areas)
         for i in range(count):
@@ -167,7 +167,7 @@ def try_axis(
     count: int,
     boxes: wp.array(dtype=float),
     weights: wp.array(dtype=float),
-    best: Attempt,
+    best: AxisSearch,
 ):
     """`best`, or the plane of least cost of an axis if that costs less; ties go to the smaller bin."""
     first = slot * SLOT_BINS + axis * bins
@@ -201,7 +201,7 @@ def cheapest_by_projection(
     rules: BuildRules, rays: KnownRays, binning: Binning, scratch: Scratch, slot: int, tree: BinaryTree, frame: Frame
 ):
     """The plane of least cost on the axes that are tried (Falcone 2024, Algorithm 5.1)."""
-    best = Attempt()
+    best = AxisSearch()
     best.plane = no_plane()
     if frame.depth + halvings(frame.count) < rays.max_depth:
         boxes = wp.zeros(shape=(BOX_FLOATS,), dtype=float)

@@ -8,7 +8,8 @@ three lists are partitioned stably, so that they stay sorted. (The cost is that 
 
 **Data.** Three lists of triangle ids, sorted by centroid, and the areas of the suffixes of one list (`Workspace`).
 
-**Phases** of a node, in `build_by_sweep`: stop, `search`, `partition`, emit.
+**Phases** of a node, called by `build_by_sweep`: `stop`, then `search` (`sweep_axis` for each axis), `partition`, which
+classifies by `mark_sides`, and `emit_inner`, or `emit_leaf`.
 
 Large nodes are split level by level, parallel over chunks of their lists (`sweep_levels`). The others are tasks, each of which
 builds a subtree depth first.
@@ -37,7 +38,7 @@ from wrt.builders.bvh.phases.binary_tree import (
     split_cost,
 )
 from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse
-from wrt.builders.bvh.phases.reinsertion import find_places, reinsert
+from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
 from wrt.builders.bvh.phases.sweep_lists import (
     Partition,
@@ -70,33 +71,49 @@ MIN_LARGE = 4096
 
 
 @wp.func
-def search(rules: BuildRules, lists: SweepLists, frame: Frame):
-    """The partition of least cost; ties go to the smaller axis, then to the smaller left side."""
+def stop(rules: BuildRules, frame: Frame):
+    """Whether a node becomes a leaf; the collapse may merge leaves."""
+    return frame.count <= rules.grain
+
+
+@wp.func
+def sweep_axis(rules: BuildRules, lists: SweepLists, frame: Frame, axis: int, best: Partition):
+    """The better of `best` and the partitions along an axis; ties go to `best`, then to the smaller left side."""
+    box = empty_box()
+    for k in range(frame.count - 1):
+        i = frame.first + frame.count - 1 - k
+        box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
+        lists.suffix[axis, i] = area_of(box)
+    box = empty_box()
+    for left in range(1, frame.count):
+        i = frame.first + left
+        box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i - 1])
+        cost = split_cost(
+            area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
+        )
+        if cost < best.cost:
+            best.cost = cost
+            best.axis = axis
+            best.left = left
+    return best
+
+
+@wp.func
+def search(rules: BuildRules, lists: SweepLists, tree: BinaryTree, frame: Frame):
+    """The partition of least cost; the middle of the list if there is no finite cost, or the tree is too deep."""
     best = Partition()
     best.cost = INFINITY
-    for axis in range(3):
-        box = empty_box()
-        for k in range(frame.count - 1):
-            i = frame.first + frame.count - 1 - k
-            box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i])
-            lists.suffix[axis, i] = area_of(box)
-        box = empty_box()
-        for left in range(1, frame.count):
-            i = frame.first + left
-            box = enlarged(box, lists, lists.sorted[axis, frame.buffer + i - 1])
-            cost = split_cost(
-                area_of(box), leaf_cost(rules.cost, left), lists.suffix[axis, i], leaf_cost(rules.cost, frame.count - left)
-            )
-            if cost < best.cost:
-                best.cost = cost
-                best.axis = axis
-                best.left = left
+    if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
+        for axis in range(3):
+            best = sweep_axis(rules, lists, frame, axis, best)
+    if best.cost == INFINITY:
+        best.left = middle(frame.count, rules.cost.width_bits)
     return best
 
 
 @wp.func
 def partition(lists: SweepLists, frame: Frame, best: Partition):
-    """Partitions the three lists of a node stably."""
+    """Classifies by `mark_sides`, and partitions the three lists of a node stably."""
     mark_sides(lists, frame, best, frame.first, frame.first + frame.count)
     for axis in range(3):
         left = frame.buffer + frame.first
@@ -122,6 +139,20 @@ def write_box(lists: SweepLists, frame: Frame, tree: BinaryTree):
     store_box(tree.box, frame.node, box)
 
 
+@wp.func
+def emit_leaf(lists: SweepLists, frame: Frame, tree: BinaryTree):
+    """Writes a leaf: its triangles in the order along x."""
+    tree.pair[frame.node] = LEAF
+    for i in range(frame.first, frame.first + frame.count):
+        tree.order[i] = lists.sorted[0, frame.buffer + i]
+
+
+@wp.func
+def emit_inner(tree: BinaryTree, frame: Frame, pair: int):
+    """Writes an inner node, whose children are a pair."""
+    tree.pair[frame.node] = pair
+
+
 @wp.kernel
 def build_by_sweep(
     first: int,
@@ -140,30 +171,18 @@ def build_by_sweep(
     waiting = int(0)
     building = bool(True)
     while building:
-        # stop, search
         write_box(lists, frame, tree)
         tree.range[frame.node] = wp.vec2i(frame.first, frame.count)
-        area = half_area(tree.box, frame.node)
-        best = Partition()
-        best.cost = INFINITY
-        split = frame.count > rules.grain
-        if split and area > 0.0 and not must_split_at_median(frame.depth, frame.count):
-            best = search(rules, lists, frame)
-        if not split:
-            # emit
-            tree.pair[frame.node] = LEAF
-            for i in range(frame.first, frame.first + frame.count):
-                tree.order[i] = lists.sorted[0, frame.buffer + i]
+        if stop(rules, frame):
+            emit_leaf(lists, frame, tree)
             waiting -= 1
             building = waiting >= 0
             if building:
                 frame = stack[number, waiting]
         else:
-            # partition
-            if best.cost == INFINITY:
-                best.left = middle(frame.count, rules.cost.width_bits)
+            best = search(rules, lists, tree, frame)
             partition(lists, frame, best)
-            tree.pair[frame.node] = next_pair
+            emit_inner(tree, frame, next_pair)
             right = frame
             right.node = 2 * next_pair + 1
             right.first += best.left
@@ -181,7 +200,7 @@ def build_by_sweep(
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
     device, count, rules = triangles.boxes.low.device, triangles.count, config.struct()
-    load([emit_keys, bound_chunks, build_by_sweep, find_places], device)
+    load([emit_keys, bound_chunks, build_by_sweep, find_insertion_positions], device)
     phase, threads = Phases(device), get_num_threads()
     large = max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
     tree = empty_tree(count, device)

@@ -94,14 +94,14 @@ class Cells:
     """(nodes,) the first reference of the leaves below, and their number."""
     position: wp.array(dtype=int)
     """(nodes,) its node of the binary tree. An inner node with an empty child shares it with the other child."""
-    parted: wp.array(dtype=int)
-    """(parted,) nodes of the binary tree with children in two cells, parents before children; sized for all nodes."""
+    split_nodes: wp.array(dtype=int)
+    """(split_nodes,) nodes of the binary tree with children in two cells, parents before children; sized for all nodes."""
     pairs: wp.array(dtype=int)
-    """(parted,) pairs of their children."""
+    """(split_nodes,) pairs of their children."""
     whole: wp.array(dtype=int)
     """(whole,) nonempty nodes of the kd-tree that are kept whole."""
     totals: wp.array(dtype=int)
-    """(2,) lengths of the lists parted and whole."""
+    """(2,) lengths of the lists `split_nodes` and `whole`."""
 
 
 @wp.struct
@@ -153,7 +153,7 @@ def set_position(cells: Cells, node: int, position: int, first_reference: int):
 def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: Cells, tree: BinaryTree):
     """One item. Places nodes, parents before children. The root's cell and its position, 0, are set. most: references of a node
     that is kept whole."""
-    parted = int(0)
+    split_nodes = int(0)
     whole = int(0)
     for at in range(nodes.shape[0]):
         node = nodes[at]
@@ -176,15 +176,15 @@ def place_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), most: int, cells: C
                 pair = references[0] + on_left
                 tree.pair[position] = pair
                 tree.range[position] = wp.vec2i(references[0], NO_LEAF)
-                cells.parted[parted] = position
-                cells.pairs[parted] = pair
-                parted += 1
+                cells.split_nodes[split_nodes] = position
+                cells.pairs[split_nodes] = pair
+                split_nodes += 1
                 set_position(cells, left, 2 * pair, references[0])
                 set_position(cells, right, 2 * pair + 1, pair)
             else:
                 set_position(cells, left, position, references[0])
                 set_position(cells, right, position, references[0])
-    cells.totals[0] = parted
+    cells.totals[0] = split_nodes
     cells.totals[1] = whole
 
 
@@ -286,7 +286,7 @@ def join_boxes(first: int, cells: Cells, tree: BinaryTree):
         for component in range(8):
             left = tree.box[cells.pairs[at] * 16 + component]
             right = tree.box[cells.pairs[at] * 16 + 8 + component]
-            tree.box[cells.parted[at] * 8 + component] = wp.min(left, right)
+            tree.box[cells.split_nodes[at] * 8 + component] = wp.min(left, right)
 
 
 def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undivided_blocks: int = MAX_UNDIVIDED_BLOCKS) -> Bvh:
@@ -318,7 +318,7 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
             for array in (binary.pair, binary.range, binary.box):
                 array.zero_()
         launch(place_nodes, 1, [nodes, undivided_blocks * config.cost.width, cells, binary], device=device)
-        parted, whole = cells.totals.numpy().tolist()
+        split_nodes, whole = cells.totals.numpy().tolist()
     with phase("divide"):
         runs = -(-whole // LISTS_PER_ITEM)
         references = wp.empty(16 * max(count, 1), dtype=float, device=device)  # two buffers
@@ -331,7 +331,7 @@ def to_wide_bvh(tree: KdTree, triangles: TriangleBoxes, config: BvhConfig, undiv
         launch(divide_lists, runs, [lists, triangles.boxes, cells, *work], device=device, chunk=1)
         launch(join_boxes, 1, [cells, binary], device=device)
     with phase("collapse"):
-        top = cells.pairs[:parted] if parted else None
+        top = cells.pairs[:split_nodes] if split_nodes else None
         return collapse(BinaryBuild(binary, subtrees, top, references), triangles, config, phase.stats)
 
 
@@ -344,6 +344,6 @@ def _empty_cells(tree: KdTree) -> Cells:
     cells.high[:1].fill_(tree.high)
     cells.references = wp.empty(count, dtype=wp.vec2i, device=device)
     cells.position = wp.zeros(count, dtype=int, device=device)
-    cells.parted, cells.pairs, cells.whole = (wp.empty(count, dtype=int, device=device) for _ in range(3))
+    cells.split_nodes, cells.pairs, cells.whole = (wp.empty(count, dtype=int, device=device) for _ in range(3))
     cells.totals = wp.zeros(2, dtype=int, device=device)
     return cells

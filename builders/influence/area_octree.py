@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from wrt.kernels.influence.region_tests import APART, TOUCHING, Region, classify_pairs
+from wrt.kernels.influence.region_tests import DISJOINT, INTERSECTING, Region, classify_pairs
 from wrt.kernels.runtime.launch import launch
 
 MAX_BYTES = 1 << 30
@@ -64,9 +64,9 @@ class Cells:
         starts = np.repeat(self.begin[:-1][parents], 8) - (ends - sizes)
         area = self.area[np.arange(len(cell)) + starts[cell]]
         state = classify(regions, low, high, cell, area)
-        touching = state != APART
+        touching = state != DISJOINT
         counts = np.bincount(cell[touching], minlength=len(low))
-        mixed = np.bincount(cell[state == TOUCHING], minlength=len(low)) > 0
+        mixed = np.bincount(cell[state == INTERSECTING], minlength=len(low)) > 0
         return Cells(low, high, np.append(0, np.cumsum(counts)), area[touching], mixed)
 
     @classmethod
@@ -145,7 +145,7 @@ def build_octree(
     """(child words, lists of areas) of an octree in the layout of `wrt.kernels.influence.area_assignment.AreaTree`.
 
     The look-up may find a point on the border of two cells in either, and rounding may move it across. A region that touches
-    both cells is therefore classified as not apart from either (`wrt.kernels.influence.region_tests.is_apart`).
+    both cells is therefore classified as disjoint from neither (`wrt.kernels.influence.region_tests.is_separated`).
 
     Args:
         structs: the regions.
@@ -189,7 +189,7 @@ def slices(chosen: np.ndarray, pairs: np.ndarray) -> list[np.ndarray]:
 
 
 def classify(regions: wp.array, low: np.ndarray, high: np.ndarray, cell: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """(pairs,) uint8 APART, TOUCHING or ENCLOSED for pairs of a cell, whose corners are (N, 3), and an area."""
+    """(pairs,) uint8 DISJOINT, INTERSECTING or ENCLOSED for pairs of a cell, whose corners are (N, 3), and an area."""
     corners = [wp.array(np.ascontiguousarray(a), dtype=wp.vec3d, device="cpu", copy=False) for a in (low, high)]
     pairs = [wp.array(a, dtype=int, device="cpu", copy=False) for a in (cell, area)]
     state = wp.empty(len(cell), dtype=wp.uint8, device="cpu")

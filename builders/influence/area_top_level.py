@@ -27,7 +27,7 @@ from wrt.builders.influence.regions import Frustum, Obb, Region, classify_boxes
 from wrt.builders.tree import Bvh
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.influence.area_assignment import AreaTree, list_points
-from wrt.kernels.influence.region_tests import APART
+from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct
 from wrt.kernels.influence.view import AreaView
 from wrt.kernels.runtime.launch import launch
@@ -95,7 +95,7 @@ def triangles_in(region: Region, touch: float, triangles: TriangleBoxes) -> np.n
     low, high = triangles.low + triangles.center, triangles.high + triangles.center
     struct = region.struct(triangles.center, triangle_margin(region, touch, low, high))
     result = classify_boxes([struct], triangles.boxes.low.numpy().T, triangles.boxes.high.numpy().T)
-    return np.flatnonzero(result[:, 0] != APART).astype(np.int32)
+    return np.flatnonzero(result[:, 0] != DISJOINT).astype(np.int32)
 
 
 def select_boxes(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:

@@ -17,7 +17,7 @@ from math import isfinite, radians, sin, tan
 import numpy as np
 import warp as wp
 
-from wrt.kernels.influence.view import AreaView, tell_affine
+from wrt.kernels.influence.view import AreaView, mark_affine_rays
 from wrt.kernels.runtime.launch import launch
 
 Point = tuple[float, float, float]
@@ -53,7 +53,7 @@ class PlaneInfluenceArea:
     up: Point | None = None
 
     def __post_init__(self) -> None:
-        _settle(self)
+        _normalise(self)
         for name in ("width", "height"):
             check_positive(name, getattr(self, name))
         check_positive("depth", self.depth, endless=True)
@@ -111,7 +111,7 @@ class PointInfluenceArea:
     up: Point | None = None
 
     def __post_init__(self) -> None:
-        _settle(self)
+        _normalise(self)
         object.__setattr__(self, "fov", check_numbers("fov", self.fov, 2))
         if not all(0.0 < angle < 180.0 for angle in self.fov):
             raise ValueError(f"fov is {self.fov}; both angles must be above 0 and below 180 degrees")
@@ -178,7 +178,7 @@ def affine_rays(area: InfluenceArea, origins: np.ndarray, directions: np.ndarray
         near = np.ascontiguousarray((origins - center).astype(np.float32))
     rays = [wp.array(a, dtype=wp.vec3, device=device) for a in (near, np.ascontiguousarray(directions))]
     affine = wp.empty(len(near), dtype=wp.bool, device=device)
-    launch(tell_affine, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
+    launch(mark_affine_rays, len(near), [area.view(center), *rays, sin(radians(tolerance)), affine], device=device, chunk=4096)
     return affine.numpy()
 
 
@@ -222,7 +222,7 @@ def check_positive(name: str, value: float, endless: bool = False) -> None:
         raise ValueError(f"{name} is {value}; it must be above 0{'' if endless else ' and finite'}")
 
 
-def _settle(area: InfluenceArea) -> None:
+def _normalise(area: InfluenceArea) -> None:
     """Converts the attributes of an area to tuples, and checks that its directions define a frame."""
     object.__setattr__(area, "position", check_numbers("position", area.position, 3))
     object.__setattr__(area, "direction", check_numbers("direction", area.direction, 3))

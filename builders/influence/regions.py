@@ -122,7 +122,7 @@ class Region:
         Raises:
             ValueError: the last dimension is not 3, or the shapes do not broadcast.
         """
-        return classify_boxes([self.struct()], low, high)[..., 0] != kernel.APART
+        return classify_boxes([self.struct()], low, high)[..., 0] != kernel.DISJOINT
 
     def encloses(self, low: Any, high: Any) -> np.ndarray:
         """Which boxes lie entirely in the region; arguments as in `intersects`."""
@@ -267,8 +267,8 @@ def contain_points(regions: Sequence[Region], points: Any) -> np.ndarray:
 
 
 def classify_boxes(regions: Sequence[kernel.Region], low: Any, high: Any) -> np.ndarray:
-    """(..., regions) uint8 `wrt.kernels.influence.region_tests.APART`, `TOUCHING` or `ENCLOSED` for the corners (..., 3) of
-    boxes."""
+    """(..., regions) uint8 `wrt.kernels.influence.region_tests.DISJOINT`, `INTERSECTING` or `ENCLOSED` for the corners
+    (..., 3) of boxes."""
     low, high = np.broadcast_arrays(_as_points("low", low), _as_points("high", high))
     corners = [wp.array(np.ascontiguousarray(a.reshape(-1, 3).T), dtype=wp.float64, device="cpu") for a in (low, high)]
     count = low.size // 3

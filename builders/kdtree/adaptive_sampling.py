@@ -11,7 +11,7 @@ triangles are searched exactly (`exact_planes`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, which calls `place_samples`,
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, which calls `place_samples`,
 `count_samples` and `search_axis` for each axis. Classify and partition: `reference_lists.divide`, one pass
 over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `kdtree_subtrees` for inner nodes.
 
@@ -115,9 +115,9 @@ class Sample:
 @wp.func
 def lowest_between(along: AxisFrame, a: Sample, b: Sample):
     """Parameter, from 0 at a to 1 at b, at which the quadratic between two samples is lowest."""
-    grown = (b.position - a.position) * along.rim
-    area_left = along.face + (a.position - along.low) * along.rim
-    area_right = along.face + (along.high - a.position) * along.rim
+    grown = (b.position - a.position) * along.perimeter
+    area_left = along.face + (a.position - along.low) * along.perimeter
+    area_right = along.face + (along.high - a.position) * along.perimeter
     more_left = b.left - a.left
     more_right = b.right - a.right
     curvature = grown * (more_left - more_right)

@@ -9,7 +9,7 @@ chosen as in `medians`.
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, which calls `search_axis` and `try_box_faces`.
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, which calls `search_axis` and `try_box_faces`.
 Classify and partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves,
 the loop of `kdtree_subtrees` for inner nodes.
 

@@ -9,7 +9,7 @@ threads share, each of which builds a subtree depth first (`kdtree_subtrees`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search`, by bins or exactly. Classify and partition:
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, by bins or exactly. Classify and partition:
 `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
 `kdtree_subtrees` for inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
 

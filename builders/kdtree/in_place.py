@@ -12,9 +12,9 @@ or ends is tried.
 **Data.** Sorted events of the whole mesh (`event_sort`), and for each triangle the list of its nodes (`membership.Membership`);
 in the tasks, sorted events per node (`event_lists`).
 
-**Phases.** Sort: `sorted_events`. Top levels: `build_levels` (search, stop, emit and classify of `in_place_levels`). Fill:
-`task_fill` copies events and triangles to the tasks. Subtrees: search, stop, classify, partition and emit of `kdtree_subtrees`.
-Assembly: `assemble`.
+**Phases.** Sort: `sorted_events`. Top levels: `search`, `stop`, `emit` and `classify` of `InPlaceBuilder`, for one level after
+the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: search, stop, classify,
+partition and emit of `kdtree_subtrees`. Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -30,6 +30,7 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2, algorithm 4.2.2).
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -45,7 +46,7 @@ from wrt.builders.kdtree.phases import in_place_levels as level_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.phases.membership import Membership
 from wrt.builders.tree import KdTree, Phases, StopLimits
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -67,7 +68,7 @@ CLIPPED_TRIANGLES = 1 << 12
 MAX_LEVELS = 12
 """Levels after which the build switches to subtrees whatever the number of live nodes."""
 
-SPARE_ROOM = 1.5
+SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 ITEM_CHUNKS_PER_THREAD = 8
@@ -120,21 +121,10 @@ def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, target: TaskT
         events = sorted_events(triangles)
     with builder.phase("top levels"):
         membership = builder.build_levels(events, target)
-    spare = SPARE_ROOM
-    while True:
-        with builder.phase("fill"):
-            room, lists, frames = builder.fill(events, membership, spare)
-        with builder.phase("subtrees"):
-            results = build_subtrees(builder.method, triangles, config, room, frames, lists)
-        if not results.numpy()["overflow"].any():
-            break
-        spare *= 2.0
-    with builder.phase("assemble"):
-        nodes, primitive = assemble(builder.levels[:-1], room, results, config.cost.width)
-    boxes = [triangles.boxes.low, triangles.boxes.high, events.position, events.value, membership.node, membership.shared]
-    work = [*arrays_of(lists), room.parts.nodes, room.parts.primitive]
-    builder.phase.stats.reserve(*boxes, *work, nodes, primitive)
-    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, builder.phase.stats)
+    tasks = partial(builder.make_tasks, events, membership)
+    reservation, lists, results = build_tasks(builder.method, triangles, config, tasks, SPARE_MEMORY, builder.phase, "fill")
+    work = [events.position, events.value, membership.node, membership.shared, *arrays_of(lists)]
+    return assemble(triangles, config, builder.phase, builder.levels[:-1], (reservation, results), work)
 
 
 def cut_events(events: Events, nodes: int) -> int:
@@ -176,14 +166,12 @@ class InPlaceBuilder:
         membership.shared = wp.empty(1, dtype=int, device=self.device)
         open_nodes, largest = 1, self.triangles.count
         while open_nodes > 0 and len(self.levels) < MAX_LEVELS and (open_nodes < target.tasks or largest > target.triangles):
-            self.split_level(events, membership)
-            children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
-            counts = wp.empty(3, dtype=int, device=self.device)
-            self.run(level_phase.emit_children, 1, self.live, children, counts)
-            total, open_nodes, largest = map(int, counts.numpy())
-            membership = self.reclassify(membership)
+            self.search(events, membership)
+            self.stop()
+            children, open_nodes, largest = self.emit()
+            membership = self.classify(membership)
             self.levels.append(self.live.numpy())
-            self.live = children[:total]
+            self.live = children
         self.count_members(membership)
         self.levels.append(self.live.numpy())
         return membership
@@ -196,18 +184,17 @@ class InPlaceBuilder:
         self.run(fill_phase.count_task_triangles, chunks, self.triangles.count, membership, self.members)
         self.run(fill_phase.total_triangles, len(self.live), self.members, self.live, chunk=64)
 
-    def split_level(self, events: Events, membership: Membership) -> None:
-        """Finds the split of every live node."""
+    def search(self, events: Events, membership: Membership) -> None:
+        """Finds the best plane of every live node, in each chunk of events."""
         nodes = len(self.live)
         chunks = cut_events(events, nodes)
         counts = wp.empty((3, chunks, nodes), dtype=wp.vec3i, device=self.device)
         frames = wp.empty((3, chunks, nodes), dtype=AxisFrame, device=self.device)
-        sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
+        self.sweeps = sweeps = wp.empty((3, chunks, nodes), dtype=Sweep, device=self.device)
         self.run(level_phase.count_events, 3 * chunks, events, membership, counts)
-        least_known_cost = self.scan(events, counts)
-        work = [membership, self.live, counts, least_known_cost, frames, sweeps]
+        min_known_cost = self.scan(events, counts)
+        work = [membership, self.live, counts, min_known_cost, frames, sweeps]
         self.run(level_phase.search_planes, 3 * chunks, self.cost, events, *work)
-        self.run(level_phase.decide, nodes, self.cost, self.limits, sweeps, self.live, chunk=16)
 
     def scan(self, events: Events, counts: wp.array) -> wp.array:
         """Turns counts of chunks into the counts before them; returns each node's least cost of its first
@@ -221,11 +208,23 @@ class InPlaceBuilder:
             self.run(level_phase.scan_blocks, 3, before)
         block_cost = wp.empty((3, blocks, nodes), dtype=float, device=self.device)
         self.run(level_phase.scan_chunks, 3 * blocks, self.cost, events, self.live, block_chunks, counts, before, block_cost)
-        least_known_cost = wp.empty(nodes, dtype=float, device=self.device)
-        self.run(level_phase.least_of_blocks, nodes, block_cost, least_known_cost, chunk=64)
-        return least_known_cost
+        min_known_cost = wp.empty(nodes, dtype=float, device=self.device)
+        self.run(level_phase.min_of_blocks, nodes, block_cost, min_known_cost, chunk=64)
+        return min_known_cost
 
-    def reclassify(self, membership: Membership) -> Membership:
+    def stop(self) -> None:
+        """Takes the best plane of all chunks; a node becomes a leaf, or is split there."""
+        self.run(level_phase.decide, len(self.live), self.cost, self.limits, self.sweeps, self.live, chunk=16)
+
+    def emit(self) -> tuple[wp.array, int, int]:
+        """The next level's live nodes, how many of them may be split, and the triangles of the largest of these."""
+        children = wp.empty(2 * len(self.live), dtype=LiveNode, device=self.device)
+        counts = wp.empty(3, dtype=int, device=self.device)
+        self.run(level_phase.emit_children, 1, self.live, children, counts)
+        total, open_nodes, largest = map(int, counts.numpy())
+        return children[:total], open_nodes, largest
+
+    def classify(self, membership: Membership) -> Membership:
         """Computes the triangles' nodes on the next level."""
         count, boxes, device = self.triangles.count, self.triangles.boxes, self.device
         chunks = -(-count // CHUNK)
@@ -233,20 +232,20 @@ class InPlaceBuilder:
         refined = Membership()
         refined.node = wp.empty(count, dtype=int, device=device)
         self.run(level_phase.count_shared, chunks, count, boxes, self.live, membership, refined, counts)
-        room = counts.numpy()
-        places = wp.array(np.cumsum(room) - room, dtype=int, device=device)
-        refined.shared = wp.empty(max(1, int(room.sum())), dtype=int, device=device)
+        sizes = counts.numpy()
+        places = wp.array(np.cumsum(sizes) - sizes, dtype=int, device=device)
+        refined.shared = wp.empty(max(1, int(sizes.sum())), dtype=int, device=device)
         self.run(level_phase.refine_members, chunks, count, boxes, self.live, membership, refined, places)
         return refined
 
-    def fill(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
+    def make_tasks(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:
         """Makes one task of each live node: its triangles, events and working memory. Also returns the roots of the tasks."""
-        room = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
-        lists = lists_for(room, self.triangles, self.config)
-        frames = wp.empty(len(room.tasks), dtype=Frame, device=self.device)
-        self.run(fill_phase.make_roots, len(room.tasks), self.live, frames, chunk=64)
-        self.copy_to_tasks(events, membership, room.tasks, lists, frames)
-        return room, lists, frames
+        reservation = Reservation(self.levels[-1]["triangles"], 6, spare, self.width, self.device)
+        lists = lists_for(reservation, self.triangles, self.config)
+        frames = wp.empty(len(reservation.tasks), dtype=Frame, device=self.device)
+        self.run(fill_phase.make_roots, len(reservation.tasks), self.live, frames, chunk=64)
+        self.copy_to_tasks(events, membership, reservation.tasks, lists, frames)
+        return reservation, lists, frames
 
     def copy_to_tasks(
         self, events: Events, membership: Membership, tasks: wp.array, lists: EventLists, frames: wp.array

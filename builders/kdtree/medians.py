@@ -9,7 +9,7 @@ which no plane divides the node is skipped.
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `search_space` or `search_objects`. Classify and
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search_space` or `search_objects`. Classify and
 partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
 `kdtree_subtrees` for inner nodes.
 

@@ -7,7 +7,7 @@
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search: `exact_planes.search_exactly`. Classify and partition:
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `exact_planes.search_exactly`. Classify and partition:
 `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
 `kdtree_subtrees` for inner nodes.
 

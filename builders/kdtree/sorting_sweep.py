@@ -8,8 +8,8 @@ its triangles.
 
 **Data.** A list of triangle ids per node on the path from the root, and the events of the current node and axis (`Workspace`).
 
-**Phases** of a node. Search: `find_plane`, which calls `list_events`, `merge_sort` and `sweep_axis` for each axis. Stop:
-`wrt.builders.tree.advance_path`. Classify, partition, emit: `build_serially`.
+**Phases** of a node, called by `build_serially`: `search` (`list_events`, `merge_sort` and `sweep_axis` for each axis),
+`wrt.builders.tree.stop`, then `partition`, which calls `classify` for each triangle, and `emit_inner`, or `emit_leaf`.
 
 **Complexity.** O(N log^2 N): a sort of O(N log N) at each of O(log N) levels. One thread.
 
@@ -33,7 +33,7 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, advance_path
+from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
@@ -77,7 +77,7 @@ class Workspace:
 
 
 @wp.func
-def comes_first(work: Workspace, a: int, b: int):
+def precedes(work: Workspace, a: int, b: int):
     """Whether event a is not after event b: by position, then end, planar, start, then triangle."""
     if work.position[a] != work.position[b]:
         return work.position[a] < work.position[b]
@@ -101,7 +101,7 @@ def merge_sort(work: Workspace, count: int):
             a = int(begin)
             b = int(middle)
             for to in range(begin, end):
-                take_a = b >= end or (a < middle and comes_first(work, source + a, source + b))
+                take_a = b >= end or (a < middle and precedes(work, source + a, source + b))
                 chosen = wp.where(take_a, a, b)
                 a += wp.where(take_a, 1, 0)
                 b += wp.where(take_a, 0, 1)
@@ -153,18 +153,18 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
     end = first + events
     while i < end:
         position = work.position[i]
-        ending = count_kind(work, i, end, position, END)
-        lying = count_kind(work, i + ending, end, position, PLANAR)
-        starting = count_kind(work, i + ending + lying, end, position, START)
-        right -= lying + ending
-        best = better_split(cost, along, position, left, lying, right, best)
-        left += lying + starting
-        i += wp.max(ending + lying + starting, 1)  # NaN equals no position, not even its own
+        ends = count_kind(work, i, end, position, END)
+        planar = count_kind(work, i + ends, end, position, PLANAR)
+        starts = count_kind(work, i + ends + planar, end, position, START)
+        right -= planar + ends
+        best = better_split(cost, along, position, left, planar, right, best)
+        left += planar + starts
+        i += wp.max(ends + planar + starts, 1)  # NaN equals no position, not even its own
     return best
 
 
 @wp.func
-def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode):
+def search(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode):
     """The best plane of a node."""
     best = no_split()
     for axis in range(3):
@@ -175,6 +175,62 @@ def find_plane(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode
     return best
 
 
+@wp.func
+def classify(boxes: Boxes, triangle: int, split: Split):
+    """The children that contain a triangle: 1 for the left one, plus 2 for the right one."""
+    low = boxes.low[split.axis, triangle]
+    high = boxes.high[split.axis, triangle]
+    if not (low < high) and low == split.position:  # planar
+        return wp.where(split.planar_left, 1, 2)
+    return wp.where(low < split.position, 1, 0) + wp.where(high > split.position, 2, 0)
+
+
+@wp.func
+def partition(
+    boxes: Boxes, work: Workspace, node: PendingNode, split: Split, left: wp.ref[PendingNode], right: wp.ref[PendingNode]
+):
+    """Lists the triangles of the children. The right child's list replaces the node's, the left child's is appended."""
+    left.first = node.first + node.triangles
+    left.triangles = 0
+    right.triangles = 0
+    for i in range(node.first, node.first + node.triangles):
+        triangle = work.triangle[i]
+        sides = classify(boxes, triangle, split)
+        if (sides & 1) != 0:
+            work.triangle[left.first + left.triangles] = triangle
+            left.triangles += 1
+        if (sides & 2) != 0:
+            work.triangle[right.first + right.triangles] = triangle
+            right.triangles += 1
+
+
+@wp.func
+def emit_leaf(work: Workspace, node: PendingNode, index: int, lanes: int, width: int):
+    """Writes a leaf and its list, padded to whole blocks; returns the end of the list."""
+    work.nodes[index] = kdtree.leaf_node(lanes / width, node.triangles)
+    to = int(lanes)
+    for i in range(node.triangles):
+        work.primitive[to] = work.triangle[node.first + i]
+        to += 1
+    while to % width != 0:
+        work.primitive[to] = -1
+        to += 1
+    return to
+
+
+@wp.func
+def emit_inner(work: Workspace, index: int, split: Split):
+    """Writes an inner node, whose right child is not known yet."""
+    work.nodes[index] = kdtree.inner_node(split.axis, split.position, 0)
+
+
+@wp.func
+def link_right(work: Workspace, parent: int, index: int):
+    """Stores the right child of an inner node."""
+    node = work.nodes[parent]
+    work.nodes[parent] = kdtree.inner_node(kdtree.split_axis(node), kdtree.split_position(node), index)
+
+
 @wp.kernel
 def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes, root: PendingNode, work: Workspace):
     """One item: the whole build. The caller has listed all triangles as the root's."""
@@ -183,55 +239,34 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
     nodes = int(0)
     lanes = int(0)
     waiting = int(0)
-    building = bool(True)
-    while building:
-        top = node.first + node.triangles
+    busy = bool(True)
+    while busy:
         if (
-            top + node.triangles > work.triangle.shape[0]
+            node.first + 2 * node.triangles > work.triangle.shape[0]
             or nodes >= work.nodes.shape[0]
             or lanes + node.triangles + width > work.primitive.shape[0]
         ):
             work.used[2] = 1
             break
         if node.parent >= 0:
-            parent = work.nodes[node.parent]
-            work.nodes[node.parent] = kdtree.inner_node(kdtree.split_axis(parent), kdtree.split_position(parent), nodes)
-        split = find_plane(cost, boxes, work, node)
-        below = advance_path(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
-        if below.bad_splits < 0:
-            work.nodes[nodes] = kdtree.leaf_node(lanes / width, node.triangles)
-            for i in range(node.triangles):
-                work.primitive[lanes] = work.triangle[node.first + i]
-                lanes += 1
-            while lanes % width != 0:
-                work.primitive[lanes] = -1
-                lanes += 1
+            link_right(work, node.parent, nodes)
+        split = search(cost, boxes, work, node)
+        path = stop(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
+        if path.bad_splits < 0:
+            lanes = emit_leaf(work, node, nodes, lanes, width)
             waiting -= 1
-            building = waiting >= 0
-            if building:
+            busy = waiting >= 0
+            if busy:
                 node = work.stack[waiting]
         else:
-            work.nodes[nodes] = kdtree.inner_node(split.axis, split.position, 0)
+            emit_inner(work, nodes, split)
             left = node
             right = node
-            left.first = top
-            left.triangles = 0
-            right.triangles = 0
-            for i in range(node.triangles):
-                triangle = work.triangle[node.first + i]
-                low = boxes.low[split.axis, triangle]
-                high = boxes.high[split.axis, triangle]
-                planar = not (low < high) and low == split.position
-                if (planar and split.planar_left) or (not planar and low < split.position):
-                    work.triangle[left.first + left.triangles] = triangle
-                    left.triangles += 1
-                if (planar and not split.planar_left) or (not planar and high > split.position):
-                    work.triangle[right.first + right.triangles] = triangle
-                    right.triangles += 1
+            partition(boxes, work, node, split, left, right)
             left.high[split.axis] = split.position
             right.low[split.axis] = split.position
-            left.path = below
-            right.path = below
+            left.path = path
+            right.path = path
             left.depth += 1
             right.depth += 1
             left.parent = -1
@@ -258,15 +293,15 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     root.low, root.high = wp.vec3(*triangles.low), wp.vec3(*triangles.high)
     root.triangles = count
     root.parent = -1
-    room = 4 * count + 64
+    capacity = 4 * count + 64
     while True:
         work = Workspace()
-        work.triangle = wp.empty(room, dtype=int, device=device)
+        work.triangle = wp.empty(capacity, dtype=int, device=device)
         work.position = wp.empty(4 * count, dtype=float, device=device)
         work.value = wp.empty(4 * count, dtype=int, device=device)
         work.stack = wp.empty(STACK, dtype=PendingNode, device=device)
-        work.nodes = wp.empty(room, dtype=wp.vec2i, device=device)
-        work.primitive = wp.empty(room + room % width + width, dtype=int, device=device)
+        work.nodes = wp.empty(capacity, dtype=wp.vec2i, device=device)
+        work.primitive = wp.empty(capacity + capacity % width + width, dtype=int, device=device)
         work.used = wp.zeros(3, dtype=int, device=device)
         launch(list_all, count, [work.triangle], device=device, chunk=4096)
         inputs = [config.cost.struct(), config.stop.limits(count, triangles.size), triangles.boxes, root, work]
@@ -274,7 +309,7 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         nodes, lanes, overflow = map(int, work.used.numpy())
         if not overflow:
             break
-        room *= 2
+        capacity *= 2
     tree = KdTree(
         nodes=wp.clone(work.nodes[:nodes]),
         primitive=wp.clone(work.primitive[:lanes]),

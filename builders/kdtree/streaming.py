@@ -25,6 +25,8 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.2.1).
 """
 
+from functools import partial
+
 import numpy as np
 import warp as wp
 
@@ -33,7 +35,7 @@ from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.task_events import list_task_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels, bin_chunks, split_top
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -45,7 +47,7 @@ SAMPLES = 1024
 EXACT = 8192
 """Triangles of a node up to which every plane is tried."""
 
-SPARE_ROOM = 1.5
+SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists, at least a third; doubled whenever it is too small."""
 
 
@@ -56,20 +58,10 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     load((bin_chunks, list_task_events, copy_subtrees, specialise(make_build_subtrees, method)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, LevelRules(EXACT, SAMPLES, sampled=0))
-    spare = SPARE_ROOM
-    while True:
-        with phase("sort"):
-            room, lists, frames = list_events(top, triangles, config, spare)
-        with phase("subtrees"):
-            results = build_subtrees(method, triangles, config, room, frames, lists)
-        if not results.numpy()["overflow"].any():
-            break
-        spare *= 2.0
-    with phase("assemble"):
-        nodes, primitive = assemble(top.levels[:-1], room, results, config.cost.width)
-    work = [top.references, *arrays_of(lists), room.parts.nodes, room.parts.primitive]
-    phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, nodes, primitive)
-    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
+    tasks = partial(list_events, top, triangles, config)
+    reservation, lists, results = build_tasks(method, triangles, config, tasks, SPARE_MEMORY, phase, "sort")
+    work = [top.references, *arrays_of(lists)]
+    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
 
 
 def list_events(
@@ -77,9 +69,9 @@ def list_events(
 ) -> tuple[Reservation, EventLists, wp.array]:
     """Makes one task of each node of the last level: its memory, its sorted events, and the roots of the tasks."""
     device, roots = top.references.device, top.levels[-1]["frame"]
-    room = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
-    lists = lists_for(room, triangles, config)
+    reservation = Reservation(roots["triangles"], 6, spare, config.cost.width, device)
+    lists = lists_for(reservation, triangles, config)
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(list_task_events, len(roots), [top.references, source, room.tasks, frames, lists], device=device, chunk=1)
-    return room, lists, frames
+    launch(list_task_events, len(roots), [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    return reservation, lists, frames

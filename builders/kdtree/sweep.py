@@ -9,7 +9,7 @@ task and no levels above it, on one thread. It is the baseline for all other bui
 
 **Data.** One list of sorted events per axis and node (`event_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.advance_path`. Search, classify, partition, emit: `search`, `classify`,
+**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search, classify, partition, emit: `search`, `classify`,
 `partition` and `emit_leaf` of `event_lists`; the loop of `kdtree_subtrees` writes inner nodes.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.

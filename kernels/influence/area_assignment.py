@@ -176,7 +176,7 @@ def assign_rays(
 
 
 @wp.kernel
-def mark_rest(
+def mark_unassigned(
     first: int,
     areas: int,
     area: wp.array(dtype=wp.uint16),

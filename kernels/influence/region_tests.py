@@ -87,7 +87,7 @@ def contains_point(region: Region, point: wp.vec3d):
 
 
 @wp.func
-def is_apart(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
+def is_separated(region: Region, low: wp.vec3d, high: wp.vec3d, axis: wp.vec3d):
     """Whether the projections of the region and of a box on an axis are disjoint. The axis need not be normalised."""
     two = wp.float64(2.0)
     size = wp.vec3d(wp.abs(axis[0]), wp.abs(axis[1]), wp.abs(axis[2]))
@@ -111,14 +111,14 @@ def crosses_separate(region: Region, low: wp.vec3d, high: wp.vec3d, edge: wp.vec
     """Whether the cross product of an edge of the region with one of the box is a separating axis."""
     zero = wp.float64(0.0)
     return (
-        is_apart(region, low, high, wp.vec3d(zero, -edge[2], edge[1]))
-        or is_apart(region, low, high, wp.vec3d(edge[2], zero, -edge[0]))
-        or is_apart(region, low, high, wp.vec3d(-edge[1], edge[0], zero))
+        is_separated(region, low, high, wp.vec3d(zero, -edge[2], edge[1]))
+        or is_separated(region, low, high, wp.vec3d(edge[2], zero, -edge[0]))
+        or is_separated(region, low, high, wp.vec3d(-edge[1], edge[0], zero))
     )
 
 
 @wp.func
-def touches_box(region: Region, low: wp.vec3d, high: wp.vec3d):
+def intersects_box(region: Region, low: wp.vec3d, high: wp.vec3d):
     """Whether the region and a box overlap; false for an empty box, low > high."""
     for axis in range(3):
         if not (low[axis] <= region.high[axis] and high[axis] >= region.low[axis] and low[axis] <= high[axis]):
@@ -126,11 +126,11 @@ def touches_box(region: Region, low: wp.vec3d, high: wp.vec3d):
     lean = region.widening * region.forward
     tilt = region.heightening * region.forward
     if (
-        is_apart(region, low, high, region.forward)
-        or is_apart(region, low, high, region.right - lean)
-        or is_apart(region, low, high, region.right + lean)
-        or is_apart(region, low, high, region.up - tilt)
-        or is_apart(region, low, high, region.up + tilt)
+        is_separated(region, low, high, region.forward)
+        or is_separated(region, low, high, region.right - lean)
+        or is_separated(region, low, high, region.right + lean)
+        or is_separated(region, low, high, region.up - tilt)
+        or is_separated(region, low, high, region.up + tilt)
     ):
         return False
     side = region.widening * region.right
@@ -157,18 +157,18 @@ def encloses_box(region: Region, low: wp.vec3d, high: wp.vec3d):
     return True
 
 
-APART = wp.constant(0)
-TOUCHING = wp.constant(1)
+DISJOINT = wp.constant(0)
+INTERSECTING = wp.constant(1)
 ENCLOSED = wp.constant(2)
 """Results of `classify_box`."""
 
 
 @wp.func
 def classify_box(region: Region, low: wp.vec3d, high: wp.vec3d):
-    """APART, TOUCHING, or ENCLOSED if the region contains the whole box."""
-    if not touches_box(region, low, high):
-        return APART
-    return wp.where(encloses_box(region, low, high), ENCLOSED, TOUCHING)
+    """DISJOINT, INTERSECTING, or ENCLOSED if the region contains the whole box."""
+    if not intersects_box(region, low, high):
+        return DISJOINT
+    return wp.where(encloses_box(region, low, high), ENCLOSED, INTERSECTING)
 
 
 @wp.kernel

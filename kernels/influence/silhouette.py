@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.influence.polygons import MAX_CORNERS, clip_to_polygon, clip_to_window, convex_hull, polygon_area
-from wrt.kernels.influence.view import AreaView, direction_at, picture_of, seen_from
+from wrt.kernels.influence.view import AreaView, direction_at, project, to_view_space
 from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
@@ -29,13 +29,13 @@ def _outline(signs: tuple[int, ...]) -> list[int]:
     if signs == (0, 0, 0):
         return []
 
-    def is_seen(axis: int, end: int) -> bool:
+    def is_front_facing(axis: int, end: int) -> bool:
         return signs[axis] == (-1 if end else 1)
 
     edges = {c: [] for c in range(8)}
     for axis, corner in product(range(3), range(8)):
         if not corner >> axis & 1:
-            faces = [is_seen(other, corner >> other & 1) for other in range(3) if other != axis]
+            faces = [is_front_facing(other, corner >> other & 1) for other in range(3) if other != axis]
             if faces[0] != faces[1]:
                 edges[corner].append(corner | 1 << axis)
                 edges[corner | 1 << axis].append(corner)
@@ -97,7 +97,7 @@ def side_of(view: AreaView, low: wp.vec3, high: wp.vec3):
 
 
 @wp.func
-def least_depth(view: AreaView, low: wp.vec3, high: wp.vec3):
+def min_depth(view: AreaView, low: wp.vec3, high: wp.vec3):
     """Depth of the nearest corner of a box."""
     nearest = wp.vec3(
         wp.where(view.forward[0] > 0.0, low[0], high[0]),
@@ -112,17 +112,17 @@ def cut_corners(view: AreaView, low: wp.vec3, high: wp.vec3, points: wp.array(dt
     """Projections of the corners of the part of a box behind the near plane; returns their number, at most 20."""
     count = int(0)
     for c in range(8):
-        here = seen_from(view, corner_of(low, high, c))
+        here = to_view_space(view, corner_of(low, high, c))
         kept = here[2] >= view.near
         if kept:
-            points[count] = picture_of(view, here)
+            points[count] = project(view, here)
             count += 1
         for axis in range(3):
             if (c >> axis) & 1 == 0:
-                there = seen_from(view, corner_of(low, high, c | (1 << axis)))
+                there = to_view_space(view, corner_of(low, high, c | (1 << axis)))
                 if kept != (there[2] >= view.near):
                     cut = here + (there - here) * ((view.near - here[2]) / (there[2] - here[2]))
-                    points[count] = picture_of(view, wp.vec3(cut[0], cut[1], wp.where(view.radial, view.near, 1.0)))
+                    points[count] = project(view, wp.vec3(cut[0], cut[1], wp.where(view.radial, view.near, 1.0)))
                     count += 1
     return count
 
@@ -130,11 +130,11 @@ def cut_corners(view: AreaView, low: wp.vec3, high: wp.vec3, points: wp.array(dt
 @wp.func
 def projected_hull(view: AreaView, low: wp.vec3, high: wp.vec3, hull: wp.array(dtype=wp.vec2)):
     """Writes the projection of a box, not clipped to the window; returns its number of corners, 0 if it has no projection."""
-    if least_depth(view, low, high) >= view.near:
+    if min_depth(view, low, high) >= view.near:
         entry = silhouette(side_of(view, low, high))
         count = entry & 7
         for i in range(count):
-            hull[i] = picture_of(view, seen_from(view, corner_of(low, high, (entry >> (3 + 3 * i)) & 7)))
+            hull[i] = project(view, to_view_space(view, corner_of(low, high, (entry >> (3 + 3 * i)) & 7)))
         return count
     points = wp.zeros(shape=(MAX_CORNERS,), dtype=wp.vec2)
     found = cut_corners(view, low, high, points)

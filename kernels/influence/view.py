@@ -37,23 +37,23 @@ class AreaView:
 
 
 @wp.func
-def seen_from(view: AreaView, point: wp.vec3):
+def to_view_space(view: AreaView, point: wp.vec3):
     """(x, y, depth) of a point, x and y before the division."""
     ray = point - view.eye
     return wp.vec3(wp.dot(view.right, ray), wp.dot(view.up, ray), wp.dot(view.forward, ray))
 
 
 @wp.func
-def picture_of(view: AreaView, seen: wp.vec3):
-    """(x, y) of the projection of a result of `seen_from`."""
+def project(view: AreaView, seen: wp.vec3):
+    """(x, y) of the projection of a result of `to_view_space`."""
     scale = wp.where(view.radial, 1.0 / seen[2], 1.0)
     return wp.vec2(seen[0] * scale, seen[1] * scale)
 
 
 @wp.func
-def holds_point(view: AreaView, point: wp.vec3):
+def contains_view_point(view: AreaView, point: wp.vec3):
     """Whether a point lies in the area, which is closed on all sides. False for NaN and infinity."""
-    seen = seen_from(view, point)
+    seen = to_view_space(view, point)
     reach = wp.where(view.radial, seen[2], 1.0)
     return (
         seen[2] >= view.near
@@ -85,11 +85,11 @@ def is_aligned(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float)
 @wp.func
 def is_affine(view: AreaView, origin: wp.vec3, direction: wp.vec3, sine: float):
     """Whether a ray belongs to the area: it starts in it and is aligned with its rays (Falcone 2024, section 3.1)."""
-    return holds_point(view, origin) and is_aligned(view, origin, direction, sine)
+    return contains_view_point(view, origin) and is_aligned(view, origin, direction, sine)
 
 
 @wp.kernel
-def tell_affine(
+def mark_affine_rays(
     first: int,
     view: AreaView,
     origins: wp.array(dtype=wp.vec3),

@@ -30,14 +30,14 @@ FARTHEST = wp.constant(3.4028234663852886e38)
 NEGLIGIBLE = wp.constant(2.0**-100)
 """Fraction of a direction's largest component below which another component counts as 0."""
 
-_LEAST_SIZE = wp.constant(2.0**-26)
+_MIN_SIZE = wp.constant(2.0**-26)
 """`TINY` / `NEGLIGIBLE`."""
 
 DIRECTION_LANES = f"""
     auto wrt_direction = [](float& x, float& y, float& z) {{
         const float size_x = WRT_ABS(x), size_y = WRT_ABS(y), size_z = WRT_ABS(z);
         float size = size_x > size_y ? size_x : size_y; size = size > size_z ? size : size_z;
-        const float least = (size > {_LEAST_SIZE!r}f ? size : {_LEAST_SIZE!r}f) * {NEGLIGIBLE!r}f;
+        const float least = (size > {_MIN_SIZE!r}f ? size : {_MIN_SIZE!r}f) * {NEGLIGIBLE!r}f;
         x = size_x < least ? 0.0f : x; y = size_y < least ? 0.0f : y; z = size_z < least ? 0.0f : z;
     }};
     constexpr float SHORTEST = {SHORTEST!r}f, FARTHEST = {FARTHEST!r}f;
@@ -124,7 +124,7 @@ def usable_direction(direction: wp.vec3):
     size = wp.abs(direction)
     largest = wp.where(size[0] > size[1], size[0], size[1])
     largest = wp.where(largest > size[2], largest, size[2])
-    least = wp.where(largest > _LEAST_SIZE, largest, _LEAST_SIZE) * NEGLIGIBLE
+    least = wp.where(largest > _MIN_SIZE, largest, _MIN_SIZE) * NEGLIGIBLE
     return wp.vec3(
         wp.where(size[0] < least, 0.0, direction[0]),
         wp.where(size[1] < least, 0.0, direction[1]),

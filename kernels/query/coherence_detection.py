@@ -13,34 +13,34 @@ exact_module(__name__)
 PAIRS = wp.constant(64)
 """Number of pairs of neighbouring rays that are compared; must be even."""
 
-LEAST_COSINE = wp.constant(wp.float64(0.966))
+MIN_COSINE = wp.constant(wp.float64(0.966))
 """Cosine of the greatest angle between similar directions, about 15 degrees."""
 
-LEAST_ROWS = wp.constant(8)
+MIN_ROWS = wp.constant(8)
 """Least number of rows and of columns of a batch that is recognised as a picture."""
 
-LONGEST_ROW = wp.constant(1 << 13)
+MAX_COLUMNS = wp.constant(1 << 13)
 """Greatest number of pixels in a row that is recognised in a flat list."""
 
-JUMP = wp.constant(4.0)
+ROW_END_FACTOR = wp.constant(4.0)
 """A difference of neighbouring directions that is this many times that of the first two rays ends a row."""
 
 COHERENT, SCATTERED, COLUMNS = 0, 1, 2
-"""Indices of the answers."""
+"""Indices of the results."""
 
 
 @wp.func
-def distance_of(a: wp.vec3, b: wp.vec3):
+def manhattan_distance(a: wp.vec3, b: wp.vec3):
     """Sum of the absolute differences along the axes."""
     d = wp.abs(wp.vec3d(b) - wp.vec3d(a))
     return d[0] + d[1] + d[2]
 
 
 @wp.func
-def is_alike(a: wp.vec3, b: wp.vec3):
+def is_similar(a: wp.vec3, b: wp.vec3):
     """Whether two directions differ by a small angle; false for a zero or NaN direction."""
     one, other = wp.vec3d(a), wp.vec3d(b)
-    return wp.dot(one, other) / wp.sqrt(wp.dot(one, one) * wp.dot(other, other)) > LEAST_COSINE
+    return wp.dot(one, other) / wp.sqrt(wp.dot(one, one) * wp.dot(other, other)) > MIN_COSINE
 
 
 @wp.func
@@ -51,20 +51,20 @@ def pair_at(i: int, count: int):
 
 
 @wp.func
-def typical_gap(origins: wp.array(dtype=wp.vec3)):
+def median_distance(origins: wp.array(dtype=wp.vec3)):
     """Median distance between origins that are far apart in the batch; NaN if a distance is NaN."""
-    gaps = wp.zeros(shape=PAIRS, dtype=wp.float64)
+    distances = wp.zeros(shape=PAIRS, dtype=wp.float64)
     count = origins.shape[0]
     for i in range(PAIRS):
-        gap = distance_of(origins[pair_at(i, count)], origins[pair_at(PAIRS - 1 - i, count)])
-        if wp.isnan(gap):
-            return gap
-        place = int(i)
-        while place > 0 and gaps[wp.max(place - 1, 0)] > gap:
-            gaps[place] = gaps[place - 1]
-            place -= 1
-        gaps[place] = gap
-    return (gaps[PAIRS // 2 - 1] + gaps[PAIRS // 2]) / wp.float64(2.0)
+        distance = manhattan_distance(origins[pair_at(i, count)], origins[pair_at(PAIRS - 1 - i, count)])
+        if wp.isnan(distance):
+            return distance
+        at = int(i)
+        while at > 0 and distances[wp.max(at - 1, 0)] > distance:
+            distances[at] = distances[at - 1]
+            at -= 1
+        distances[at] = distance
+    return (distances[PAIRS // 2 - 1] + distances[PAIRS // 2]) / wp.float64(2.0)
 
 
 @wp.func
@@ -74,17 +74,17 @@ def largest_change(a: wp.vec3, b: wp.vec3):
 
 
 @wp.func
-def columns_of(directions: wp.array(dtype=wp.vec3)):
+def count_columns(directions: wp.array(dtype=wp.vec3)):
     """Number of columns of the picture; 0 if the batch is not a picture.
 
     A row ends where directions jump; each row must begin close to the start of the row before.
     """
     count = directions.shape[0]
-    limit = JUMP * largest_change(directions[0], directions[1])
-    columns, longest = int(1), wp.min(LONGEST_ROW, count - 1)
-    while columns <= longest and not largest_change(directions[columns - 1], directions[columns]) > limit:
+    limit = ROW_END_FACTOR * largest_change(directions[0], directions[1])
+    columns, max_columns = int(1), wp.min(MAX_COLUMNS, count - 1)
+    while columns <= max_columns and not largest_change(directions[columns - 1], directions[columns]) > limit:
         columns += 1
-    if columns > longest or columns < LEAST_ROWS or count % columns != 0 or count < LEAST_ROWS * columns:
+    if columns > max_columns or columns < MIN_ROWS or count % columns != 0 or count < MIN_ROWS * columns:
         return 0
     row = int(columns)
     while row < count:
@@ -95,31 +95,32 @@ def columns_of(directions: wp.array(dtype=wp.vec3)):
 
 
 @wp.kernel
-def look_at_rays(
+def measure_coherence(
     first: int,
     origins: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
     sampled: int,
     listed: int,
-    answers: wp.array(dtype=int),
+    results: wp.array(dtype=int),
 ):
-    """Writes the answers for a batch: 0 or 1 for coherent and scattered, and the number of columns (0: no picture).
+    """Writes the results for a batch: 0 or 1 for coherent and scattered, and the number of columns (0: no picture).
 
     Pairs are compared only if `sampled` is not 0, columns are searched only if `listed` is not 0.
     """
-    count, alike, near = directions.shape[0], int(0), int(0)
-    own = origins.shape[0] == count
+    count, similar_pairs, near_pairs = directions.shape[0], int(0), int(0)
+    origin_per_ray = origins.shape[0] == count
     if sampled != 0:
-        gap = wp.float64(0.0)
-        if own:
-            gap = wp.float64(0.1) * typical_gap(origins)
+        limit = wp.float64(0.0)
+        if origin_per_ray:
+            limit = wp.float64(0.1) * median_distance(origins)
         for i in range(PAIRS):
             ray = pair_at(i, count)
-            close = not own or distance_of(origins[wp.where(own, ray, 0)], origins[wp.where(own, ray + 1, 0)]) <= gap
-            near += wp.where(close, 1, 0)
-            alike += wp.where(close and is_alike(directions[ray], directions[ray + 1]), 1, 0)
-    answers[COHERENT] = wp.where(sampled == 0 or 2 * alike > PAIRS, 1, 0)
-    answers[SCATTERED] = wp.where(sampled != 0 and 2 * near <= PAIRS, 1, 0)
-    answers[COLUMNS] = int(0)
+            a, b = wp.where(origin_per_ray, ray, 0), wp.where(origin_per_ray, ray + 1, 0)
+            close = not origin_per_ray or manhattan_distance(origins[a], origins[b]) <= limit
+            near_pairs += wp.where(close, 1, 0)
+            similar_pairs += wp.where(close and is_similar(directions[ray], directions[ray + 1]), 1, 0)
+    results[COHERENT] = wp.where(sampled == 0 or 2 * similar_pairs > PAIRS, 1, 0)
+    results[SCATTERED] = wp.where(sampled != 0 and 2 * near_pairs <= PAIRS, 1, 0)
+    results[COLUMNS] = int(0)
     if listed != 0:
-        answers[COLUMNS] = columns_of(directions)
+        results[COLUMNS] = count_columns(directions)

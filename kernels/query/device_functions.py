@@ -29,7 +29,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal,
 from wrt.kernels.query.spawn import spawn_origin
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate, Counters, start
-from wrt.kernels.traversal.search_results import Passed, results_of
+from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, NEXT, StackConfig, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -127,12 +127,12 @@ def handle_type(kind: str, width: int, levels: int) -> type:
 
 def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
     """`wp.func(scene, ray, after) -> best`: the overload of a `search_*` function for one handle type."""
-    passing = Results is Passed
+    follows_crossing = Results is PreviousCrossing
 
     @wp.func
     def search(scene: handle, ray: Ray, after: int):
         hits = Results()
-        if wp.static(passing):
+        if wp.static(follows_crossing):
             hits.t = ray.t_min
             hits.primitive = after
         work = Counters()

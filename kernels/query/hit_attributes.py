@@ -127,7 +127,7 @@ plane."""
 
 
 @wp.kernel
-def meet_planes(
+def intersect_planes(
     first: int,
     vertices: wp.array(dtype=wp.vec3d),
     faces: wp.array(dtype=wp.vec3i),

@@ -41,7 +41,7 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp
     """
     Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
 
-    def meet_triangles(
+    def intersect_triangles(
         origins: wp.array(dtype=Origin),
         origin_stride: int,
         directions: wp.array(dtype=Direction),
@@ -73,4 +73,4 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp
                 positions[i] = Vector(origin + at * direction)
                 normals[i] = Vector(wp.normalize(wp.cross(edge1, edge2)))
 
-    return specialised_kernel(meet_triangles, gradients=True)
+    return specialised_kernel(intersect_triangles, gradients=True)

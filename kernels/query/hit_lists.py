@@ -12,7 +12,7 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-FEW = wp.constant(16)
+MAX_INSERTION_SORT = wp.constant(16)
 """A list of at most this many hits is sorted by insertion; a longer list by heapsort, in O(n log n)."""
 
 
@@ -55,7 +55,7 @@ def sift_down(hits: HitBatch, begin: int, start: int, count: int):
 @wp.func
 def sort_hits(hits: HitBatch, begin: int, count: int):
     """Sorts the hits begin .. begin + count - 1."""
-    if count <= FEW:
+    if count <= MAX_INSERTION_SORT:
         for i in range(1, count):
             j = int(begin + i)
             while j > begin and comes_before(hits, j, j - 1):

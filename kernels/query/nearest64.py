@@ -23,7 +23,7 @@ LANES = 8
 TILE = wp.constant(1024)
 """Triangles that stay in the cache while each ray of a block is tested against them; a multiple of LANES."""
 
-MOST_RAYS = 8
+MAX_RAYS = 8
 """Rays of a block."""
 
 
@@ -130,7 +130,7 @@ def find_nearest(
                 hits[ray] = found
 
 
-def corner_rows(vertices: np.ndarray, faces: np.ndarray) -> wp.array:
+def vertex_rows(vertices: np.ndarray, faces: np.ndarray) -> wp.array:
     """(9, T) float64: x, y, z of the first corners, of the second and of the third.
 
     Padded to whole lanes with triangles without area, which no ray hits."""
@@ -145,7 +145,7 @@ def nearest_hits(corners: wp.array, origins: np.ndarray, directions: np.ndarray)
     """Nearest hits at t >= 0, edges included: ((N,) int triangle or -1, (N,) float64 t or inf).
 
     Args:
-        corners: as of `corner_rows`.
+        corners: as of `vertex_rows`.
         origins, directions: (N, 3) float64.
     """
     count, device = len(origins), corners.device
@@ -153,7 +153,7 @@ def nearest_hits(corners: wp.array, origins: np.ndarray, directions: np.ndarray)
     start = np.zeros(count, dtype=Nearest.numpy_dtype())
     start["t"], start["triangle"] = np.inf, -1
     hits = wp.array(start, dtype=Nearest, device=device)
-    size = max(1, min(MOST_RAYS, count // (4 * get_num_threads())))
+    size = max(1, min(MAX_RAYS, count // (4 * get_num_threads())))
     launch(find_nearest, -(-count // size), [size, corners, *rays, hits], device=device, chunk=1, longest=64)
     found = hits.numpy()
     return found["triangle"].astype(np.int64), found["t"].copy()

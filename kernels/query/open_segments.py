@@ -5,8 +5,9 @@ its ends and, if it leaves at a grazing angle, far from them. Such hits must not
 
 **Rule.** A triangle whose plane passes through one of the end points, within rounding, does not block. This is stronger than
 ignoring hits near the ends: at a grazing angle, a rounding of an end point moves the hit along the ray by many times as much,
-but the distance of the end point from the plane stays small. Rounding is bounded by `TOUCH` times the largest coordinate of the
-triangle and of the end point, relative to the scene's centre, plus the rounding of the caller's float32 coordinates.
+but the distance of the end point from the plane stays small. Rounding is bounded by `PLANE_TOLERANCE` times the largest
+coordinate of the triangle and of the end point, relative to the scene's centre, plus the rounding of the caller's float32
+coordinates.
 
 **Symmetry.** The rays from a to b and from b to a are rounded differently and may pass an edge on different sides. The ray of a
 pair therefore always starts at the smaller of its end points, ordered by x, then y, then z.
@@ -23,7 +24,7 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-TOUCH = wp.constant(2.0**-22)
+PLANE_TOLERANCE = wp.constant(2.0**-22)
 """Tolerance as a fraction of the largest coordinate: four roundings of half a unit in the last place, two of a point, two of a
 plane."""
 
@@ -34,13 +35,13 @@ UNDECIDED = wp.constant(2)
 
 
 @wp.func
-def size_of(v: wp.vec3):
+def largest_component(v: wp.vec3):
     """Largest absolute component."""
     return wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
 
 
 @wp.func
-def comes_first(a: wp.vec3d, b: wp.vec3d):
+def is_ordered(a: wp.vec3d, b: wp.vec3d):
     """Whether a precedes or equals b, ordered by x, then y, then z."""
     return a[0] < b[0] or (a[0] == b[0] and (a[1] < b[1] or (a[1] == b[1] and a[2] <= b[2])))
 
@@ -56,7 +57,7 @@ def connect_points(
     rounding: float,
     rays: RayBatch,
     targets: wp.array(dtype=wp.vec3),
-    verdict: wp.array(dtype=int),
+    visibility: wp.array(dtype=int),
 ):
     """Writes the ray of a pair, from its smaller point, and the end point relative to the centre, at t = 1. Item: a pair of
     points.
@@ -66,15 +67,15 @@ def connect_points(
     i = first + wp.tid()
     one = from_points[from_index[i]]
     other = to_points[to_index[i]]
-    in_order = comes_first(one, other)
+    in_order = is_ordered(one, other)
     a = wp.where(in_order, one, other) - center
     b = wp.where(in_order, other, one) - center
     origin = wp.vec3(a)
     target = wp.vec3(b)
     direction = wp.vec3(b - a)
     length = wp.length(direction)
-    margin = wp.min((TOUCH * wp.min(size_of(origin), size_of(target)) + rounding) / length, 0.5)
-    verdict[i] = wp.where(is_finite(origin) and is_finite(target), VISIBLE, HIDDEN)
+    margin = wp.min((PLANE_TOLERANCE * wp.min(largest_component(origin), largest_component(target)) + rounding) / length, 0.5)
+    visibility[i] = wp.where(is_finite(origin) and is_finite(target), VISIBLE, HIDDEN)
     targets[i] = target
     rays.origins[i] = origin
     rays.directions[i] = direction
@@ -89,35 +90,35 @@ def passes_through(mesh: SceneMesh, primitive: int, point: wp.vec3, rounding: fl
     a = wp.vec3(corners.a)
     b = wp.vec3(corners.b)
     c = wp.vec3(corners.c)
-    size = wp.max(wp.max(size_of(a), size_of(b)), wp.max(size_of(c), size_of(point)))
+    size = wp.max(wp.max(largest_component(a), largest_component(b)), wp.max(largest_component(c), largest_component(point)))
     normal = wp.normalize(wp.cross(corners.b - corners.a, corners.c - corners.a))
-    return float(wp.abs(wp.dot(normal, wp.vec3d(point) - corners.a))) <= TOUCH * size + rounding
+    return float(wp.abs(wp.dot(normal, wp.vec3d(point) - corners.a))) <= PLANE_TOLERANCE * size + rounding
 
 
 @wp.func
-def blocks(mesh: SceneMesh, primitive: int, start: wp.vec3, end: wp.vec3, rounding: float):
+def obstructs(mesh: SceneMesh, primitive: int, start: wp.vec3, end: wp.vec3, rounding: float):
     """Whether a triangle that the segment hits obstructs it."""
     return not (passes_through(mesh, primitive, start, rounding) or passes_through(mesh, primitive, end, rounding))
 
 
 @wp.kernel
-def judge_nearest(
+def classify_by_nearest(
     first: int,
     mesh: SceneMesh,
     rays: RayBatch,
     targets: wp.array(dtype=wp.vec3),
     primitive: wp.array(dtype=int),
     rounding: float,
-    verdict: wp.array(dtype=int),
+    visibility: wp.array(dtype=int),
 ):
     """Decides a pair by the nearest hit of its ray, -1 for none, where that suffices. Item: a pair of points."""
     i = first + wp.tid()
     if primitive[i] >= 0:
-        verdict[i] = wp.where(blocks(mesh, primitive[i], rays.origins[i], targets[i], rounding), HIDDEN, UNDECIDED)
+        visibility[i] = wp.where(obstructs(mesh, primitive[i], rays.origins[i], targets[i], rounding), HIDDEN, UNDECIDED)
 
 
 @wp.kernel
-def judge_lists(
+def classify_by_all_hits(
     first: int,
     mesh: SceneMesh,
     rays: RayBatch,
@@ -126,7 +127,7 @@ def judge_lists(
     offsets: wp.array(dtype=wp.int64),
     primitive: wp.array(dtype=int),
     rounding: float,
-    verdict: wp.array(dtype=int),
+    visibility: wp.array(dtype=int),
 ):
     """Decides an undecided pair, number order[item], by all hits of its ray, elements offsets[item] .. of `primitive`. Item: a
     pair."""
@@ -134,6 +135,6 @@ def judge_lists(
     pair = order[i]
     result = int(VISIBLE)
     for k in range(int(offsets[i]), int(offsets[i + 1])):
-        if blocks(mesh, primitive[k], rays.origins[pair], targets[pair], rounding):
+        if obstructs(mesh, primitive[k], rays.origins[pair], targets[pair], rounding):
             result = HIDDEN
-    verdict[pair] = result
+    visibility[pair] = result

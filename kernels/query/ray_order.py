@@ -35,7 +35,7 @@ CELLS = wp.constant(8)
 BUCKETS = 8 * 8 * 8 * 8
 """Cells of the grid times octants."""
 
-LEAST_CHUNK = 1 << 14
+MIN_CHUNK = 1 << 14
 """Least number of rays per row of counts on the CPU."""
 
 CUDA_CHUNK = 1 << 10
@@ -165,7 +165,7 @@ def sort_buckets(bucket: wp.array, buckets: int) -> tuple[wp.array, list[int]]:
         buckets: number of buckets.
     """
     device, count = bucket.device, len(bucket)
-    chunk = CUDA_CHUNK if device.is_cuda else max(LEAST_CHUNK, -(-count // (4 * get_num_threads())))
+    chunk = CUDA_CHUNK if device.is_cuda else max(MIN_CHUNK, -(-count // (4 * get_num_threads())))
     chunks = -(-count // chunk)
     counts = wp.zeros((chunks, buckets), dtype=int, device=device)
     order = wp.empty(count, dtype=int, device=device)
@@ -185,7 +185,7 @@ def find_order(rays: RayBatch, low: wp.vec3, high: wp.vec3, device: wp.Device) -
         device: device of the rays.
     """
     count = rays.count
-    chunk = max(LEAST_CHUNK, -(-count // (4 * get_num_threads())))
+    chunk = max(MIN_CHUNK, -(-count // (4 * get_num_threads())))
     chunks = -(-count // chunk)
     scale = wp.vec3(*(8.0 / max(float(b) - float(a), 1e-30) for a, b in zip(low, high, strict=True)))
     bucket = wp.empty(count, dtype=wp.uint16, device=device)

@@ -33,7 +33,9 @@ class Compiled:
         packed = tuple(map(type, launch.params[1:]))
         self.arguments = arguments_type(packed)
         declared = [argument.type for argument in kernel.adj.args]
-        self.packers = [(kind, getattr(kind, "instance_type", None), how) for kind, how in zip(declared, packed, strict=True)]
+        self.packers = [
+            (kind, getattr(kind, "instance_type", None), packing) for kind, packing in zip(declared, packed, strict=True)
+        ]
 
     def pack(self, inputs: Sequence[Any]) -> ctypes.Structure | None:
         """Packed arguments; None if a value does not have exactly its parameter's type, and Warp must convert or reject it."""

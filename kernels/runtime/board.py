@@ -11,7 +11,7 @@ communicate through the *board*, an array of 64-bit words:
     SLEEPING            number of sleeping helpers
     SPINNING            number of spinning helpers
     CLOSED              1: helpers return
-    MOST_SPINNING       greatest number of helpers that spin at a time
+    MAX_SPINNING        greatest number of helpers that spin at a time
     SPIN_NS             nanoseconds for which a helper spins before it sleeps
     slot s, from FIRST_SLOT + s * SLOT_WORDS on
       GENERATION        odd while the job accepts helpers; each change ends or begins a job
@@ -32,7 +32,7 @@ whether to continue. A loop over the levels of a tree thus runs without Python. 
 It is called again until PHASE is IDLE. To abandon a job, the caller calls `stop`, which makes GENERATION even, and continues to
 call `lead` until all helpers have left.
 
-**Waiting.** A helper without work spins for SPIN_NS, if at most MOST_SPINNING helpers do, and then sleeps on a futex. It
+**Waiting.** A helper without work spins for SPIN_NS, if at most MAX_SPINNING helpers do, and then sleeps on a futex. It
 increments SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING. One of the two therefore
 sees the other. A leader wakes `WAKE` helpers, and each of them wakes as many while chunks are left, so that the system calls
 are shared.
@@ -48,7 +48,7 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MOST_SPINNING, SPIN_NS = 0, 16, 32, 48, 64, 65, 66
+MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MAX_SPINNING, SPIN_NS = 0, 16, 32, 48, 64, 65, 66
 FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64
 GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, JOB = 0, 16, 32, 33, 34, 48, 49, 50, 51, 52
 JOB_WORDS = 16
@@ -60,7 +60,7 @@ BOARD_WORDS = FIRST_SLOT + SLOTS * SLOT_WORDS
 IDLE, RUNNING, ENDING, BETWEEN = 0, 1, 2, 3
 """Values of PHASE in a slot; only the leader of the slot uses it."""
 
-MOST_ARGUMENT_BYTES = 8192
+MAX_ARGUMENT_BYTES = 8192
 """Greatest size of packed arguments; they are copied to the stack of each thread, and no kernel here has more."""
 
 TURN_NS = 20_000_000
@@ -76,7 +76,7 @@ NATIVE = f"""
     int wrt_yield(void) __asm__("sched_yield");
     long wrt_syscall(long, void*, long, long, void*, void*, long) __asm__("syscall");
     enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED},
-           MOST_SPINNING = {MOST_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
+           MAX_SPINNING = {MAX_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
            GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
            LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, CURRENT = {CURRENT}, STOPPED = {STOPPED}, JOB = {JOB} }};
     enum {{ ENTRY = JOB, BOUNDS, ARGUMENTS, BYTES, COUNT, LARGEST, SMALLEST, DIVISOR, HELPERS, SCHEDULE, QUEUES, QUEUE_COUNT,
@@ -184,7 +184,7 @@ NATIVE = f"""
     }};
     // Runs chunks until none is left, the generation has changed, or the time is up; false in the last case.
     auto drain = [&](word* s, word generation, word* mine, word until) {{
-        alignas(64) unsigned char arguments[{MOST_ARGUMENT_BYTES}];
+        alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
         __builtin_memcpy(arguments, (const void*)s[ARGUMENTS], (size_t)s[BYTES]);
         wp::launch_bounds_t<1> bounds = *(const wp::launch_bounds_t<1>*)s[BOUNDS];
         const entry_t entry = (entry_t)s[ENTRY];
@@ -239,7 +239,7 @@ SERVE = (
     }};
     // Waits awake until there is work, for a while; false if it is time to sleep.
     auto spin = [&]() {{
-        if (add(b + SPINNING, 1) >= b[MOST_SPINNING]) {{ add(b + SPINNING, -1); return false; }}
+        if (add(b + SPINNING, 1) >= b[MAX_SPINNING]) {{ add(b + SPINNING, -1); return false; }}
         const word until = now() + b[SPIN_NS];
         bool found = false;
         do {{

@@ -120,7 +120,7 @@ class Pool:
     def __init__(self) -> None:
         self._board = wp.zeros(layout.BOARD_WORDS, dtype=wp.int64, device="cpu")
         words = self._board.numpy()
-        words[layout.MOST_SPINNING] = available_cores() - 1
+        words[layout.MAX_SPINNING] = available_cores() - 1
         words[layout.SPIN_NS] = int(SPIN_SECONDS * 1e9)
         self._words = words
         self._lock = threading.Lock()
@@ -250,11 +250,11 @@ def new_job(
         schedule: how they share the items.
 
     Raises:
-        ValueError: the packed arguments exceed `MOST_ARGUMENT_BYTES`.
+        ValueError: the packed arguments exceed `MAX_ARGUMENT_BYTES`.
     """
     size = ctypes.sizeof(packed.arguments)
-    if size > layout.MOST_ARGUMENT_BYTES:
-        raise ValueError(f"the kernel's arguments take {size} bytes; the pool copies at most {layout.MOST_ARGUMENT_BYTES}")
+    if size > layout.MAX_ARGUMENT_BYTES:
+        raise ValueError(f"the kernel's arguments take {size} bytes; the pool copies at most {layout.MAX_ARGUMENT_BYTES}")
     queues = np.zeros(threads * QUEUE_WORDS, dtype=np.int64) if schedule.queues else None
     job = Job(
         entry=packed.entry,

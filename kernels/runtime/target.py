@@ -111,12 +111,12 @@ def lane_width() -> int:
     Raises:
         ValueError: the environment names a width that is not in `WIDTHS`, or a target that `target_name` refuses.
     """
-    asked = os.environ.get(WIDTH_VARIABLE)
-    if not asked:
+    requested = os.environ.get(WIDTH_VARIABLE)
+    if not requested:
         return max(simd_bits() // 32, 8)
-    if asked not in map(str, WIDTHS):
-        raise ValueError(f"width {asked!r} ({WIDTH_VARIABLE}) must be {', '.join(map(str, WIDTHS[:-1]))} or {WIDTHS[-1]}")
-    return int(asked)
+    if requested not in map(str, WIDTHS):
+        raise ValueError(f"width {requested!r} ({WIDTH_VARIABLE}) must be {', '.join(map(str, WIDTHS[:-1]))} or {WIDTHS[-1]}")
+    return int(requested)
 
 
 def choose(target: str | None = None, width: int | None = None) -> None:

@@ -133,13 +133,13 @@ def nearest_child(width: int) -> wp.Function:
 
 
 @cache
-def met_boxes(width: int) -> wp.Function:
+def intersected_boxes(width: int) -> wp.Function:
     """`wp.func(bounds, node, slabs, t_min, t_max, entry) -> mask` of the boxes that the ray meets; `entry` gets the t of entry
     of every lane."""
     Lanes = lanes(width)
 
     @wp.func_native(_head(width) + _MASK)
-    def met_boxes_native(
+    def intersected_boxes_native(
         bounds: wp.array(dtype=float),
         node: int,
         slabs: wp.ref[RaySlabs],
@@ -148,7 +148,7 @@ def met_boxes(width: int) -> wp.Function:
         entry: wp.ref[Lanes],
     ) -> wp.uint32: ...
 
-    return met_boxes_native
+    return intersected_boxes_native
 
 
 @wp.func

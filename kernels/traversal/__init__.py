@@ -94,7 +94,7 @@ class Traversal:
     own_spaces: bool = False
     score: Score | None = None
 
-    def answers(self, query: str, tree: str) -> bool:
+    def supports(self, query: str, tree: str) -> bool:
         """Whether it answers a query on a tree kind."""
         return query in self.queries.get(tree, NEAREST_QUERIES)
 
@@ -103,9 +103,9 @@ class Traversal:
 
         Traversals that answer every query can, because they test hits one by one.
         """
-        return tree in self.kernels and self.answers(ALL, tree)
+        return tree in self.kernels and self.supports(ALL, tree)
 
-    def answers_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
+    def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
         return query in self.two_level.get(tree, ()) and (self.two_level_on_cuda or not is_cuda)
 

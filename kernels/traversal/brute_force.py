@@ -7,7 +7,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.crossings import take_crossing
+from wrt.kernels.traversal.crossings import record_crossing
 from wrt.kernels.traversal.leaf import CounterRows, improves, start, store_best, triangle_step
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -34,7 +34,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, candidate, store = test.prepare, triangle_step(config), store_best(config)
-    take, crossing = take_crossing(config), config.crossing
+    record, crossing = record_crossing(config), config.crossing
     counting, any_hit = config.counters, config.query == ANY
 
     def brute_force(
@@ -56,7 +56,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 hit = candidate(triangles.records, tested, state, slabs)
                 if wp.static(crossing):
                     if hit[0] >= ray.t_min and hit[0] <= ray.t_max:
-                        best = take(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
+                        best = record(hits, i, best, hit[0], triangles.primitive[tested], hit[1], hit[2])
                 elif improves(hit[0], triangles.primitive[tested], ray.t_min, best):
                     best.t = hit[0]
                     best.primitive = triangles.primitive[tested]

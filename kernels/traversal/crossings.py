@@ -36,8 +36,8 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
-from wrt.kernels.traversal.search_results import Passed, results_of
-from wrt.kernels.traversal.single.skip_step import count_unskipped, take_unskipped
+from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
+from wrt.kernels.traversal.single.skip_step import count_unskipped, record_unskipped
 from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -57,10 +57,10 @@ def place_of(hits: wp.ref[HitBatch], i: int, number: int):
 
 
 @wp.func
-def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+def record_next(previous: wp.ref[PreviousCrossing], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
     """Keeps the first crossing that follows the given one."""
-    is_later = t > passed.t or (t == passed.t and primitive > passed.primitive)
-    if is_later and improves(t, primitive, passed.t, best):
+    is_later = t > previous.t or (t == previous.t and primitive > previous.primitive)
+    if is_later and improves(t, primitive, previous.t, best):
         best.t = t
         best.primitive = primitive
         best.u = u
@@ -69,16 +69,16 @@ def take_next(passed: wp.ref[Passed], i: int, best: Candidate, t: float, primiti
 
 
 @cache
-def take_crossing(config: TraversalConfig) -> wp.Function:
+def record_crossing(config: TraversalConfig) -> wp.Function:
     """`wp.func(hits, i, best, t, primitive, u, v) -> best`: processes one more hit of ray i."""
     if config.query == NEXT:
-        return take_next
+        return record_next
     if config.skipping:
-        return count_unskipped if config.crossing else take_unskipped
+        return count_unskipped if config.crossing else record_unskipped
     storing = config.query == ALL
 
     @wp.func
-    def take(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+    def record(hits: wp.ref[HitBatch], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
         best.primitive += 1
         if wp.static(storing):
             place = place_of(hits, i, best.primitive)
@@ -88,7 +88,7 @@ def take_crossing(config: TraversalConfig) -> wp.Function:
                 hits.uv[place] = wp.vec2(u, v)
         return best
 
-    return take
+    return record
 
 
 @cache
@@ -101,7 +101,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     Lanes, RayState = lanes(width), test.ray_state
     intersect_block = test.forms(config.crossing).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
-    take, owns = take_crossing(config), owns_crossing(width)
+    record, owns = record_crossing(config), owns_crossing(width)
     shared, Results = Tree is KdNodes and config.crossing and config.query != NEXT, results_of(config)
 
     @wp.func
@@ -131,7 +131,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
             if wp.static(shared):
                 owned = owns(tree, node, interval, triangles, slot, slabs, t_lanes[lane])
             if owned:
-                best = take(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
+                best = record(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
         return best
 
     return step
@@ -151,7 +151,7 @@ def overlap(slabs: wp.ref[RaySlabs]):
 
 
 @wp.func
-def holds(crossing: wp.vec3, is_left: bool, t: float):
+def contains_t(crossing: wp.vec3, is_left: bool, t: float):
     """Whether the interval of a child, as bounded by its parent's plane, contains t; crossing: see `cross_plane`."""
     is_near = is_left == (not (crossing[0] < 0.0))
     return (is_near and not (t > crossing[1])) or (not is_near and not (t < crossing[2]))
@@ -181,10 +181,10 @@ def is_listed(width: int) -> wp.Function:
                     slot += 1
             else:
                 crossing = cross_plane(slabs, axis, kdtree.split_position(word))
-                if holds(crossing, False, t):
+                if contains_t(crossing, False, t):
                     store_int(waiting, size, kdtree.right_child(word))
                     size += 1
-                if holds(crossing, True, t):
+                if contains_t(crossing, True, t):
                     store_int(waiting, size, node + 1)
                     size += 1
         return found
@@ -221,7 +221,7 @@ def owns_crossing(width: int) -> wp.Function:
                     node += 1
                 else:
                     crossing = cross_plane(slabs, kdtree.split_axis(word), kdtree.split_position(word))
-                    if holds(crossing, True, t):
+                    if contains_t(crossing, True, t):
                         owned = not search(tree, node + 1, triangles, triangles.primitive[slot], slabs, t)
                     node = right
         return owned

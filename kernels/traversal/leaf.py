@@ -227,8 +227,8 @@ def triangle_step(config: TraversalConfig) -> wp.Function:
 @cache
 def block_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, block, state, slabs, t_min, best) -> best` for one block of `config.width` triangles."""
-    if config.single.one_by_one:
-        return slot_by_slot(config)
+    if config.single.scalar_test:
+        return scalar_block_step(config)
     test = TRIANGLE_TESTS[config.triangle_test]
     width = config.width
     Lanes = lanes(width)
@@ -262,7 +262,7 @@ def block_step(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def slot_by_slot(config: TraversalConfig) -> wp.Function:
+def scalar_block_step(config: TraversalConfig) -> wp.Function:
     """The same as `block_step` by the scalar test, one triangle after the other: every early exit of a test is a branch."""
     width, any_hit = config.width, config.query == ANY
     RayState, candidate = TRIANGLE_TESTS[config.triangle_test].ray_state, triangle_step(config)

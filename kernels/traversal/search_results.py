@@ -10,7 +10,7 @@ exact_module(__name__)
 
 
 @wp.struct
-class Passed:
+class PreviousCrossing:
     """For the query `NEXT`: only crossings after this one count, ordered by t, then by triangle."""
 
     t: float
@@ -49,4 +49,4 @@ def results_of(config: TraversalConfig) -> type:
     """The struct that the walk of a specialisation takes as `hits`; batch queries store their hits there."""
     if config.skipping:
         return Skipping
-    return {NEXT: Passed, EXACT: ExactSearch}.get(config.query, HitBatch)
+    return {NEXT: PreviousCrossing, EXACT: ExactSearch}.get(config.query, HitBatch)

@@ -37,12 +37,12 @@ class SingleConfig:
     """Options of the walk of a single ray. Both are for measurements.
 
     Attributes:
-        pairs: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); for `NEAREST_QUERIES`.
-        one_by_one: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
+        paired_nodes: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); for `NEAREST_QUERIES`.
+        scalar_test: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
     """
 
-    pairs: bool = False
-    one_by_one: bool = False
+    paired_nodes: bool = False
+    scalar_test: bool = False
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,6 @@ class TraversalConfig:
         return self.query in (COUNT, ALL, NEXT)
 
     @property
-    def own_step(self) -> bool:
+    def custom_leaf_step(self) -> bool:
         """Whether leaves need another step than the one that finds the closest hit in a block."""
         return self.crossing or self.query == EXACT or self.skipping

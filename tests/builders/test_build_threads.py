@@ -9,7 +9,7 @@ import wrt
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.layout.mesh_placement import relative_to
-from wrt.kernels.query.nearest64 import corner_rows, nearest_hits
+from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
 from wrt.kernels.runtime.launch import use_threads
 
 COUNT = 20_000
@@ -72,9 +72,9 @@ def test_nearest_hits_in_float64(count):
     low, high = int(heights.argmin()), int(heights.argmax())
     for threads in (1, 2, 5):
         with use_threads(threads):
-            triangle, t = nearest_hits(corner_rows(vertices, faces), origins, directions)
+            triangle, t = nearest_hits(vertex_rows(vertices, faces), origins, directions)
         assert triangle.tolist() == [low, -1, -1, -1, low, -1, -1, high]
         assert t.tolist() == [0.5, np.inf, np.inf, np.inf, 1.0, np.inf, np.inf, 2.0]
     vertices[:, 2] = 1.0
-    triangle, _ = nearest_hits(corner_rows(vertices, faces), origins[:1], directions[:1])
+    triangle, _ = nearest_hits(vertex_rows(vertices, faces), origins[:1], directions[:1])
     assert triangle.tolist() == [0]  # of equally near ones the first

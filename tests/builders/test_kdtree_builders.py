@@ -262,7 +262,7 @@ def test_small_shares_are_enlarged(builder, module, monkeypatch):
     """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
     mesh = wrt.scenes.build("teapot_in_stadium", level=4)
     reference, _ = build(mesh, builder)
-    monkeypatch.setattr(module, "SPARE_ROOM", 0.4 if builder == "streaming" else 0.01)
+    monkeypatch.setattr(module, "SPARE_MEMORY", 0.4 if builder == "streaming" else 0.01)
     tree, _ = build(mesh, builder)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())

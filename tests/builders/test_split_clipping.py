@@ -205,7 +205,7 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
     """A task leaves room for new events in its share; where that is too small, the build starts over, to the same tree."""
     mesh = scenes.build("random_triangles", count=1500, size=0.5, seed=9)
     reference, _ = build(mesh, builder, split_clipping=True)
-    monkeypatch.setattr(module, "SPARE_ROOM", spare)
+    monkeypatch.setattr(module, "SPARE_MEMORY", spare)
     tree, _ = build(mesh, builder, split_clipping=True)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())

@@ -36,7 +36,7 @@ def make_all_kernels() -> list[wp.Kernel]:
     config = TraversalConfig("woop", WIDTH)
     answers = [(way, tree, query) for way in TRAVERSALS.values() for tree in way.trees for query in QUERIES]
     kernels = [
-        way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.answers(query, tree)
+        way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.supports(query, tree)
     ]
     packets, streams, single = (TRAVERSALS[name].kernels for name in ("packet", "stream", "single"))
     for name, test in TRIANGLE_TESTS.items():

@@ -132,7 +132,7 @@ ANSWERS = [
     for tree in way.trees
     for test in map(TRIANGLE_TESTS.get, ENGINE_TESTS)
     for query in (QUERIES if test.name == "woop" else ("closest",))
-    if way.answers(query, tree) and not way.wide  # wide forms have the kernels of a BVH
+    if way.supports(query, tree) and not way.wide  # wide forms have the kernels of a BVH
     if test.name == "woop" or (tree == way.trees[0] and name not in OTHER_WAYS_TO_PACKETS)
 ]
 """All queries with one test; one query with the others, once for each way to meet leaves."""
@@ -185,7 +185,7 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_fan_kernel(False),
         lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
         lambda: TRAVERSALS["single"].kernels["bvh"](
-            TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(one_by_one=True))
+            TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(scalar_test=True))
         ),
         lambda: make_frusta(PUBLISHED["proposed"], 4, 2),
         lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),

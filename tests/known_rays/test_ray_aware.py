@@ -12,7 +12,7 @@ from wrt.builders.influence import area_octree as octree
 from wrt.builders.influence.area_top_level import TopLevel, region_of
 from wrt.builders.influence.regions import classify_boxes, contain_points
 from wrt.execution.area_trees import assign
-from wrt.kernels.influence.region_tests import APART
+from wrt.kernels.influence.region_tests import DISJOINT
 from wrt.kernels.influence.region_tests import Region as RegionStruct
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
@@ -256,7 +256,7 @@ def test_trees_have_what_rays_of_their_regions_can_meet():
     scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=random_areas(6, *mesh.bounds), local=wrt.Bvh()), device="cpu")
     low, high = (f(mesh.vertices[mesh.faces], axis=1) - scene.center for f in (np.min, np.max))
     structs = [region_struct(row) for row in scene.area_trees.top.struct.regions.numpy()]
-    met = classify_boxes(structs, low, high) != APART
+    met = classify_boxes(structs, low, high) != DISJOINT
     for number, local in enumerate(scene.area_trees.scenes):
         assert set(np.flatnonzero(met[:, number])) <= set(local.tree.primitive.numpy().tolist())
     assert 0.05 < met.mean() < 0.95

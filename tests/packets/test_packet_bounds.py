@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from packet_loops import LOAD, OPTIONS, Loop, Packets, PlainRays, loops, make_packets, plain_rays
 
-from wrt.kernels.traversal.packet.core.packet_splitting import ALONE, DONE, MOST_PARTS, settle_part, take_part
+from wrt.kernels.traversal.packet.core.packet_splitting import DONE, MAX_PARTS, SINGLE_RAY, activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
 
@@ -22,7 +22,7 @@ PARTS = 4
 @cache
 def bounding_loops() -> wp.Kernel:
     """The loops that bound rays anew. Item: a packet, with origins of its own where it parts."""
-    take, settle = take_part(OWN), settle_part(OWN)
+    activate, finish = activate_part(OWN), finish_part(OWN)
 
     def run(loop: Loop, stage: int, rays: int):
         i = wp.tid()
@@ -30,9 +30,9 @@ def bounding_loops() -> wp.Kernel:
         if stage == TILE:
             bound_rays(loop.rays, i * rays, rays, loop.low, loop.high, bounds)
         elif stage == TAKE:
-            take(loop.packets[i], bounds, 1)
+            activate(loop.packets[i], bounds, 1)
         elif stage == SETTLE:
-            loop.answers[i, 0] = settle(loop.packets[i], bounds, 1, loop.answers[i, 0], loop.answers[i, 1] != 0)
+            loop.answers[i, 0] = finish(loop.packets[i], bounds, 1, loop.answers[i, 0], loop.answers[i, 1] != 0)
         loop.bounds[i] = bounds
 
     return wp.kernel(run, **OPTIONS)
@@ -156,7 +156,7 @@ def test_parts(device):
     packets = make_packets(OWN, 200, device)
     plain, rng = plain_rays(packets), np.random.default_rng(1)
     packets.run(loops(OWN), LOAD)
-    part = np.where(plain.valid, rng.choice([DONE, ALONE, 1, 1, 2, 3], plain.valid.shape), DONE)
+    part = np.where(plain.valid, rng.choice([DONE, SINGLE_RAY, 1, 1, 2, 3], plain.valid.shape), DONE)
     packets.change(part=part)
     before = packets.components()
     run(packets, TAKE)
@@ -168,9 +168,9 @@ def test_parts(device):
 
     over = active & (rng.random(active.shape) < 0.2)  # found any hit
     packets.change(t=np.where(over, -np.inf, taken["t"]))
-    together, parts = rng.integers(0, 2, packets.count), rng.choice([PARTS, MOST_PARTS - 1], packets.count)
+    completed, parts = rng.integers(0, 2, packets.count), rng.choice([PARTS, MAX_PARTS - 1], packets.count)
     answers = packets.loop.answers.numpy().copy()
-    answers[:, 0], answers[:, 1] = parts, together
+    answers[:, 0], answers[:, 1] = parts, completed
     packets.loop.answers.assign(answers)
     run(packets, SETTLE)
     got, made = packets.components(), packets.loop.answers.numpy()[:, 0]
@@ -179,11 +179,11 @@ def test_parts(device):
     axis = (high - low).argmax(axis=1)
     at = np.arange(packets.count), axis
     middle = low[at] + np.float32(0.5) * (high[at] - low[at])
-    halved = (together == 0) & (parts == PARTS) & (low[at] < middle) & (middle < high[at])
+    halved = (completed == 0) & (parts == PARTS) & (low[at] < middle) & (middle < high[at])
     some = active.any(axis=1)
     np.testing.assert_array_equal(made[some], 2 * halved[some])
     assert 0.1 < halved.mean() < 0.5
     start = np.take_along_axis(plain.ray["origin"], axis[:, None, None], -1)[..., 0]
-    half = np.where(halved[:, None], parts[:, None] + (start >= middle[:, None]), ALONE)
-    settled = np.where(over | (together != 0)[:, None], DONE, half)
+    half = np.where(halved[:, None], parts[:, None] + (start >= middle[:, None]), SINGLE_RAY)
+    settled = np.where(over | (completed != 0)[:, None], DONE, half)
     np.testing.assert_array_equal(got["part"], np.where(active, settled, part))

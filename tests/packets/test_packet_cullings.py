@@ -19,7 +19,7 @@ from scalar_cullings import (
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.packet_cells import enter_box
-from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import load_corners
@@ -180,7 +180,7 @@ def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     answers[:, 1] = leaf_lanes(packets)
     packets.loop.answers.assign(answers)
     run(packets, LEAF, culling)
-    return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] > FEW)
+    return (packets.bounds()["active"] > 0) & (packets.loop.answers.numpy()[:, 0] > MAX_FEW_RAYS)
 
 
 def kept_lanes(packets: Packets, culling: str, there: np.ndarray) -> np.ndarray:
@@ -290,8 +290,8 @@ def check_few(packets: Packets, meet: np.ndarray, there: np.ndarray) -> None:
     active, few = packets.bounds()["active"] > 0, packets.bounds()["few"]
     count = meet.sum(axis=1)
     np.testing.assert_array_equal(packets.loop.answers.numpy()[active, 0], count[active])
-    np.testing.assert_array_equal(there, active & (count > FEW))
-    listed = np.flatnonzero((count > 0) & (count <= FEW))
+    np.testing.assert_array_equal(there, active & (count > MAX_FEW_RAYS))
+    listed = np.flatnonzero((count > 0) & (count <= MAX_FEW_RAYS))
     assert len(listed) > 0
     for packet in listed:
         np.testing.assert_array_equal(few[packet, : count[packet]], np.flatnonzero(meet[packet]))

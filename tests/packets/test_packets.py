@@ -12,7 +12,7 @@ import wrt
 import wrt.planning.planner
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core.packet_bvh import PATIENCE
+from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_PER_RAY
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.plan import Plan
 
@@ -197,7 +197,7 @@ def test_packets_part_where_their_origins_do():
     assert_same_hits(hits, expected)
     np.testing.assert_array_equal(scene.occluded(rays, traversal=plan), expected.is_hit)
     steps = (hits.counters["nodes"] + hits.counters["leaves"]).reshape(-1, plan.packet)
-    parted = steps[:, 0] > PATIENCE * plan.packet
+    parted = steps[:, 0] > MAX_STEPS_PER_RAY * plan.packet
     alone = (steps[:, 1:] > 0).sum(axis=1)
     assert not parted[places == 1].any()
     assert parted[places > 1].any()

@@ -21,7 +21,7 @@ TREES = ["bvh", "kdtree", wrt.KdTree(builder="sweep", block_cost=4.0, width=4)]
 SMOOTH = wrt.scenes.build("teapot", level=3, ground=False)
 SOUP = wrt.scenes.build("random_triangles", count=300, size=0.6)
 WAYS = {
-    kind: [name for name, way in TRAVERSALS.items() if kind in way.trees and way.answers(ALL, kind)]
+    kind: [name for name, way in TRAVERSALS.items() if kind in way.trees and way.supports(ALL, kind)]
     for kind in ("bvh", "kdtree")
 }
 
@@ -375,7 +375,7 @@ def test_plans():
 
 
 def test_tables_say_what_is_answered():
-    assert all(way.answers("closest", tree) for way in TRAVERSALS.values() for tree in way.trees)
+    assert all(way.supports("closest", tree) for way in TRAVERSALS.values() for tree in way.trees)
     assert WAYS == {"bvh": ["single", "stream"], "kdtree": ["single"]}
-    assert TRAVERSALS["brute"].answers(COUNT, "none")
+    assert TRAVERSALS["brute"].supports(COUNT, "none")
     assert [name for name, test in TRIANGLE_TESTS.items() if test.crossing is not None] == ["woop"]

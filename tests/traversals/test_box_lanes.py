@@ -8,7 +8,7 @@ import warp as wp
 
 import wrt
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, met_boxes, nearest_child, ray_boxes
+from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT, intersected_boxes, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, slab_interval
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.packet.core.packet_cells import enter_box
@@ -25,7 +25,7 @@ RAYS, NODES = 400, 6
 
 
 def make_kernel(width: int) -> wp.Kernel:
-    keys_of, boxes_met, nearest, Lanes = ray_boxes(width), met_boxes(width), nearest_child(width), lanes(width)
+    keys_of, boxes_met, nearest, Lanes = ray_boxes(width), intersected_boxes(width), nearest_child(width), lanes(width)
 
     def compare(
         bounds: wp.array(dtype=float),

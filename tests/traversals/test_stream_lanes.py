@@ -12,8 +12,8 @@ from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
+from wrt.kernels.traversal.stream.stream_lists import Pairs, RayIntervals, load_pair, set_arrays
 from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.stream.stream_pairs import Pairs, load_pair
 
 pytestmark = pytest.mark.width
 
@@ -55,36 +55,25 @@ class Lists:
 @cache
 def loops() -> wp.Kernel:
     """The loops; which one is `stage`. Item: a stream."""
-    load, split, recall = load_stream("woop"), filter_plane("woop"), filter_hits("woop")
+    load, split, pop = load_stream("woop"), filter_plane("woop"), filter_hits("woop")
     near, far = filter_boxes(WIDTHS[NEAR], "woop", False), filter_boxes(WIDTHS[FAR], "woop", True)
     next_near, next_far = next_child(WIDTHS[NEAR]), next_child(WIDTHS[FAR])
 
     def run(lists: Lists, stage: int, width: int):
         i = wp.tid()
         stream, words, keys, size = lists.stream[i], lists.words[i], lists.keys[i], lists.sizes[i]
+        list, stack = RayIntervals(), RayIntervals()
+        set_arrays(list, words, lists.entry[i], lists.leave[i])
+        set_arrays(stack, lists.far_rays[i], lists.far_entry[i], lists.far_leave[i])
         if stage == LOAD:
             begin = i * SIZE
             load(lists.rays, begin, wp.min(SIZE, lists.rays.count - begin), lists.low, lists.high, stream)
         elif stage == PLANE:
             behind = int(0)
-            entry, leave = lists.entry[i], lists.leave[i]
-            far_rays, far_entry, far_leave = lists.far_rays[i], lists.far_entry[i], lists.far_leave[i]
-            lists.answers[i, 0] = split(
-                lists.axes[i], lists.positions[i], stream, words, entry, leave, size, far_rays, far_entry, far_leave, 5, behind
-            )
+            lists.answers[i, 0] = split(lists.axes[i], lists.positions[i], stream, list, size, stack, 5, behind)
             lists.answers[i, 1] = behind
         elif stage == HITS:
-            lists.answers[i, 0] = recall(
-                stream,
-                lists.far_rays[i],
-                lists.far_entry[i],
-                lists.far_leave[i],
-                5,
-                size,
-                words,
-                lists.entry[i],
-                lists.leave[i],
-            )
+            lists.answers[i, 0] = pop(stream, stack, 5, size, list)
         else:
             tested, survivors, total = int(0), int(0), int(0)
             while tested < size:

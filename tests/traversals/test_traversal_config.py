@@ -11,7 +11,7 @@ from wrt.kernels.traversal.traversal_config import PacketConfig, SingleConfig, S
 
 FAMILIES = {
     ("single", "bvh"): {"stack": StackConfig(24, 64)},
-    ("single", "kdtree"): {"single": SingleConfig(pairs=True, one_by_one=True)},
+    ("single", "kdtree"): {"single": SingleConfig(paired_nodes=True, scalar_test=True)},
     ("packet", "bvh"): {"packet": PacketConfig(16, True, "none"), "stack": StackConfig(24, 64)},
     ("stream", "bvh"): {"stream": StreamConfig(256)},
 }

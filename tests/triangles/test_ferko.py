@@ -275,9 +275,9 @@ def test_one_by_one(device):
         hits = scene.intersect(rays, traversal="single", triangle_test=test)
         dark = scene.occluded(rays, traversal="single", triangle_test=test)
         assert 0 < hits.is_hit.sum() == dark.sum() < 300
-        for one_by_one in (True, False):
-            closest = leaf_query(scene, rays, test, "closest", one_by_one=one_by_one)()
+        for scalar_test in (True, False):
+            closest = leaf_query(scene, rays, test, "closest", scalar_test=scalar_test)()
             for name, expected in (("t", hits.t), ("primitive", hits.primitive_id), ("uv", hits.uv)):
                 np.testing.assert_array_equal(getattr(closest, name).numpy(), expected)
-            any_hit = leaf_query(scene, rays, test, "any", one_by_one=one_by_one)()
+            any_hit = leaf_query(scene, rays, test, "any", scalar_test=scalar_test)()
             np.testing.assert_array_equal(any_hit.occluded.numpy(), dark)

@@ -33,8 +33,8 @@ def closest_and_any(scene: wrt.Scene, origins: np.ndarray, directions: np.ndarra
     for name, way in TRAVERSALS.items():
         if scene.accelerator.kind in way.trees or "none" in way.trees:
             kind = scene.accelerator.kind if scene.accelerator.kind in way.trees else "none"
-            closest = scene.intersect(origins, directions, traversal=name) if way.answers(CLOSEST, kind) else None
-            dark = scene.occluded(origins, directions, traversal=name) if way.answers(ANY, kind) else None
+            closest = scene.intersect(origins, directions, traversal=name) if way.supports(CLOSEST, kind) else None
+            dark = scene.occluded(origins, directions, traversal=name) if way.supports(ANY, kind) else None
             yield name, closest, dark
 
 

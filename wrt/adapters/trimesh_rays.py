@@ -179,7 +179,7 @@ def locate(
     scene: Scene, origins: np.ndarray, directions: np.ndarray, ray: np.ndarray, primitive: np.ndarray, uv: np.ndarray
 ) -> np.ndarray:
     """Points (h, 3) float64 where rays meet triangles, both given by index, of a scene of one mesh."""
-    from wrt.kernels.query.hit_attributes import meet_planes
+    from wrt.kernels.query.hit_attributes import intersect_planes
 
     (mesh,), device = scene.meshes, scene.device
     points = wp.empty(len(ray), dtype=wp.vec3d, device=device)
@@ -191,7 +191,9 @@ def locate(
     numbers = [wp.array(np.ascontiguousarray(ids, np.int32), dtype=int, device=device, copy=False) for ids in (ray, primitive)]
     weights = wp.array(np.ascontiguousarray(uv), dtype=wp.vec2, device=device, copy=False)
     with use_threads(scene.num_threads):
-        launch(meet_planes, len(ray), [vertices, faces, *vectors[1:], *numbers, weights, points], device=device, chunk=4096)
+        launch(
+            intersect_planes, len(ray), [vertices, faces, *vectors[1:], *numbers, weights, points], device=device, chunk=4096
+        )
     return points.numpy()
 
 

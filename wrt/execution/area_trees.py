@@ -32,7 +32,7 @@ from wrt.builders.influence.area_top_level import (
     triangles_in,
 )
 from wrt.execution.batch import trace_batch
-from wrt.kernels.influence.area_assignment import assign_rays, mark_rest
+from wrt.kernels.influence.area_assignment import assign_rays, mark_unassigned
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
@@ -127,7 +127,7 @@ def trace_by_area(
     if assigned.left + assigned.unassigned > 0:
         found = batch.hits.struct()
         inputs = [len(local), assigned.area, assigned.rest, found.primitive, found.occluded, assigned.area]
-        launch(mark_rest, rays.count, inputs, device=scene.device, chunk=4096)
+        launch(mark_unassigned, rays.count, inputs, device=scene.device, chunk=4096)
         # the second round trip, only where a ray is left
         order = wp.array(np.flatnonzero(assigned.area.numpy() == 0).astype(np.int32), dtype=int, device=scene.device)
         batch.trace(scene, with_range(rays, "t_min", assigned.rest), order, 0, len(order))

@@ -95,7 +95,7 @@ class Rounds:
     """The rounds of one block of a batch, from the ray `begin` on."""
 
     def __init__(self, scene: SceneState, plan: Plan, rays: RayBatch, query: str, begin: int) -> None:
-        from wrt.kernels.traversal.two_level.instance_streams import ROOM, Search, make_stream_kernel
+        from wrt.kernels.traversal.two_level.instance_streams import MAX_LISTED, Search, make_stream_kernel
 
         self.scene, self.plan, self.rays, self.query, self.device = scene, plan, rays, query, scene.device
         config = traversal_config(plan, scene, query, False)
@@ -109,8 +109,8 @@ class Rounds:
         self.search.begin = begin
         self.search.bound = empty(self.count, wp.float32, self.device)
         self.search.size = empty(self.count, wp.int32, self.device)
-        self.search.instance = empty(ROOM * self.count, wp.int32, self.device)
-        self.search.entry = empty(ROOM * self.count, wp.float32, self.device)
+        self.search.instance = empty(MAX_LISTED * self.count, wp.int32, self.device)
+        self.search.entry = empty(MAX_LISTED * self.count, wp.float32, self.device)
 
     def list_instances(self, again: bool) -> None:
         """Lists the first instances on each ray, or the next ones of rays whose list was full."""
@@ -123,9 +123,9 @@ class Rounds:
 
     def trace_lists(self, hits: DeviceHits) -> bool:
         """Traces a round for each place of the lists. Returns whether some lists may have been too short."""
-        from wrt.kernels.traversal.two_level.instance_streams import ROOM
+        from wrt.kernels.traversal.two_level.instance_streams import MAX_LISTED
 
-        return all(self.trace_round(turn, hits) for turn in range(ROOM))
+        return all(self.trace_round(turn, hits) for turn in range(MAX_LISTED))
 
     def trace_round(self, turn: int, hits: DeviceHits) -> bool:
         """Traces the rays through their instances of this round. Returns whether there were any."""

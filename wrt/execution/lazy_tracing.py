@@ -58,7 +58,7 @@ class LazyQuery:
 
     tree: LazyKdTree
     rays: RayBatch
-    how: int
+    query_range: int
     trace: Trace
     query: str
 
@@ -68,7 +68,7 @@ class LazyQuery:
 
         snapshot = self.tree.current  # from before the rays are traced: they have met whatever it says is built
         self.trace(self.rays, hits)
-        numbers = request_cells(self.tree, snapshot, self.rays, hits, self.how, CELLS_PER_REQUEST)
+        numbers = request_cells(self.tree, snapshot, self.rays, hits, self.query_range, CELLS_PER_REQUEST)
         while len(numbers):
             order, found, requesting = self.trace_some(numbers)
             unsort_hits(order, found.struct(), hits.struct(), self.query)
@@ -90,7 +90,7 @@ class LazyQuery:
             self.tree.current,
         )
         self.trace(few, found)
-        return order, found, request_cells(self.tree, snapshot, few, found, self.how, CELLS_PER_REQUEST)
+        return order, found, request_cells(self.tree, snapshot, few, found, self.query_range, CELLS_PER_REQUEST)
 
 
 def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str, trace: Trace) -> None:
@@ -101,28 +101,30 @@ def trace_lazily(tree: LazyKdTree, rays: RayBatch, hits: DeviceHits, query: str,
     """
     from wrt.kernels.traversal.single.lazy_requests import TO_ANY, TO_HIT, UNTRACED
 
-    how = {CLOSEST: TO_HIT, ANY: TO_ANY}.get(query)
-    if how is None:
+    query_range = {CLOSEST: TO_HIT, ANY: TO_ANY}.get(query)
+    if query_range is None:
         while len(request_cells(tree, tree.current, rays, hits, int(UNTRACED), ALL_CELLS)):
             pass
         trace(rays, hits)
         return
-    lazy_query = LazyQuery(tree, rays, int(how), trace, query)
+    lazy_query = LazyQuery(tree, rays, int(query_range), trace, query)
     if rays.count >= MIN_SAMPLED_RAYS:
         lazy_query.explore(np.flatnonzero(np.arange(rays.count) // RUN_LENGTH % SAMPLE_STRIDE == 0))
     lazy_query.trace_until_built(hits)
 
 
-def request_cells(tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, how: int, most: int) -> np.ndarray:
-    """Builds up to `most` unbuilt cells that each ray reaches first; returns the numbers of the rays that reach any."""
-    from wrt.kernels.traversal.single.lazy_requests import ask_for_cells
+def request_cells(
+    tree: LazyKdTree, snapshot: Snapshot, rays: RayBatch, hits: DeviceHits, query_range: int, max_cells: int
+) -> np.ndarray:
+    """Builds up to `max_cells` unbuilt cells that each ray reaches first; returns the numbers of the rays that reach any."""
+    from wrt.kernels.traversal.single.lazy_requests import mark_requested_cells
 
     if not snapshot.unbuilt:
         return np.zeros(0, dtype=int)
     requested = wp.zeros(snapshot.cells, dtype=wp.uint8, device=tree.device)
     unfinished = empty(rays.count, wp.bool, tree.device)
-    inputs = [snapshot.struct(), rays, hits.struct(), how, most, requested, unfinished]
-    launch(ask_for_cells, rays.count, inputs, device=tree.device, chunk=1024)
+    inputs = [snapshot.struct(), rays, hits.struct(), query_range, max_cells, requested, unfinished]
+    launch(mark_requested_cells, rays.count, inputs, device=tree.device, chunk=1024)
     numbers = np.flatnonzero(unfinished.numpy())
     if len(numbers):
         tree.build_cells(np.flatnonzero(requested.numpy()))

@@ -22,9 +22,9 @@ def can_answer(traversal: Traversal, scene: SceneState, query: str, cull_backfac
     kind = scene.accelerator.kind if traversal.walks_tree else "none"
     return (
         kind in traversal.kernels
-        and traversal.answers(query, kind)
+        and traversal.supports(query, kind)
         and (not cull_backfaces or traversal.culls_backfaces(kind))
-        and (not scene.instances or traversal.answers_through_instances(query, kind, scene.device.is_cuda))
+        and (not scene.instances or traversal.supports_through_instances(query, kind, scene.device.is_cuda))
         and (not scene.only_single or traversal.own_spaces)
         and (not traversal.wide or can_be_wide(scene))
     )
@@ -55,8 +55,8 @@ def check_instances(scene: SceneState, query: str, traversal: Traversal, test: T
     from wrt.kernels.traversal import TRAVERSALS
 
     kind, is_cuda = scene.accelerator.kind, scene.device.is_cuda
-    if not traversal.answers_through_instances(query, kind, is_cuda):
-        able = [name for name, entry in TRAVERSALS.items() if entry.answers_through_instances(query, kind, is_cuda)]
+    if not traversal.supports_through_instances(query, kind, is_cuda):
+        able = [name for name, entry in TRAVERSALS.items() if entry.supports_through_instances(query, kind, is_cuda)]
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on two levels of {kind}; "
             f"for this scene of instances, choose from auto, {', '.join(able)}"
@@ -103,12 +103,12 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest)
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
 
-    if not traversal.answers(query, tree):
+    if not traversal.supports(query, tree):
         able = ", ".join(
             name
             for name, entry in TRAVERSALS.items()
             for kind in (tree, "none")
-            if kind in entry.trees and entry.answers(query, kind)
+            if kind in entry.trees and entry.supports(query, kind)
         )
         raise ValueError(
             f"traversal {traversal.name!r} does not answer the query {query!r} on a {tree}; choose from auto, {able}"

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wrt.kernels.query.nearest64 import corner_rows, nearest_hits
+from wrt.kernels.query.nearest64 import nearest_hits, vertex_rows
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.query.answers import closest_hits, ray_values
@@ -217,7 +217,7 @@ class Check:
         hits = closest_hits(scene, rays, Query(CLOSEST))
         occluded = ray_values(scene, rays, Query(ANY), "occluded")
         self.primitive, self.t = hits.batch.primitive.numpy(), hits.t.astype(np.float64)
-        self.corners = corner_rows(vertices, faces)
+        self.corners = vertex_rows(vertices, faces)
         self.expected, self.t_expected = nearest_hits(self.corners, origins, directions)
         low, high = vertices[faces].min(axis=(0, 1)), vertices[faces].max(axis=(0, 1))
         self.tolerance = TOLERANCE * np.maximum(np.abs(low - origins), np.abs(high - origins)).max(axis=1)
@@ -291,7 +291,7 @@ def nearest64(
     vertices: np.ndarray, faces: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Nearest hits at t >= 0 by brute force in float64, edges included: ((N,) triangle or -1, (N,) t or inf)."""
-    return nearest_hits(corner_rows(vertices, faces), origins, directions)
+    return nearest_hits(vertex_rows(vertices, faces), origins, directions)
 
 
 # -- rays --------------------------------------------------------------------------------------------------------------

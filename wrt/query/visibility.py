@@ -56,7 +56,7 @@ def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
 
 def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:
     """(N,) bool for N pairs, given as the points and the indices of both ends."""
-    from wrt.kernels.query.open_segments import UNDECIDED, VISIBLE, connect_points, judge_lists, judge_nearest
+    from wrt.kernels.query.open_segments import UNDECIDED, VISIBLE, classify_by_all_hits, classify_by_nearest, connect_points
     from wrt.kernels.query.ray_order import sort_rays
     from wrt.query.all_hits import MAX_TOTAL, find_all
 
@@ -70,14 +70,14 @@ def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], roun
     buffers = RayBuffers(rays, (count,), True, np.float32, coherent, scattered, [])
     nearest, _ = trace(scene, make_plan(scene, buffers, AUTO, AUTO), buffers, CLOSEST)
     pairs = [scene.device_mesh, rays, targets]
-    launch(judge_nearest, count, [*pairs, nearest.primitive, rounding, verdict], device=device, chunk=4096)
+    launch(classify_by_nearest, count, [*pairs, nearest.primitive, rounding, verdict], device=device, chunk=4096)
     undecided = np.flatnonzero(verdict.numpy() == UNDECIDED).astype(np.int32)
     if len(undecided):
         order = wp.array(undecided, dtype=int, device=device)
         few = sort_rays(rays, order, empty)
         hits, offsets = find_all(scene, make_plan(scene, buffers, AUTO, AUTO, ALL), few, MAX_TOTAL)
         lists = [*pairs, order, offsets, hits.primitive, rounding, verdict]
-        launch(judge_lists, len(undecided), lists, device=device, chunk=1024)
+        launch(classify_by_all_hits, len(undecided), lists, device=device, chunk=1024)
     return verdict.numpy() == VISIBLE
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from wrt.kernels.query.coherence_detection import PAIRS, look_at_rays
+from wrt.kernels.query.coherence_detection import PAIRS, measure_coherence
 from wrt.kernels.runtime.launch import record
 
 MIN_IMAGE_RAYS = 4096
@@ -40,13 +40,13 @@ class CoherenceDetector:
     def __init__(self) -> None:
         device = wp.get_device("cpu")
         none = wp.empty(0, dtype=wp.vec3, device=device)
-        self.answers = wp.zeros(3, dtype=int, device=device)
-        self.launch = record(look_at_rays, [none, none, 0, 0, self.answers], device)
-        names = [argument.label for argument in look_at_rays.adj.args]
+        self.results = wp.zeros(3, dtype=int, device=device)
+        self.launch = record(measure_coherence, [none, none, 0, 0, self.results], device)
+        names = [argument.label for argument in measure_coherence.adj.args]
         values = self.launch.params[1:]
         fields = [(name, type(value)) for name, value in zip(names, values, strict=True)]
         self.arguments = type("Arguments", (ctypes.Structure,), {"_fields_": fields})(*values)
-        self.found = self.answers.numpy()
+        self.found = self.results.numpy()
 
     def detect(self, rays: Any, sampled: bool, listed: bool) -> Coherence:
         """Tests pairs of neighbours if `sampled`, and for an image if `listed`."""

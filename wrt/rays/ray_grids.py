@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrt.kernels.query.coherence_detection import LEAST_ROWS
+from wrt.kernels.query.coherence_detection import MIN_ROWS
 from wrt.rays.coherence import MIN_IMAGE_RAYS
 
 BLOCK = 1 << 16
@@ -34,4 +34,4 @@ def detect_shared_origin(origins: np.ndarray) -> np.ndarray:
 
 def columns_of_shape(shape: tuple[int, ...]) -> int:
     """Columns of the image whose pixels two-dimensional rays are; 0 for other shapes."""
-    return shape[1] if len(shape) == 2 and min(shape) >= LEAST_ROWS else 0
+    return shape[1] if len(shape) == 2 and min(shape) >= MIN_ROWS else 0

@@ -231,7 +231,7 @@ class FuzzyTree:
         origins = motion.origins - centers[:, None]
         table = np.zeros((len(meshes), count), dtype=Cluster.numpy_dtype())
         inverse = np.linalg.inv(motion.matrices)
-        table["to_own"], table["origin"] = inverse, origins
+        table["to_cluster"], table["origin"] = inverse, origins
         table["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
         boxes, trees, members = np.empty((len(meshes), 2, count, 3), dtype=np.float32), [], []
         corners = np.array([triangle_corners(mesh, center) for mesh, center in zip(meshes, centers, strict=True)])

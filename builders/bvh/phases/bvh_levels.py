@@ -202,7 +202,7 @@ def emit_children(
     triangles: int,
     large: int,
     size: int,
-    most_levels: int,
+    max_levels: int,
     nodes: wp.array(dtype=LiveNode),
     next_nodes: wp.array(dtype=LiveNode),
     next_chunks: wp.array(dtype=Chunk),
@@ -229,7 +229,7 @@ def emit_children(
                 child.frame.node = 2 * (node.frame.first + node.plane.left) + side
                 child.frame.buffer = triangles - node.frame.buffer
                 child.frame.depth = node.frame.depth + 1
-                if child.frame.count > large and total.levels < most_levels:
+                if child.frame.count > large and total.levels < max_levels:
                     child.chunk_first = total.chunks
                     child.chunk_count = (child.frame.count + size - 1) / size
                     child.part_first = 2 * node.chunk_first + side

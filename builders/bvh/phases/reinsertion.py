@@ -73,7 +73,7 @@ class Links:
 
 
 @wp.struct
-class Places:
+class InsertionPositions:
     """Results of the searches of a round."""
 
     place: wp.array(dtype=int)
@@ -107,7 +107,7 @@ def join_boxes(out: wp.array(dtype=float), o: int, a: wp.array(dtype=float), i: 
 
 
 @wp.kernel
-def find_places(first: int, tree: BinaryTree, links: Links, places: Places):
+def find_insertion_positions(first: int, tree: BinaryTree, links: Links, places: InsertionPositions):
     """Item: a node other than the first, which is the root. The second node is unused."""
     node = first + wp.tid() + 2
     nodes = wp.zeros(shape=(STACK,), dtype=int)
@@ -212,7 +212,12 @@ def refit_upwards(tree: BinaryTree, links: Links, bottom: int):
 
 @wp.kernel
 def move_nodes(
-    first: int, tree: BinaryTree, links: Links, places: Places, order: wp.array(dtype=int), moved: wp.array(dtype=int)
+    first: int,
+    tree: BinaryTree,
+    links: Links,
+    places: InsertionPositions,
+    order: wp.array(dtype=int),
+    moved: wp.array(dtype=int),
 ):
     """One item. order: the nodes with a gain, in the order of their moves. moved: (1,) number of moves made."""
     left_over = wp.zeros(shape=(8,), dtype=float)
@@ -310,15 +315,17 @@ class Reinsertion:
         subtrees = wp.array([(1, end)], dtype=wp.vec2i, device=device)
         return cls(replace(binary, tree=tree, subtrees=subtrees, top=None), links, end)
 
-    def search(self) -> Places:
+    def search(self) -> InsertionPositions:
         """Finds the best position of every node."""
-        device, places = self.binary.space.device, Places()
+        device, places = self.binary.space.device, InsertionPositions()
         places.place = wp.empty(2 * self.end, dtype=int, device=device)
         places.gain = wp.zeros(2 * self.end, dtype=float, device=device)
-        launch(find_places, 2 * self.end - 2, [self.binary.tree, self.links, places], device=device, chunk=SEARCHES)
+        launch(
+            find_insertion_positions, 2 * self.end - 2, [self.binary.tree, self.links, places], device=device, chunk=SEARCHES
+        )
         return places
 
-    def move(self, places: Places) -> int:
+    def move(self, places: InsertionPositions) -> int:
         """Moves nodes; returns the number of moves."""
         device, gain = self.binary.space.device, places.gain.numpy()
         order = np.argsort(-gain, kind="stable")[: np.count_nonzero(gain)].astype(np.int32)
@@ -328,7 +335,7 @@ class Reinsertion:
         launch(move_nodes, 1, inputs, device=device)
         return int(moved.numpy()[0])
 
-    def arrays(self, places: Places) -> list[wp.array]:
+    def arrays(self, places: InsertionPositions) -> list[wp.array]:
         """The arrays that are held during a round."""
         return [*self.binary.arrays(), self.links.parent, self.links.height, self.links.stamp, places.place, places.gain]
 

@@ -53,9 +53,9 @@ def replace_subtrees(tree: Bvh, subtrees: Mapping[Part, Bvh]) -> tuple[Bvh, np.n
     for part in subtrees:
         if len(part) > 1:
             merge_lanes(child[: sizes[0]], bounds, part)
-    leads_to = np.arange(len(child))
-    leads_to[[part[0] for part in subtrees]] = np.cumsum(sizes)[:-1]
-    child = np.where(child >= 0, leads_to[np.maximum(child, 0)], child)
+    new_index = np.arange(len(child))
+    new_index[[part[0] for part in subtrees]] = np.cumsum(sizes)[:-1]
+    child = np.where(child >= 0, new_index[np.maximum(child, 0)], child)
     grafted, order = reachable_tree(child, bounds, lists, tree)
     return grafted, np.where(order < sizes[0], order, -1)
 

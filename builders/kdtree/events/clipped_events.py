@@ -110,7 +110,7 @@ def list_new_events(lists: EventLists, first: int, straddlers: int, count: int, 
 
 
 @wp.func
-def comes_first(a: wp.vec2i, b: wp.vec2i):
+def precedes(a: wp.vec2i, b: wp.vec2i):
     """Whether event a is not after event b: by position, then end, planar, start."""
     at_a = wp.cast(a[0], wp.float32)
     at_b = wp.cast(b[0], wp.float32)
@@ -132,7 +132,7 @@ def sort_new_events(lists: EventLists, begin: int, count: int):
             for to in range(first, end):
                 take_a = b >= end
                 if a < middle and not take_a:
-                    take_a = comes_first(load_pair(lists.new_events, source + a), load_pair(lists.new_events, source + b))
+                    take_a = precedes(load_pair(lists.new_events, source + a), load_pair(lists.new_events, source + b))
                 store_pair(lists.new_events, target + to, load_pair(lists.new_events, source + wp.where(take_a, a, b)))
                 a += wp.where(take_a, 1, 0)
                 b += wp.where(take_a, 0, 1)
@@ -151,7 +151,7 @@ def merge_new_events(lists: EventLists, new_first: int, count: int, begin: int, 
     while new > new_first:
         to = old + (new - new_first) - 1
         event = load_pair(lists.new_events, new - 1)
-        if old > begin and not comes_first(load_pair(lists.event, wp.max(old - 1, 0)), event):
+        if old > begin and not precedes(load_pair(lists.event, wp.max(old - 1, 0)), event):
             old -= 1
             event = load_pair(lists.event, old)
         else:
@@ -235,11 +235,11 @@ def events_method(config: KdTreeConfig) -> Method:
     return CLIPPED_EVENTS if config.split_clipping else EVENTS
 
 
-def lists_for(room: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:
+def lists_for(reservation: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:
     """The lists of all tasks, still empty and, if clipping is requested, the mesh and scratch memory."""
-    device, count = triangles.boxes.low.device, room.triangles
+    device, count = triangles.boxes.low.device, reservation.triangles
     lists = EventLists()
-    lists.event = wp.empty(room.entries, dtype=wp.vec2i, device=device)
+    lists.event = wp.empty(reservation.entries, dtype=wp.vec2i, device=device)
     lists.triangle = wp.empty(count, dtype=int, device=device)
     lists.side = wp.empty(count, dtype=wp.uint8, device=device)
     if config.split_clipping:

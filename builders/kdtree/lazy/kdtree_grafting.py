@@ -23,7 +23,7 @@ def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtyp
     enlarged[i + shift[i]] = node
 
 
-def make_room(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
+def insert_gaps(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
     """Makes room for subtrees that replace leaves.
 
     Args:

@@ -35,6 +35,7 @@ References:
 
 import threading
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import warp as wp
@@ -44,13 +45,13 @@ from wrt.builders.kdtree import binned
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.lazy.cell_lists import Pair, list_references, list_triangles
-from wrt.builders.kdtree.lazy.kdtree_grafting import make_room, move_nodes
+from wrt.builders.kdtree.lazy.kdtree_grafting import insert_gaps, move_nodes
 from wrt.builders.kdtree.lazy.triangle_clusters import Clusters, count_cells, leaves_of, sort_into_clusters
 from wrt.builders.kdtree.phases.assembly import copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.exact_planes import values_for
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, LiveRange, TopLevels
-from wrt.builders.kdtree.scan.scanning import Scan, build_tasks
+from wrt.builders.kdtree.scan.scanning import Scan, make_tasks
 from wrt.builders.tree import MAX_GROWTH, KdTree, Phases, StopLimits, StopRules
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -66,7 +67,7 @@ LARGE = 1 << 13
 MAX_DUPLICATION = 16.0
 """A cell is not divided if its cells would have more than this many times its triangles in total."""
 
-CELL_ROOM = 3.0
+CELL_SPARE_MEMORY = 3.0
 """Working memory of a cell relative to its own lists; doubled whenever it is too small."""
 
 CLUSTERS = 8
@@ -133,11 +134,11 @@ class LazyKdTree:
 
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> None:
         self.triangles, self.config, self.device = triangles, config, device
-        self.host = triangles.boxes.low.device
-        self.phase = Phases(self.host)
+        self.build_device = triangles.boxes.low.device
+        self.phase = Phases(self.build_device)
         self.lock = threading.Lock()
         self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
-        self.order = wp.array(np.arange(triangles.count, dtype=np.int32), dtype=int, device=self.host)
+        self.order = wp.array(np.arange(triangles.count, dtype=np.int32), dtype=int, device=self.build_device)
         """Triangle ids, cluster after cluster."""
         self.clusters = np.zeros((0, 2), dtype=np.int64)
         """Start and end of each cluster in `order`."""
@@ -145,9 +146,9 @@ class LazyKdTree:
         """Clusters of the cells, cell after cell."""
         self.cells = np.zeros(1, dtype=CELL)
         self.cells["low"], self.cells["high"], self.cells["unbuilt"] = triangles.low, triangles.high, True
-        self.nodes = wp.array([EMPTY], dtype=wp.vec2i, device=self.host)
-        self.skeleton = wp.array(unbuilt_leaves(np.zeros(1, dtype=int)), dtype=wp.vec2i, device=self.host)
-        self.primitive = wp.empty(0, dtype=int, device=self.host)
+        self.nodes = wp.array([EMPTY], dtype=wp.vec2i, device=self.build_device)
+        self.skeleton = wp.array(unbuilt_leaves(np.zeros(1, dtype=int)), dtype=wp.vec2i, device=self.build_device)
+        self.primitive = wp.empty(0, dtype=int, device=self.build_device)
         self.current = self._snapshot()
         """The current snapshot: replaced, never modified."""
         if triangles.count > LARGE:
@@ -168,7 +169,7 @@ class LazyKdTree:
             if small.any():
                 with self.phase("subtrees"):
                     self._build(numbers[small], ids, first[small], sizes[small])
-            launch(close_finished, 1, [self.skeleton], device=self.host)
+            launch(close_finished, 1, [self.skeleton], device=self.build_device)
             self.current = self._snapshot()
 
     def finish(self) -> KdTree:
@@ -239,7 +240,7 @@ class LazyKdTree:
     def _build_top(self, parent: np.void, clusters: Clusters, least_size: float) -> KdTree:
         """The tree of a cell's clusters. least_size: `StopRules.least_size`, relative to the cell."""
         boxes, corners = Boxes(), (clusters.core_low.T, clusters.core_high.T)
-        boxes.low, boxes.high = (wp.array(np.ascontiguousarray(c), dtype=float, device=self.host) for c in corners)
+        boxes.low, boxes.high = (wp.array(np.ascontiguousarray(c), dtype=float, device=self.build_device) for c in corners)
         cost = self.config.cost
         depth = min(StopRules().limits(len(clusters.low)).depth, self.limits.depth - int(parent["depth"]))
         config = KdTreeConfig(
@@ -250,36 +251,32 @@ class LazyKdTree:
 
     def _graft(self, name: str, number: int, part: np.ndarray) -> int:
         """Replaces a cell by a part, in the tree ("node") or in the skeleton ("leaf"); returns the part's first index."""
-        enlarged, (base,) = self._make_room(name, np.array([number]), np.array([len(part)]))
+        enlarged, (base,) = self._insert_gaps(name, np.array([number]), np.array([len(part)]))
         right = np.where(part[:, 1] & 3 == kdtree.LEAF, 0, base << 2)
         enlarged.numpy()[base : base + len(part)] = part + np.stack([np.zeros_like(right), right], axis=1)
         return base
 
-    def _make_room(self, name: str, numbers: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
+    def _insert_gaps(self, name: str, numbers: np.ndarray, sizes: np.ndarray) -> tuple[wp.array, np.ndarray]:
         """Makes room for parts that replace cells; returns the enlarged array and the first index of each part."""
         field = {"node": "nodes", "leaf": "skeleton"}[name]
-        enlarged, shift = make_room(getattr(self, field), self.cells[name][numbers], sizes)
+        enlarged, shift = insert_gaps(getattr(self, field), self.cells[name][numbers], sizes)
         self.cells[name] += shift[self.cells[name]]
         setattr(self, field, enlarged)
         return enlarged, self.cells[name][numbers]
 
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
         """Builds the subtrees of cells and inserts them into the tree."""
-        device, width = self.host, self.config.cost.width
+        device, width = self.build_device, self.config.cost.width
         top = self._list_references(self.cells[numbers], ids, first, sizes)
         scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
-        spare = CELL_ROOM
-        while True:
-            room, _, results = build_tasks(top, self.triangles, self.config, scan, spare)
-            made = results.numpy()
-            if not made["overflow"].any():
-                break
-            spare *= 2.0
-        nodes, base = self._make_room("node", numbers, made["nodes"])
+        tasks = partial(make_tasks, top, self.triangles, self.config, scan)
+        reservation, _, results = build_tasks(scan.method, self.triangles, self.config, tasks, CELL_SPARE_MEMORY)
+        made = results.numpy()
+        nodes, base = self._insert_gaps("node", numbers, made["nodes"])
         blocks = len(self.primitive) // width + np.cumsum(made["blocks"])
         primitive = joined(self.primitive, wp.empty(int(made["blocks"].sum()) * width, dtype=int, device=device))
         bases = [wp.array(places, dtype=int, device=device) for places in (base, blocks - made["blocks"])]
-        inputs = [room.parts, room.tasks, results, *bases, width, nodes, primitive]
+        inputs = [reservation.parts, reservation.tasks, results, *bases, width, nodes, primitive]
         launch(copy_subtrees, len(numbers), inputs, device=device, chunk=1)
         self.primitive = primitive
         self.skeleton = wp.clone(self.skeleton)  # the old one may be in use
@@ -296,10 +293,10 @@ class LazyKdTree:
         frame["parent"] = -1
         frame["triangles"] = frame["count"][:, 0] = sizes
         frame["first"][:, 0] = first
-        references = wp.empty(8 * len(ids), dtype=float, device=self.host)
-        frames = wp.array(frame, dtype=Frame, device=self.host)
+        references = wp.empty(8 * len(ids), dtype=float, device=self.build_device)
+        frames = wp.array(frame, dtype=Frame, device=self.build_device)
         inputs = [self.triangles.boxes, ids, references, frames]
-        launch(list_references, len(cells), inputs, device=self.host, chunk=1)
+        launch(list_references, len(cells), inputs, device=self.build_device, chunk=1)
         roots["frame"] = frames.numpy()
         return TopLevels([roots], references)
 

@@ -6,7 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Parts, Reservation, Result, Task
+from wrt.builders.tree import KdTree, Phases
+from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
@@ -100,7 +103,7 @@ def number_top(levels: list[np.ndarray], node_counts: np.ndarray, block_counts: 
     return top
 
 
-def assemble(levels: list[np.ndarray], room: Reservation, results: wp.array, width: int) -> tuple[wp.array, wp.array]:
+def join_parts(levels: list[np.ndarray], reservation: Reservation, results: wp.array, width: int) -> tuple[wp.array, wp.array]:
     """The finished tree's nodes and leaf lists; `levels` as in `number_top`."""
     device = results.device
     made = results.numpy()
@@ -114,7 +117,16 @@ def assemble(levels: list[np.ndarray], room: Reservation, results: wp.array, wid
     launch(
         copy_subtrees,
         len(results),
-        [room.parts, room.tasks, results, array(top.node_base, int), array(top.block_base, int), width, nodes, primitive],
+        [
+            reservation.parts,
+            reservation.tasks,
+            results,
+            array(top.node_base, int),
+            array(top.block_base, int),
+            width,
+            nodes,
+            primitive,
+        ],
         device=device,
         chunk=1,
     )
@@ -122,3 +134,28 @@ def assemble(levels: list[np.ndarray], room: Reservation, results: wp.array, wid
         columns = [array(top.axis, int), array(top.position, float), array(top.index, int), array(top.right, int)]
         launch(write_top, len(top.index), [*columns, nodes], device=device)
     return nodes, primitive
+
+
+def assemble(
+    triangles: TriangleBoxes,
+    config: KdTreeConfig,
+    phase: Phases,
+    levels: list[np.ndarray],
+    tasks: tuple[Reservation, wp.array],
+    work: list[wp.array],
+) -> KdTree:
+    """Phase "assemble": the finished tree.
+
+    Args:
+        triangles, config: what it was built from.
+        phase: the phases of the build.
+        levels: as in `number_top`.
+        tasks: the tasks' memory, and the result of each task.
+        work: other arrays that are held at this time.
+    """
+    reservation, results = tasks
+    with phase("assemble"):
+        nodes, primitive = join_parts(levels, reservation, results, config.cost.width)
+    held = [triangles.boxes.low, triangles.boxes.high, *work, reservation.parts.nodes, reservation.parts.primitive]
+    phase.stats.reserve(*held, nodes, primitive)
+    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)

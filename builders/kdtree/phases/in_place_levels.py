@@ -30,7 +30,7 @@ from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split,
 from wrt.builders.kdtree.events.event_sort import CHUNK, END, START, Events, event_position, event_value
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
-from wrt.builders.tree import PathState, StopLimits, advance_path
+from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
 from wrt.kernels.layout.unchecked import load_int, store_int
@@ -187,14 +187,14 @@ def scan_chunks(
 
 
 @wp.kernel
-def least_of_blocks(first: int, block_cost: wp.array3d(dtype=float), least_known_cost: wp.array(dtype=float)):
-    """Item: a live node. least_known_cost: (nodes,) output, its least cost of all blocks and axes."""
+def min_of_blocks(first: int, block_cost: wp.array3d(dtype=float), min_known_cost: wp.array(dtype=float)):
+    """Item: a live node. min_known_cost: (nodes,) output, its least cost of all blocks and axes."""
     index = first + wp.tid()
     least = float(INFINITY)
     for axis in range(3):
         for block in range(block_cost.shape[1]):
             least = wp.min(least, block_cost[axis, block, index])
-    least_known_cost[index] = least
+    min_known_cost[index] = least
 
 
 @wp.func
@@ -251,7 +251,7 @@ def search_planes(
     membership: Membership,
     nodes: wp.array(dtype=LiveNode),
     before: wp.array3d(dtype=wp.vec3i),
-    least_known_cost: wp.array(dtype=float),
+    min_known_cost: wp.array(dtype=float),
     frames: wp.array3d(dtype=AxisFrame),
     sweeps: wp.array3d(dtype=Sweep),
 ):
@@ -280,7 +280,7 @@ def search_planes(
             at = event_position(events, axis, begin)
             to = event_position(events, axis, end - 1)
             is_candidate = may_contain_best(
-                cost, along[index], at, to, counts[0], node.triangles - ended, least_known_cost[index]
+                cost, along[index], at, to, counts[0], node.triangles - ended, min_known_cost[index]
             )
         if is_candidate:
             any_candidate = True
@@ -309,11 +309,11 @@ def decide(
                 candidate = sweeps[axis, chunk, index].best
                 if candidate.cost < best.cost:
                     best = candidate
-        below = advance_path(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
+        path = stop(limits, cost, node.depth, node.triangles, node.path, best, node.high - node.low)
         node.split = best
-        node.finished = below.bad_splits < 0
-        if below.bad_splits >= 0:
-            node.path = below
+        node.finished = path.bad_splits < 0
+        if path.bad_splits >= 0:
+            node.path = path
         nodes[index] = node
 
 

@@ -15,6 +15,8 @@ References:
         IEEE Symposium on Interactive Ray Tracing 2006.
 """
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -24,7 +26,7 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import PathState, StopLimits, advance_path
+from wrt.builders.tree import PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -147,12 +149,12 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
             split = no_split()
             if frame.depth < limits.depth:
                 split = search(cost, memory, number, frame)
-            below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, split, frame.high - frame.low)
+            path = stop(limits, cost, frame.depth, frame.triangles, frame.path, split, frame.high - frame.low)
             index = result.nodes
             result.nodes += 1
             if frame.parent >= 0:
                 link_right(parts, task.nodes_first + frame.parent, index)
-            if below.bad_splits < 0:
+            if path.bad_splits < 0:
                 parts.nodes[task.nodes_first + index] = kdtree.leaf_node(result.blocks, frame.triangles)
                 begin = (task.blocks_first + result.blocks) * width
                 emit_leaf(memory, task, frame, parts, begin)
@@ -169,8 +171,8 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
                 right = frame
                 left.high[split.axis] = split.position
                 right.low[split.axis] = split.position
-                left.path = below
-                right.path = below
+                left.path = path
+                right.path = path
                 left.depth += 1
                 right.depth += 1
                 left.parent = -1
@@ -204,7 +206,7 @@ class Reservation:
 
     def __init__(self, sizes: np.ndarray, entries: int, spare: float, width: int, device: wp.Device) -> None:
         sizes = sizes.astype(np.int64)
-        self.rooms = np.zeros(len(sizes), dtype=Task.numpy_dtype())
+        self.ranges = np.zeros(len(sizes), dtype=Task.numpy_dtype())
         """The tasks, on the host."""
         self.entries = self._share("lists", ((1 + spare) * entries * sizes).astype(np.int64) + 64)
         """List entries of all tasks together."""
@@ -214,19 +216,19 @@ class Reservation:
         self.parts.nodes = wp.empty(total, dtype=wp.vec2i, device=device)
         total = self._share("blocks", ((1 + spare) * 2 * sizes / width).astype(np.int64) + 64)
         self.parts.primitive = wp.empty(total * width, dtype=int, device=device)
-        self.tasks = wp.array(self.rooms, dtype=Task, device=device)
+        self.tasks = wp.array(self.ranges, dtype=Task, device=device)
         self.order = wp.array(np.argsort(-sizes, kind="stable"), dtype=int, device=device)
         """Tasks from the largest to the smallest: a thread that begins a large one last keeps the others waiting."""
 
     def _share(self, name: str, capacity: np.ndarray) -> int:
-        self.rooms[f"{name}_first"] = np.cumsum(capacity) - capacity
-        if f"{name}_capacity" in self.rooms.dtype.names:
-            self.rooms[f"{name}_capacity"] = capacity
+        self.ranges[f"{name}_first"] = np.cumsum(capacity) - capacity
+        if f"{name}_capacity" in self.ranges.dtype.names:
+            self.ranges[f"{name}_capacity"] = capacity
         return int(capacity.sum())
 
 
 def build_subtrees(
-    method: Method, triangles: TriangleBoxes, config: KdTreeConfig, room: Reservation, frames: wp.array, memory: Any
+    method: Method, triangles: TriangleBoxes, config: KdTreeConfig, reservation: Reservation, frames: wp.array, memory: Any
 ) -> wp.array:
     """Builds all subtrees, the largest first; the threads take them from one pool. Returns the result of each task.
 
@@ -234,7 +236,7 @@ def build_subtrees(
         method: how subtrees are built.
         triangles: boxes of the mesh's triangles.
         config: cost model and stop rules.
-        room: the tasks and their memory ranges.
+        reservation: the tasks and their memory ranges.
         frames: (tasks,) their roots.
         memory: the lists, as the method defines them.
     """
@@ -242,6 +244,37 @@ def build_subtrees(
     stack = wp.empty((count, STACK), dtype=Frame, device=device)
     results = wp.empty(count, dtype=Result, device=device)
     rules = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size)]
-    inputs = [*rules, room.order, room.tasks, frames, memory, room.parts, stack, results]
+    inputs = [*rules, reservation.order, reservation.tasks, frames, memory, reservation.parts, stack, results]
     launch(specialise(make_build_subtrees, method), count, inputs, device=device, chunk=1, chunks_per_thread=count)
     return results
+
+
+def build_tasks(
+    method: Method,
+    triangles: TriangleBoxes,
+    config: KdTreeConfig,
+    make_tasks: Callable[[float], tuple[Reservation, Any, wp.array]],
+    spare: float,
+    phase: Callable[[str], AbstractContextManager] = nullcontext,
+    name: str = "subtrees",
+) -> tuple[Reservation, Any, wp.array]:
+    """Makes tasks and builds their subtrees; again with twice the memory if it was too small for one of them.
+
+    Args:
+        method, triangles, config: as of `build_subtrees`.
+        make_tasks: spare -> the tasks, their lists and their roots.
+        spare: as of `Reservation`, for the first attempt.
+        phase: times the phases `name`, of `make_tasks`, and "subtrees".
+        name: see `phase`.
+
+    Returns:
+        The tasks, their lists, and the result of each task.
+    """
+    while True:
+        with phase(name):
+            reservation, memory, frames = make_tasks(spare)
+        with phase("subtrees"):
+            results = build_subtrees(method, triangles, config, reservation, frames, memory)
+        if not results.numpy()["overflow"].any():
+            return reservation, memory, results
+        spare *= 2.0

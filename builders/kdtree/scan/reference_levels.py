@@ -28,7 +28,7 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, make_binning, merge_bins
 from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, partition
-from wrt.builders.tree import StopLimits, advance_path
+from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import copy_references, write_references
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -152,10 +152,10 @@ def decide(
         step = sample_step(node.frame.triangles, sampled)
         node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
         frame = node.frame
-        below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-        node.finished = below.bad_splits < 0
-        if below.bad_splits >= 0:
-            node.frame.path = below
+        path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+        node.finished = path.bad_splits < 0
+        if path.bad_splits >= 0:
+            node.frame.path = path
         nodes[index] = node
 
 
@@ -171,10 +171,10 @@ def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
         if not node.finished:
             node.split = search(cost, memory, index, node.frame)
             frame = node.frame
-            below = advance_path(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-            node.finished = below.bad_splits < 0
-            if below.bad_splits >= 0:
-                node.frame.path = below
+            path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
+            node.finished = path.bad_splits < 0
+            if path.bad_splits >= 0:
+                node.frame.path = path
             nodes[index] = node
 
     return specialised_kernel(decide_by_search)
@@ -331,9 +331,9 @@ def cut_chunks(nodes: np.ndarray) -> np.ndarray:
 def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
     """Lists the children in order, with a finished node as its own child, and stores their indices in the nodes. sides: of the
     nodes' chunks."""
-    born = np.where(nodes["finished"], 1, 2)
-    nodes["left"] = np.cumsum(born) - born
-    owner = np.repeat(np.arange(len(nodes)), born)
+    child_counts = np.where(nodes["finished"], 1, 2)
+    nodes["left"] = np.cumsum(child_counts) - child_counts
+    owner = np.repeat(np.arange(len(nodes)), child_counts)
     children = nodes[owner]
     frame, split = children["frame"], children["split"]
     divided = ~children["finished"]

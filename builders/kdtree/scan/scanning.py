@@ -14,7 +14,7 @@ import warp as wp
 
 from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_subtrees, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
 from wrt.builders.kdtree.scan.reference_levels import Decide, LevelRules, TopLevels, bin_chunks, make_decide, split_top
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
@@ -28,7 +28,7 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-SPARE_ROOM = 1.5
+SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
 
@@ -93,18 +93,10 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
         top = split_top(triangles, config, scan.levels, large_node_search(triangles, config, scan))
-    spare = SPARE_ROOM
-    while True:
-        with phase("subtrees"):
-            room, lists, results = build_tasks(top, triangles, config, scan, spare)
-        if not results.numpy()["overflow"].any():
-            break
-        spare *= 2.0
-    with phase("assemble"):
-        nodes, primitive = assemble(top.levels[:-1], room, results, config.cost.width)
-    work = [top.references, lists.reference, lists.counter, lists.value, room.parts.nodes, room.parts.primitive]
-    phase.stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, nodes, primitive)
-    return KdTree(nodes, primitive, wp.vec3(*triangles.low), wp.vec3(*triangles.high), config.cost.width, phase.stats)
+    tasks = partial(make_tasks, top, triangles, config, scan)
+    reservation, lists, results = build_tasks(scan.method, triangles, config, tasks, SPARE_MEMORY, phase)
+    work = [top.references, lists.reference, lists.counter, lists.value]
+    return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
 
 
 def large_node_search(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Decide | None:
@@ -135,22 +127,21 @@ def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, 
     return lists
 
 
-def build_tasks(
+def make_tasks(
     top: TopLevels, triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan, spare: float
 ) -> tuple[Reservation, ReferenceLists, wp.array]:
-    """Builds the subtrees below the top levels; returns the tasks' memory, their lists, and the result of each task."""
+    """Makes one task of each node of the last level: its memory, its references, and the roots of the tasks."""
     device, roots = top.references.device, top.levels[-1]["frame"].copy()
     count = len(roots)
-    room = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
-    entries = wp.empty(8 * room.entries, dtype=float, device=device)
+    reservation = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
+    entries = wp.empty(8 * reservation.entries, dtype=float, device=device)
     lists = search_lists(entries, roots["triangles"], config, scan)
     if config.split_clipping:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
         lists.pad = PAD * triangles.size
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
-    roots["first"][:, 0] = room.rooms["lists_first"]
-    roots["top"] = room.rooms["lists_first"] + roots["triangles"]
+    roots["first"][:, 0] = reservation.ranges["lists_first"]
+    roots["top"] = reservation.ranges["lists_first"] + roots["triangles"]
     frames = wp.array(roots, dtype=Frame, device=device)
-    launch(copy_lists, count, [top.references, source, room.tasks, frames, lists], device=device, chunk=1)
-    results = build_subtrees(scan.method, triangles, config, room, frames, lists)
-    return room, lists, results
+    launch(copy_lists, count, [top.references, source, reservation.tasks, frames, lists], device=device, chunk=1)
+    return reservation, lists, frames

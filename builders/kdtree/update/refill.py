@@ -37,11 +37,11 @@ def find_leaves(
     first: int,
     nodes: wp.array(dtype=wp.vec2i),
     boxes: Boxes,
-    begins: wp.array(dtype=int),
+    offsets: wp.array(dtype=int),
     counts: wp.array(dtype=int),
     leaves: wp.array(dtype=int),
 ):
-    """Item: a triangle. Counts the leaves that its box reaches and, if there are `begins`, lists them."""
+    """Item: a triangle. Counts the leaves that its box reaches and, if there are `offsets`, lists them."""
     i = first + wp.tid()
     stack = wp.zeros(shape=(STACK,), dtype=int)
     waiting = int(1)
@@ -52,8 +52,8 @@ def find_leaves(
         node = nodes[index]
         axis = kdtree.split_axis(node)
         if axis == kdtree.LEAF:
-            if begins.shape[0] > 0:
-                leaves[begins[i] + count] = index
+            if offsets.shape[0] > 0:
+                leaves[offsets[i] + count] = index
             count += 1
         else:
             position = kdtree.split_position(node)
@@ -63,18 +63,18 @@ def find_leaves(
             if boxes.low[axis, i] < position:
                 stack[waiting] = index + 1
                 waiting += 1
-    if begins.shape[0] == 0:
+    if offsets.shape[0] == 0:
         counts[i] = count
 
 
-def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, most_references: int) -> KdTree | None:
+def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, max_references: int) -> KdTree | None:
     """The same planes with moved triangles in the leaves; None if this needs more references than allowed.
 
     Args:
         tree: a tree over the same number of triangles, on the CPU; not modified.
         triangles: boxes of the moved triangles.
         shift: (3,) float64 translation of the planes.
-        most_references: most entries of all leaf lists together.
+        max_references: most entries of all leaf lists together.
     """
     start, device, none = perf_counter(), tree.nodes.device, wp.empty(0, dtype=int, device=tree.nodes.device)
     words = tree.nodes.numpy().copy()
@@ -85,18 +85,18 @@ def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, most_refer
     nodes = wp.array(words, dtype=wp.vec2i, device=device)
     counts = wp.empty(triangles.count, dtype=int, device=device)
     launch(find_leaves, triangles.count, [nodes, triangles.boxes, none, counts, none], device=device, chunk=1024)
-    begins = np.cumsum(counts.numpy(), dtype=np.int64)
-    if begins[-1] > most_references:
+    offsets = np.cumsum(counts.numpy(), dtype=np.int64)
+    if offsets[-1] > max_references:
         return None
-    found = wp.empty(int(begins[-1]), dtype=int, device=device)
-    begins = wp.array((begins - counts.numpy()).astype(np.int32), dtype=int, device=device)
-    launch(find_leaves, triangles.count, [nodes, triangles.boxes, begins, counts, found], device=device, chunk=1024)
+    found = wp.empty(int(offsets[-1]), dtype=int, device=device)
+    offsets = wp.array((offsets - counts.numpy()).astype(np.int32), dtype=int, device=device)
+    launch(find_leaves, triangles.count, [nodes, triangles.boxes, offsets, counts, found], device=device, chunk=1024)
     sizes, primitive = fill_leaves(found.numpy(), counts.numpy(), len(words), tree.width)
     blocks = -(-sizes // tree.width)
     words[leaf, 0], words[leaf, 1] = (np.cumsum(blocks) - blocks)[leaf], sizes[leaf] << 2 | kdtree.LEAF
     stats = BuildStats({"refill": perf_counter() - start})
     moved = wp.array(words, dtype=wp.vec2i, device=device), wp.array(primitive, dtype=int, device=device)
-    stats.reserve(*moved, found, counts, begins)
+    stats.reserve(*moved, found, counts, offsets)
     low, high = (wp.vec3(*map(float, corner)) for corner in (triangles.low, triangles.high))
     return replace(tree, nodes=moved[0], primitive=moved[1], low=low, high=high, stats=stats)
 

@@ -46,7 +46,7 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import count_bits, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, block_step, enter, start, store_best
-from wrt.kernels.traversal.lockstep.lockstep_lanes import FIELDS, ROWS, advance, board, compact, filled, pop, walks
+from wrt.kernels.traversal.lockstep.lockstep_lanes import FIELDS, ROWS, advance, compact, lane_start, pop, skip_blocks, walks
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -69,11 +69,11 @@ def rays_per_item(config: TraversalConfig) -> int:
 
 @cache
 def leaf_phase(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, group, states, slabs, t_min, best, arrived)`: tests the leaves of the lanes in the mask `arrived`."""
+    """`wp.func(triangles, group, states, slabs, t_min, best, at_leaf)`: tests the leaves of the lanes in the mask `at_leaf`."""
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
     Walks = walks(lane_count(config))
     test_block = block_step(config)
-    filled_lanes = filled(lane_count(config), config.width)
+    skip_leaf_blocks = skip_blocks(lane_count(config), config.width)
     any_hit = config.query == ANY
 
     @wp.func
@@ -84,37 +84,37 @@ def leaf_phase(config: TraversalConfig) -> wp.Function:
         slabs: wp.array(dtype=RaySlabs),
         t_min: wp.array(dtype=float),
         best: wp.array(dtype=Candidate),
-        arrived: wp.uint32,
+        at_leaf: wp.uint32,
     ):
-        untested = filled_lanes(group, 0) & arrived
+        untested = skip_leaf_blocks(group, 0) & at_leaf
         while untested != wp.uint32(0):
-            todo = wp.uint32(untested)
-            while todo != wp.uint32(0):
-                lane = lowest_bit(todo)
-                todo &= todo - wp.uint32(1)
+            remaining = wp.uint32(untested)
+            while remaining != wp.uint32(0):
+                lane = lowest_bit(remaining)
+                remaining &= remaining - wp.uint32(1)
                 found = test_block(triangles, group.word0[lane], states[lane], slabs[lane], t_min[lane], best[lane])
                 best[lane] = found
                 group.best[lane] = found.t
                 if wp.static(any_hit) and found.primitive >= 0:
                     group.word1[lane] = LEAF  # no more triangles to test in this leaf
                     group.top[lane] = -1
-            untested = filled_lanes(group, 1) & untested
+            untested = skip_leaf_blocks(group, 1) & untested
 
     return test_leaves
 
 
 @cache
-def boarding(config: TraversalConfig) -> wp.Function:
+def make_refill(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, rays, i, lane, group, states, slabs, t_min, best) -> bool`: loads ray number i into a lane.
 
     Returns False if the ray misses the scene; `best` is then its result.
     """
     test = TRIANGLE_TESTS[config.triangle_test]
     prepare, RayState = test.prepare, test.ray_state
-    Walks, board_lane = walks(lane_count(config)), board(lane_count(config))
+    Walks, start_lane = walks(lane_count(config)), lane_start(lane_count(config))
 
     @wp.func
-    def board_ray(
+    def refill_lane(
         tree: KdNodes,
         rays: RayBatch,
         i: int,
@@ -132,15 +132,15 @@ def boarding(config: TraversalConfig) -> wp.Function:
         if ray.valid:
             ray_slab = ray_slabs(ray.origin, ray.direction, reach(ray.origin, tree.low, tree.high))
             interval = enter(ray_slab, tree.low, tree.high, ray.t_min, ray.t_max)
-        meets = interval[0] <= interval[1]
-        if meets:
-            board_lane(group, lane, ray_slab, interval, ray.t_max)
+        enters_scene = interval[0] <= interval[1]
+        if enters_scene:
+            start_lane(group, lane, ray_slab, interval, ray.t_max)
             slabs[lane] = ray_slab
             states[lane] = prepare(ray.origin, ray.direction)
             t_min[lane] = ray.t_min
-        return meets
+        return enters_scene
 
-    return board_ray
+    return refill_lane
 
 
 @cache
@@ -148,7 +148,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     RayState, counting = TRIANGLE_TESTS[config.triangle_test].ray_state, config.counters
     count, run = lane_count(config), rays_per_item(config)
-    Walks, board_ray, advance_lanes = walks(count), boarding(config), advance(count, counting)
+    Walks, refill_lane, advance_lanes = walks(count), make_refill(config), advance(count, counting)
     pop_lanes, compact_log = pop(count), compact(count)
     test_leaves, store = leaf_phase(config), store_best(config)
     all_lanes = (1 << count) - 1
@@ -162,8 +162,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         counters: CounterRows,
     ):
         """Traces a run of consecutive rays. Item: a run."""
-        upcoming = (first + wp.tid()) * wp.static(run)
-        end = wp.min(upcoming + wp.static(run), rays.count)
+        next_ray = (first + wp.tid()) * wp.static(run)
+        end = wp.min(next_ray + wp.static(run), rays.count)
         group = Walks()
         log = wp.zeros(shape=(wp.static(ROWS * FIELDS * count),), dtype=int)
         number = wp.zeros(shape=(wp.static(count),), dtype=int)
@@ -171,47 +171,47 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         states = wp.zeros(shape=(wp.static(count),), dtype=RayState)
         t_min = wp.zeros(shape=(wp.static(count),), dtype=float)
         best = wp.zeros(shape=(wp.static(count),), dtype=Candidate)
-        resting_place = tree.nodes.shape[0] - 1  # in depth-first order the last node is a leaf: idle lanes take no step
+        idle_node = tree.nodes.shape[0] - 1  # in depth-first order the last node is a leaf: idle lanes take no step
         for lane in range(wp.static(count)):
-            group.node[lane] = resting_place
+            group.node[lane] = idle_node
             group.top[lane] = -1
         busy = wp.uint32(0)
         rows = int(0)
-        while upcoming < end or busy != wp.uint32(0):
+        while next_ray < end or busy != wp.uint32(0):
             # refill
             idle = wp.static(wp.uint32(all_lanes)) & ~busy
-            while idle != wp.uint32(0) and upcoming < end:
+            while idle != wp.uint32(0) and next_ray < end:
                 lane = lowest_bit(idle)
-                if board_ray(tree, rays, upcoming, lane, group, states, slabs, t_min, best):
-                    number[lane] = upcoming
+                if refill_lane(tree, rays, next_ray, lane, group, states, slabs, t_min, best):
+                    number[lane] = next_ray
                     idle &= idle - wp.uint32(1)
                     busy |= wp.uint32(1) << wp.uint32(lane)
                 else:
-                    store(hits, upcoming, best[lane])
+                    store(hits, next_ray, best[lane])
                 if wp.static(counting):
-                    counters.rows[upcoming] = Counters()
-                upcoming += 1
+                    counters.rows[next_ray] = Counters()
+                next_ray += 1
             # step
             if rows == wp.static(ROWS):
                 rows = compact_log(group, log)
-            arrived = advance_lanes(tree.nodes, group, log, rows, count_bits(busy) / 2 + 1) & busy
+            at_leaf = advance_lanes(tree.nodes, group, log, rows, count_bits(busy) / 2 + 1) & busy
             if wp.static(counting):
-                todo = wp.uint32(arrived)
-                while todo != wp.uint32(0):
-                    lane = lowest_bit(todo)
-                    todo &= todo - wp.uint32(1)
+                remaining = wp.uint32(at_leaf)
+                while remaining != wp.uint32(0):
+                    lane = lowest_bit(remaining)
+                    remaining &= remaining - wp.uint32(1)
                     counters.rows[number[lane]].leaves += 1
                     counters.rows[number[lane]].triangles += group.word1[lane] >> 2
             # test
-            test_leaves(triangles, group, states, slabs, t_min, best, arrived)
+            test_leaves(triangles, group, states, slabs, t_min, best, at_leaf)
             # pop
-            done = pop_lanes(group, log, arrived)
+            done = pop_lanes(group, log, at_leaf)
             busy &= ~done
             while done != wp.uint32(0):
                 lane = lowest_bit(done)
                 done &= done - wp.uint32(1)
                 store(hits, number[lane], best[lane])
-                group.node[lane] = resting_place
+                group.node[lane] = idle_node
                 if wp.static(counting):
                     counters.rows[number[lane]].nodes = group.nodes[lane]
 

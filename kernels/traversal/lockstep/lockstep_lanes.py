@@ -66,7 +66,7 @@ def walks(count: int) -> type:
     return wp.struct(Walks)
 
 
-_BOARD = """
+_START = """
     walks.inverse_x.c[lane] = slabs.inverse.c[0];
     walks.inverse_y.c[lane] = slabs.inverse.c[1];
     walks.inverse_z.c[lane] = slabs.inverse.c[2];
@@ -86,14 +86,14 @@ _BOARD = """
 
 
 @cache
-def board(count: int) -> wp.Function:
+def lane_start(count: int) -> wp.Function:
     """`func(walks, lane, slabs, interval, t_max)`: places a ray at the root; `interval` is its interval in the scene's box."""
     Walks = walks(count)
 
-    @wp.func_native(_BOARD)
-    def board_lane(walks: wp.ref[Walks], lane: int, slabs: RaySlabs, interval: wp.vec2, t_max: float): ...
+    @wp.func_native(_START)
+    def start_lane(walks: wp.ref[Walks], lane: int, slabs: RaySlabs, interval: wp.vec2, t_max: float): ...
 
-    return board_lane
+    return start_lane
 
 
 _ADVANCE = """
@@ -150,14 +150,14 @@ _ADVANCE = """
         }
         ++row;
     }
-    unsigned arrived = 0;
+    unsigned at_leaf = 0;
     WRT_FOR_LANES(i) {
         walks.entry.c[i] = entry[i]; walks.leave.c[i] = leave[i]; walks.node.c[i] = node[i]; walks.top.c[i] = top[i];
         walks.word0.c[i] = word0[i]; walks.word1.c[i] = word1[i];
         if (COUNTING) walks.nodes.c[i] += steps[i];
-        arrived |= inner[i] ? 0u : 1u << i;
+        at_leaf |= inner[i] ? 0u : 1u << i;
     }
-    return arrived;
+    return at_leaf;
 """
 
 
@@ -180,7 +180,7 @@ def advance(count: int, counting: bool) -> wp.Function:
     return advance_lanes
 
 
-_FILLED = """
+_SKIP_BLOCKS = """
     unsigned mask = 0;
     WRT_FOR_LANES(i) {
         walks.word0.c[i] += blocks;
@@ -192,7 +192,7 @@ _FILLED = """
 
 
 @cache
-def filled(count: int, width: int) -> wp.Function:
+def skip_blocks(count: int, width: int) -> wp.Function:
     """`func(walks, blocks) -> uint32`: removes `blocks` blocks from the front of every leaf; returns the mask of leaves with
     triangles left.
 
@@ -200,10 +200,10 @@ def filled(count: int, width: int) -> wp.Function:
     """
     Walks = walks(count)
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {count}, TRIANGLES = {width};{_FILLED}")
-    def filled_lanes(walks: wp.ref[Walks], blocks: int) -> wp.uint32: ...
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {count}, TRIANGLES = {width};{_SKIP_BLOCKS}")
+    def skip_leaf_blocks(walks: wp.ref[Walks], blocks: int) -> wp.uint32: ...
 
-    return filled_lanes
+    return skip_leaf_blocks
 
 
 _POP = """
@@ -211,7 +211,7 @@ _POP = """
     alignas(64) float entry[W], leave[W], best[W];
     const int* fields = log.data;
     WRT_FOR_LANES(i) {
-        waiting[i] = (arrived >> i & 1u) ? -1 : 0;
+        waiting[i] = (at_leaf >> i & 1u) ? -1 : 0;
         top[i] = walks.top.c[i]; node[i] = walks.node.c[i]; best[i] = walks.best.c[i];
         entry[i] = walks.entry.c[i]; leave[i] = walks.leave.c[i];
     }
@@ -255,7 +255,7 @@ _POP = """
 
 @cache
 def pop(count: int) -> wp.Function:
-    """`func(walks, log, arrived) -> uint32`: moves the lanes of the mask to the next cell in their log.
+    """`func(walks, log, at_leaf) -> uint32`: moves the lanes of the mask to the next cell in their log.
 
     Returns the mask of the lanes that have none. A cell whose entry lies beyond the best hit is dropped, and the interval of a
     visited cell is clipped to the best hit. Most lanes find their cell at the first attempt, in vectors; lanes that drop a cell
@@ -264,7 +264,7 @@ def pop(count: int) -> wp.Function:
     Walks = walks(count)
 
     @wp.func_native(f"{FOR_LANES}    constexpr int W = {count};{_POP}")
-    def pop_lanes(walks: wp.ref[Walks], log: wp.array(dtype=int), arrived: wp.uint32) -> wp.uint32: ...
+    def pop_lanes(walks: wp.ref[Walks], log: wp.array(dtype=int), at_leaf: wp.uint32) -> wp.uint32: ...
 
     return pop_lanes
 

@@ -55,8 +55,8 @@ class Culling:
         every_ray: whether `boxes` tests each ray instead of the packet as a whole.
         start: `wp.func(low, high, packet, bounds)`, called once per packet; low, high: bounds of the scene.
         leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
-            number of rays that meet the box, or any number above `FEW`. If it is at most `FEW`, the rays are listed in
-            `bounds.few`, and no other bounds are updated.
+            number of rays that meet the box, or any number above `MAX_FEW_RAYS`. If it is at most `MAX_FEW_RAYS`, the rays
+            are listed in `bounds.few`, and no other bounds are updated.
         dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
             among the cullings that fit, and never one whose score is 0.
     """

@@ -31,19 +31,19 @@ TO_ANY = wp.constant(2)
 
 
 @wp.func
-def asks_until(how: int, ray: Ray, hits: HitBatch, i: int):
+def request_limit(query_range: int, ray: Ray, hits: HitBatch, i: int):
     """The t up to which a ray needs cells; below every t if it needs none."""
     bound = ray.t_max
-    if how == TO_HIT:
+    if query_range == TO_HIT:
         bound = wp.min(bound, hits.t[i])
-    elif how == TO_ANY:
+    elif query_range == TO_ANY:
         bound = wp.where(hits.occluded[i], -1.0, bound)
     return wp.where(ray.valid, bound, -1.0)
 
 
 @wp.func
-def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dtype=wp.uint8)):
-    """Marks up to `most` unbuilt cells that the ray reaches first; returns their number."""
+def mark_unbuilt_cells(skeleton: KdNodes, ray: Ray, bound: float, max_cells: int, requested: wp.array(dtype=wp.uint8)):
+    """Marks up to `max_cells` unbuilt cells that the ray reaches first; returns their number."""
     slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, skeleton.low, skeleton.high))
     interval = enter(slabs, skeleton.low, skeleton.high, ray.t_min, bound)
     cell = Cell()
@@ -66,9 +66,9 @@ def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dt
             step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
         else:
             if kdtree.leaf_triangles(node) > 0:
-                asked[kdtree.first_block(node)] = wp.uint8(1)  # several threads may write here, all the same value
+                requested[kdtree.first_block(node)] = wp.uint8(1)  # several threads may write here, all the same value
                 found += 1
-            searching = size > 0 and found < most
+            searching = size > 0 and found < max_cells
             if searching:
                 size -= 1
                 cell.node = load_int(stack_node, size)
@@ -78,24 +78,24 @@ def ask(skeleton: KdNodes, ray: Ray, bound: float, most: int, asked: wp.array(dt
 
 
 @wp.kernel
-def ask_for_cells(
+def mark_requested_cells(
     first: int,
     skeleton: KdNodes,
     rays: RayBatch,
     hits: HitBatch,
-    how: int,
-    most: int,
-    asked: wp.array(dtype=wp.uint8),
+    query_range: int,
+    max_cells: int,
+    requested: wp.array(dtype=wp.uint8),
     unfinished: wp.array(dtype=wp.bool),
 ):
     """Marks the unbuilt cells that a ray needs. Item: a ray.
 
-    asked: (cells,) initially 0; set to 1 for the cells that are needed. unfinished: (rays,) whether the ray needs any.
+    requested: (cells,) initially 0; set to 1 for the cells that are needed. unfinished: (rays,) whether the ray needs any.
     """
     i = first + wp.tid()
     ray = load_ray(rays, i)
-    bound = asks_until(how, ray, hits, i)
+    bound = request_limit(query_range, ray, hits, i)
     found = int(0)
     if bound >= 0.0:
-        found = ask(skeleton, ray, bound, most, asked)
+        found = mark_unbuilt_cells(skeleton, ray, bound, max_cells, requested)
     unfinished[i] = found > 0

@@ -27,11 +27,11 @@ from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.box_lanes import met_boxes
+from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, RaySlabs, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, start
-from wrt.kernels.traversal.leaf_steps import make_own_step
+from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
 from wrt.kernels.traversal.search_results import results_of
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
@@ -86,8 +86,8 @@ def begin_search(triangle_test: str) -> wp.Function:
 @cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: tests the triangles of a leaf."""
-    LeafSearch, own_step, Results = leaf_search(config.triangle_test), config.own_step, results_of(config)
-    test_block = make_own_step(config, WideNodes) if own_step else block_step(config)
+    LeafSearch, custom_leaf_step, Results = leaf_search(config.triangle_test), config.custom_leaf_step, results_of(config)
+    test_block = make_custom_leaf_step(config, WideNodes) if custom_leaf_step else block_step(config)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -106,7 +106,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
             work.leaves += 1
             work.triangles += count
         while count > 0:
-            if wp.static(own_step):
+            if wp.static(custom_leaf_step):
                 within = wp.vec2(search.t_min, best.t)
                 best = test_block(tree, child, within, search.triangles, block, search.state, search.slabs, hits, i, best)
             else:
@@ -124,7 +124,7 @@ def inner_step(config: TraversalConfig) -> wp.Function:
 
     Returns the nearest child that the ray meets, or `EMPTY_LANE`; the others are pushed on the stack.
     """
-    test_boxes, Lanes, width = met_boxes(config.width), lanes(config.width), config.width
+    test_boxes, Lanes, width = intersected_boxes(config.width), lanes(config.width), config.width
     push = stack_of(config).push
 
     @wp.func

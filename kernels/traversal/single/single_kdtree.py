@@ -39,7 +39,7 @@ from wrt.kernels.layout.unchecked import load_float, load_int, store_float, stor
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start
-from wrt.kernels.traversal.leaf_steps import make_own_step
+from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.search_results import results_of
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
@@ -121,10 +121,10 @@ def step_selecting(
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
     prepare = TRIANGLE_TESTS[config.triangle_test].prepare
-    own_step, Results = config.own_step, results_of(config)
-    test_block = make_own_step(config, KdNodes) if own_step else block_step(config)
+    custom_leaf_step, Results = config.custom_leaf_step, results_of(config)
+    test_block = make_custom_leaf_step(config, KdNodes) if custom_leaf_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
-    children_of = kdtree.children_in_pairs if config.single.pairs else kdtree.children_depth_first
+    children_of = kdtree.children_in_pairs if config.single.paired_nodes else kdtree.children_depth_first
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
@@ -162,7 +162,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                     work.leaves += 1
                     work.triangles += count
                 while count > 0:
-                    if wp.static(own_step):
+                    if wp.static(custom_leaf_step):
                         within = wp.vec2(cell.entry, cell.leave)
                         best = test_block(tree, cell.node, within, triangles, block, state, slabs, hits, i, best)
                     elif wp.static(remembering):

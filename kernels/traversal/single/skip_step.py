@@ -23,7 +23,7 @@ exact_module(__name__)
 
 
 @wp.func
-def take_unskipped(search: wp.ref[Skipping], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
+def record_unskipped(search: wp.ref[Skipping], i: int, best: Candidate, t: float, primitive: int, u: float, v: float):
     """Keeps the closest hit that is not on the ignored triangle."""
     if primitive != search.skipped and improves(t, primitive, search.t_min, best):
         best.t = t

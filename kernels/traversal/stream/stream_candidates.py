@@ -23,7 +23,7 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.transpose import TRANSPOSE
-from wrt.kernels.traversal.crossings import take_crossing
+from wrt.kernels.traversal.crossings import record_crossing
 from wrt.kernels.traversal.leaf import BOX_INTERVAL, Candidate, triangle_step
 from wrt.kernels.traversal.stream.stream_kernel import get_ray, ray_words, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import LISTS, Pairs, load_candidate
@@ -121,7 +121,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     best.u = pick(best.u, hit.c[1]);
     best.v = pick(best.v, hit.c[2]);
 """)
-def take_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
+def record_if_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candidate]):
     """Replaces the best hit by the hit (t, u, v) if that `improves` it.
 
     It uses bit operations, because the compiler may turn a select into a branch, which is slower for incoherent rays
@@ -131,11 +131,11 @@ def take_better(hit: wp.vec3, primitive: int, t_min: float, best: wp.ref[Candida
 
 
 @cache
-def test_alone(config: TraversalConfig) -> wp.Function:
+def scalar_test_step(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, k, slot, hits, i)`: evaluates one candidate, of ray k of the stream and i of the batch."""
     StreamRay, RayState = stream_ray(config.triangle_test), TRIANGLE_TESTS[config.triangle_test].ray_state
     get, candidate = get_ray(config.triangle_test), triangle_step(config)
-    any_hit, crossing, take = config.query == ANY, config.crossing, take_crossing(config)
+    any_hit, crossing, record = config.query == ANY, config.crossing, record_crossing(config)
 
     @wp.func_native(f"""
         rays.data[k].best = best;
@@ -162,9 +162,9 @@ def test_alone(config: TraversalConfig) -> wp.Function:
         primitive = load_int(triangles.primitive, slot)
         if wp.static(crossing):
             if hit[0] >= t_min and hit[0] <= best.t:
-                best = take(hits, i, best, hit[0], primitive, hit[1], hit[2])
+                best = record(hits, i, best, hit[0], primitive, hit[1], hit[2])
         else:
-            take_better(hit, primitive, t_min, best)
+            record_if_better(hit, primitive, t_min, best)
         put_best(stream, k, best)
 
     return test_one
@@ -193,7 +193,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 
         return test_all
 
-    test_one = test_alone(config)
+    test_one = scalar_test_step(config)
 
     @wp.func
     def test_each(

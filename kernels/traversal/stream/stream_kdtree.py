@@ -39,6 +39,7 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     stream_ray,
 )
 from wrt.kernels.traversal.stream.stream_lanes import filter_hits, filter_plane
+from wrt.kernels.traversal.stream.stream_lists import RayIntervals, set_arrays
 from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.stream.stream_pairs import PAIRS, Pairs, pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -61,6 +62,8 @@ _SORT = """
 """
 
 _ENTER = """
+    int* number = list.rays.data;
+    float *entry = list.entry.data, *leave = list.leave.data;
     int size = 0;
     for (int j = begin; j < end; ++j) {
         const int k = order.data[j];
@@ -72,22 +75,23 @@ _ENTER = """
             t = ((back ? high.c[a] : low.c[a]) - ray.slabs.origin_in.c[a]) * inverse; from = t > from ? t : from;
             t = ((back ? low.c[a] : high.c[a]) - ray.slabs.origin_out.c[a]) * inverse; to = t < to ? t : to;
         }
-        list.data[size] = k; entry.data[size] = from; leave.data[size] = to;
+        number[size] = k; entry[size] = from; leave[size] = to;
         size += from <= to ? 1 : 0;
     }
     return size;
 """
 
 
-@wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.data[first + i]; pairs.leaves.c[i] = leaf; }")
-def pair_up(list: wp.array(dtype=int), first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
+@wp.func_native("for (int i = 0; i < count; ++i) { pairs.rays.c[i] = list.rays.data[first + i]; pairs.leaves.c[i] = leaf; }")
+def fill_pairs(list: wp.ref[RayIntervals], first: int, count: int, leaf: int, pairs: wp.ref[Pairs]):
     """Writes pairs of the rays of a list and a leaf."""
     ...
 
 
 @cache
 def enter_scene(triangle_test: str) -> wp.Function:
-    """`wp.func(rays, order, begin, end, low, high, list, entry, leave) -> count`: lists the rays that meet the scene's box."""
+    """`wp.func(rays, order, begin, end, low, high, list) -> count`: lists those of the rays order[begin .. end - 1] that meet
+    the scene's box."""
     StreamRay = stream_ray(triangle_test)
 
     @wp.func_native(_ENTER)
@@ -98,9 +102,7 @@ def enter_scene(triangle_test: str) -> wp.Function:
         end: int,
         low: wp.vec3,
         high: wp.vec3,
-        list: wp.array(dtype=int),
-        entry: wp.array(dtype=float),
-        leave: wp.array(dtype=float),
+        list: wp.ref[RayIntervals],
     ) -> int: ...
 
     return enter_native
@@ -110,13 +112,13 @@ def enter_scene(triangle_test: str) -> wp.Function:
 def leaf_tester(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, list, size, node, pairs, hits, first_ray, work)`: tests the rays of a list against a leaf."""
     StreamRay, test_pairs, width = stream_ray(config.triangle_test), pair_tester(config), config.width
-    most_triangles = MAX_LEAF_TRIANGLES // width * width
+    max_triangles = MAX_LEAF_TRIANGLES // width * width
 
     @wp.func
     def test_leaf(
         triangles: TriangleBlocks,
         stream: wp.array(dtype=StreamRay),
-        list: wp.array(dtype=int),
+        list: wp.ref[RayIntervals],
         size: int,
         node: wp.vec2i,
         pairs: wp.ref[Pairs],
@@ -128,45 +130,40 @@ def leaf_tester(config: TraversalConfig) -> wp.Function:
         count = kdtree.leaf_triangles(node)
         while triangle < count:
             block = kdtree.first_block(node) + triangle / wp.static(width)
-            leaf = leaf_child(block, wp.min(count - triangle, wp.static(most_triangles)))
+            leaf = leaf_child(block, wp.min(count - triangle, wp.static(max_triangles)))
             first = int(0)
             while first < size:
                 number = wp.min(size - first, PAIRS)
-                pair_up(list, first, number, leaf, pairs)
+                fill_pairs(list, first, number, leaf, pairs)
                 test_pairs(triangles, stream, pairs, number, hits, first_ray, work)
                 first += PAIRS
-            triangle += wp.static(most_triangles)
+            triangle += wp.static(max_triangles)
 
     return test_leaf
 
 
 @cache
 def make_trace(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, stream, order, begin, end, ...)`: traces the rays order[begin .. end - 1], all of one octant.
+    """`wp.func(tree, triangles, stream, list, count, stack, hits, first_ray, work)`: traces the `count` rays of a list, all of
+    one octant, from the root.
 
-    list, entry, leave: memory for a list and its intervals; far_rays, far_entry, far_leave: the stack.
+    list: rays and their intervals in the scene's box; it is overwritten. stack: memory for the lists of far children.
     """
-    StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
-    split, recall = filter_plane(config.triangle_test), filter_hits(config.triangle_test)
+    StreamRay = stream_ray(config.triangle_test)
+    split, pop_list = filter_plane(config.triangle_test), filter_hits(config.triangle_test)
     test_leaf, counting = leaf_tester(config), config.counters
 
     @wp.func_native("return rays.data[k].slabs.inverse.c[axis] < 0.0f;")
-    def is_backward(rays: wp.array(dtype=StreamRay), k: int, axis: int) -> bool: ...
+    def is_negative(rays: wp.array(dtype=StreamRay), k: int, axis: int) -> bool: ...
 
     @wp.func
     def trace(
         tree: KdNodes,
         triangles: TriangleBlocks,
         stream: wp.array(dtype=StreamRay),
-        order: wp.array(dtype=int),
-        begin: int,
-        end: int,
-        list: wp.array(dtype=int),
-        entry: wp.array(dtype=float),
-        leave: wp.array(dtype=float),
-        far_rays: wp.array(dtype=int),
-        far_entry: wp.array(dtype=float),
-        far_leave: wp.array(dtype=float),
+        list: wp.ref[RayIntervals],
+        count: int,
+        stack: wp.ref[RayIntervals],
         hits: wp.ref[HitBatch],
         first_ray: int,
         work: wp.ref[StreamCounters],
@@ -177,7 +174,7 @@ def make_trace(config: TraversalConfig) -> wp.Function:
         waiting = int(0)
         top = int(0)
         at = int(0)
-        size = enter(stream, order, begin, end, tree.low, tree.high, list, entry, leave)
+        size = int(count)
         while size > 0:
             node = kdtree.load_node(tree.nodes, at)
             axis = kdtree.split_axis(node)
@@ -188,17 +185,17 @@ def make_trace(config: TraversalConfig) -> wp.Function:
                     work.traversal_active += size
                 near = at + 1
                 far = kdtree.right_child(node)
-                if is_backward(stream, load_int(list, 0), axis):
+                if is_negative(stream, load_int(list.rays, 0), axis):
                     near = far
                     far = at + 1
-                behind = int(0)
+                far_count = int(0)
                 position = kdtree.split_position(node)
-                size = split(axis, position, stream, list, entry, leave, size, far_rays, far_entry, far_leave, top, behind)
-                if behind > 0:
+                size = split(axis, position, stream, list, size, stack, top, far_count)
+                if far_count > 0:
                     store_int(stack_node, waiting, far)
-                    store_int(stack_size, waiting, behind)
+                    store_int(stack_size, waiting, far_count)
                     waiting += 1
-                    top += behind
+                    top += far_count
                 at = near
             else:
                 test_leaf(triangles, stream, list, size, node, pairs, hits, first_ray, work)
@@ -206,9 +203,9 @@ def make_trace(config: TraversalConfig) -> wp.Function:
             while size == 0 and waiting > 0:
                 waiting -= 1
                 at = load_int(stack_node, waiting)
-                behind = load_int(stack_size, waiting)
-                top -= behind
-                size = recall(stream, far_rays, far_entry, far_leave, top, behind, list, entry, leave)
+                far_count = load_int(stack_size, waiting)
+                top -= far_count
+                size = pop_list(stream, stack, top, far_count, list)
 
     return trace
 
@@ -216,11 +213,11 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    StreamRay = stream_ray(config.triangle_test)
+    StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
     load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
     counting, size = config.counters, config.stream.rays
     piece = -(-size * STACK_LISTS // MAX_TREE_DEPTH)
-    room, stack_room = piece + LIST_LANES, piece * MAX_TREE_DEPTH + LIST_LANES
+    list_size, stack_size = piece + LIST_LANES, piece * MAX_TREE_DEPTH + LIST_LANES
 
     @wp.func_native(_SORT)
     def sort_by_octant(rays: wp.array(dtype=StreamRay), count: int, order: wp.array(dtype=int), ends: wp.array(dtype=int)): ...
@@ -236,12 +233,16 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
-        list = wp.zeros(shape=(room,), dtype=int)
-        entry = wp.zeros(shape=(room,), dtype=float)
-        leave = wp.zeros(shape=(room,), dtype=float)
-        far_rays = wp.zeros(shape=(stack_room,), dtype=int)
-        far_entry = wp.zeros(shape=(stack_room,), dtype=float)
-        far_leave = wp.zeros(shape=(stack_room,), dtype=float)
+        list = RayIntervals()
+        list_rays = wp.zeros(shape=(list_size,), dtype=int)
+        list_entry = wp.zeros(shape=(list_size,), dtype=float)
+        list_leave = wp.zeros(shape=(list_size,), dtype=float)
+        set_arrays(list, list_rays, list_entry, list_leave)
+        stack = RayIntervals()
+        stack_rays = wp.zeros(shape=(stack_size,), dtype=int)
+        stack_entry = wp.zeros(shape=(stack_size,), dtype=float)
+        stack_leave = wp.zeros(shape=(stack_size,), dtype=float)
+        set_arrays(stack, stack_rays, stack_entry, stack_leave)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
@@ -253,26 +254,11 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             octant = int(0)
             while octant < 8:
                 last = load_int(ends, octant)
-                upto = wp.min(last, done + wp.static(piece))
-                if done < upto:
-                    trace(
-                        tree,
-                        triangles,
-                        stream,
-                        order,
-                        done,
-                        upto,
-                        list,
-                        entry,
-                        leave,
-                        far_rays,
-                        far_entry,
-                        far_leave,
-                        hits,
-                        begin,
-                        work,
-                    )
-                done = upto
+                piece_end = wp.min(last, done + wp.static(piece))
+                if done < piece_end:
+                    listed = enter(stream, order, done, piece_end, tree.low, tree.high, list)
+                    trace(tree, triangles, stream, list, listed, stack, hits, begin, work)
+                done = piece_end
                 octant += wp.where(done == last, 1, 0)
             store(stream, begin, count, hits)
             if wp.static(counting):

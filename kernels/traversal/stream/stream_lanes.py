@@ -12,7 +12,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.box_lanes import NO_CHILD_CONSTANT
 from wrt.kernels.simd.lanes import FOR_LANES
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
-from wrt.kernels.traversal.stream.stream_lists import LISTS, PAIRS, Pairs
+from wrt.kernels.traversal.stream.stream_lists import LISTS, PAIRS, Pairs, RayIntervals
 
 exact_module(__name__)
 
@@ -145,14 +145,14 @@ def next_child(width: int) -> wp.Function:
 
 
 _FILTER_PLANE = """
-    int *far_ray = far_rays.data + top;
-    int *far_from = (int*)far_entry.data + top, *far_to = (int*)far_leave.data + top;
+    int *near_ray = list.rays.data, *near_from = (int*)list.entry.data, *near_to = (int*)list.leave.data;
+    int *far_ray = stack.rays.data + top, *far_from = (int*)stack.entry.data + top, *far_to = (int*)stack.leave.data + top;
     int near_size = 0, far_size = 0;
     for (int f = 0; f < count; f += L) {
         int ray[L], from[L], to[L], to_near[L], from_far[L], near_flag[L], far_flag[L];
         WRT_FOR(L, i) {
-            const int here = f + i < count ? -1 : 0, k = list.data[f + i] & here;
-            const float entry_i = entry.data[f + i], leave_i = leave.data[f + i];
+            const int here = f + i < count ? -1 : 0, k = near_ray[f + i] & here;
+            const float entry_i = wp::cast<float>(near_from[f + i]), leave_i = wp::cast<float>(near_to[f + i]);
             const float inverse = rays.data[k].slabs.inverse.c[axis];
             float before = (position - rays.data[k].slabs.origin_out.c[axis]) * inverse;
             float behind = (position - rays.data[k].slabs.origin_in.c[axis]) * inverse;
@@ -166,9 +166,9 @@ _FILTER_PLANE = """
             far_flag[i] = (!visit_near | (behind <= leave_i)) ? here : 0;
         }
         const unsigned near_bits = wrt_bits(near_flag), far_bits = wrt_bits(far_flag);
-        wrt_append(list.data + near_size, ray, near_bits);
-        wrt_append((int*)entry.data + near_size, from, near_bits);
-        near_size += wrt_append((int*)leave.data + near_size, to_near, near_bits);
+        wrt_append(near_ray + near_size, ray, near_bits);
+        wrt_append(near_from + near_size, from, near_bits);
+        near_size += wrt_append(near_to + near_size, to_near, near_bits);
         wrt_append(far_ray + far_size, ray, far_bits);
         wrt_append(far_from + far_size, from_far, far_bits);
         far_size += wrt_append(far_to + far_size, to, far_bits);
@@ -180,10 +180,10 @@ _FILTER_PLANE = """
 
 @cache
 def filter_plane(triangle_test: str) -> wp.Function:
-    """`func(axis, position, rays, list, entry, leave, count, far_rays, far_entry, far_leave, top, far_count) -> near count`.
+    """`func(axis, position, rays, list, count, stack, top, far_count) -> near count`.
 
-    Filters a list of rays with one sign along the axis, and their intervals in the node, by a plane. The rays of the near child
-    replace the list, those of the far child are written to the stack from `top` on. The formulas are those of the step of
+    Filters a list of rays with one sign along the axis (`RayIntervals`) by a plane. The rays of the near child replace the
+    list, those of the far child are written to the stack from `top` on. The formulas are those of the step of
     `wrt.kernels.traversal.single.single_kdtree`.
     """
     StreamRay = stream_ray(triangle_test)
@@ -193,13 +193,9 @@ def filter_plane(triangle_test: str) -> wp.Function:
         axis: int,
         position: float,
         rays: wp.array(dtype=StreamRay),
-        list: wp.array(dtype=int),
-        entry: wp.array(dtype=float),
-        leave: wp.array(dtype=float),
+        list: wp.ref[RayIntervals],
         count: int,
-        far_rays: wp.array(dtype=int),
-        far_entry: wp.array(dtype=float),
-        far_leave: wp.array(dtype=float),
+        stack: wp.ref[RayIntervals],
         top: int,
         far_count: wp.ref[int],
     ) -> int: ...
@@ -208,12 +204,15 @@ def filter_plane(triangle_test: str) -> wp.Function:
 
 
 _FILTER_HITS = """
+    const int* far_ray = stack.rays.data + top;
+    const float *far_entry = stack.entry.data + top, *far_leave = stack.leave.data + top;
+    int *near_ray = list.rays.data, *near_from = (int*)list.entry.data, *near_to = (int*)list.leave.data;
     int size = 0;
     for (int f = 0; f < count; f += L) {
         int ray[L], from[L], to[L], flag[L];
         WRT_FOR(L, i) {
-            const int here = f + i < count ? -1 : 0, k = far_rays.data[top + f + i] & here;
-            const float entry_i = far_entry.data[top + f + i], leave_i = far_leave.data[top + f + i];
+            const int here = f + i < count ? -1 : 0, k = far_ray[f + i] & here;
+            const float entry_i = far_entry[f + i], leave_i = far_leave[f + i];
             const float best = rays.data[k].best.t;
             ray[i] = k;
             from[i] = wp::cast<int>(entry_i);
@@ -221,9 +220,9 @@ _FILTER_HITS = """
             flag[i] = entry_i <= best ? here : 0;
         }
         const unsigned bits = wrt_bits(flag);
-        wrt_append(list.data + size, ray, bits);
-        wrt_append((int*)entry.data + size, from, bits);
-        size += wrt_append((int*)leave.data + size, to, bits);
+        wrt_append(near_ray + size, ray, bits);
+        wrt_append(near_from + size, from, bits);
+        size += wrt_append(near_to + size, to, bits);
     }
     return size;
 """
@@ -231,7 +230,7 @@ _FILTER_HITS = """
 
 @cache
 def filter_hits(triangle_test: str) -> wp.Function:
-    """`func(rays, far_rays, far_entry, far_leave, top, count, list, entry, leave) -> count`: pops a list from the stack.
+    """`func(rays, stack, top, count, list) -> count`: pops a list from the stack.
 
     Rays whose best hit lies before their entry are removed, and the other intervals are clipped to the best hit.
     """
@@ -240,14 +239,10 @@ def filter_hits(triangle_test: str) -> wp.Function:
     @wp.func_native(LISTS + _FILTER_HITS)
     def filter_hits_native(
         rays: wp.array(dtype=StreamRay),
-        far_rays: wp.array(dtype=int),
-        far_entry: wp.array(dtype=float),
-        far_leave: wp.array(dtype=float),
+        stack: wp.ref[RayIntervals],
         top: int,
         count: int,
-        list: wp.array(dtype=int),
-        entry: wp.array(dtype=float),
-        leave: wp.array(dtype=float),
+        list: wp.ref[RayIntervals],
     ) -> int: ...
 
     return filter_hits_native

@@ -38,6 +38,24 @@ class Pairs:
     """Slot of the candidate's triangle: block * W + lane."""
 
 
+@wp.struct
+class RayIntervals:
+    """A list of rays of a stream, or a stack of lists, with the interval of t in which each ray is in the list's node."""
+
+    rays: wp.array(dtype=int)
+    """Numbers of the rays in the stream."""
+    entry: wp.array(dtype=float)
+    leave: wp.array(dtype=float)
+
+
+@wp.func_native("list.rays = rays; list.entry = entry; list.leave = leave;")
+def set_arrays(
+    list: wp.ref[RayIntervals], rays: wp.array(dtype=int), entry: wp.array(dtype=float), leave: wp.array(dtype=float)
+):
+    """Makes a list use local arrays; Warp assigns them to no field of a struct."""
+    ...
+
+
 @wp.func_native("leaf = pairs.leaves.c[p]; return pairs.rays.c[p];")
 def load_pair(pairs: wp.ref[Pairs], p: int, leaf: wp.ref[int]) -> int:
     """Ray and leaf of a pair."""

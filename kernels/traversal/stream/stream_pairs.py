@@ -42,7 +42,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     intersect_block = (forms.line_test or forms.block_test)(width)
 
     @wp.func
-    def lines_meet(triangles: TriangleBlocks, block: int, state: RayState):
+    def intersect_lines(triangles: TriangleBlocks, block: int, state: RayState):
         t = Lanes()  # t, u and v are not used
         u = Lanes()
         v = Lanes()
@@ -60,7 +60,7 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     ):
         found = int(0)
         p = int(tested)
-        remain = int(left)
+        remaining = int(left)
         while p < count and found <= PAIRS:
             leaf = int(0)
             k = load_pair(pairs, p, leaf)
@@ -70,17 +70,17 @@ def line_filter(config: TraversalConfig) -> wp.Function:
             get(stream, k, slabs, state, best)
             block = bvh.first_block(leaf)
             triangles_left = bvh.leaf_triangles(leaf)
-            found = append(triangles.primitive, pairs, found, k, block, lines_meet(triangles, block, state))
-            store_pair(pairs, remain, k, bvh.leaf_child(block + 1, triangles_left - wp.static(width)))
-            remain += wp.where(triangles_left > wp.static(width), 1, 0)
+            found = append(triangles.primitive, pairs, found, k, block, intersect_lines(triangles, block, state))
+            store_pair(pairs, remaining, k, bvh.leaf_child(block + 1, triangles_left - wp.static(width)))
+            remaining += wp.where(triangles_left > wp.static(width), 1, 0)
             if wp.static(counting):
-                there = wp.min(triangles_left, wp.static(width))
-                work.triangles += there
+                tested_lanes = wp.min(triangles_left, wp.static(width))
+                work.triangles += tested_lanes
                 work.intersection_slots += wp.static(width)
-                work.intersection_active += there
+                work.intersection_active += tested_lanes
             p += 1
         tested = p
-        left = remain
+        left = remaining
         return found
 
     return find_candidates

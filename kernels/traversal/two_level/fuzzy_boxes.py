@@ -50,11 +50,11 @@ exact_module(__name__)
 class Cluster:
     """The space of a cluster in a frame, and its tree."""
 
-    to_own: wp.mat33d
-    """A point p relative to the scene's centre maps to to_own (p - origin) in the cluster's space."""
+    to_cluster: wp.mat33d
+    """A point p relative to the scene's centre maps to to_cluster (p - origin) in the cluster's space."""
     origin: wp.vec3d
     stretch: float
-    """Greatest row sum of the absolute values of `to_own`."""
+    """Greatest row sum of the absolute values of `to_cluster`."""
     root: int
     """Root of its tree among the nodes of all clusters."""
     low: wp.vec3
@@ -76,10 +76,10 @@ class FuzzyNodes:
 
 
 @wp.func
-def own_slabs(cluster: Cluster, ray: Ray, far: float):
+def cluster_slabs(cluster: Cluster, ray: Ray, far: float):
     """The ray in a cluster's space, for tests of its fuzzy boxes; far: reach of the ray in the scene."""
-    origin = wp.vec3(cluster.to_own * (wp.vec3d(ray.origin) - cluster.origin))
-    direction = wp.vec3(cluster.to_own * wp.vec3d(ray.direction))
+    origin = wp.vec3(cluster.to_cluster * (wp.vec3d(ray.origin) - cluster.origin))
+    direction = wp.vec3(cluster.to_cluster * wp.vec3d(ray.direction))
     return ray_slabs(origin, direction, reach(origin, cluster.low, cluster.high) + cluster.stretch * far)
 
 
@@ -114,7 +114,7 @@ def make_visit(config: TraversalConfig) -> wp.Function:
         work: wp.ref[Counters],
     ):
         cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
-        slabs = own_slabs(cluster, search.ray, search.far)
+        slabs = cluster_slabs(cluster, search.ray, search.far)
         return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
 
     return visit

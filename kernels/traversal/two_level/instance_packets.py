@@ -38,12 +38,54 @@ from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTre
 
 exact_module(__name__)
 
+
+@wp.struct
+class InstanceBatch:
+    """What the packets of a batch share: both levels of the scene, the rays, and memory for rays and hits in object space."""
+
+    top: InstanceTree
+    parts: wp.array(dtype=BvhPart)
+    rays: RayBatch
+    object_rays: RayBatch
+    """Receives the rays of a packet in the space of an instance, from the packet's `slot` on."""
+    object_hits: HitBatch
+    """Receives their hits."""
+    hits: HitBatch
+    counters: CounterRows
+
+
+@wp.struct
+class PacketMemory:
+    """Local memory of a run of packets, used by one packet after the other."""
+
+    number: wp.array(dtype=int)
+    """(P,) number of each ray in the batch."""
+    bound: wp.array(dtype=float)
+    """(P,) t of the best hit of each ray, or its t_max; -inf if it is invalid or done."""
+    packet: wp.array(dtype=float)
+    """The packet (`wrt.kernels.traversal.packet.rays.packet_layout`), first of the scene, then of an instance."""
+    walk: wp.array(dtype=int)
+    """Memory for the walk through an instance."""
+
+
+@wp.func_native("memory.number = number; memory.bound = bound; memory.packet = packet; memory.walk = walk;")
+def set_arrays(
+    memory: wp.ref[PacketMemory],
+    number: wp.array(dtype=int),
+    bound: wp.array(dtype=float),
+    packet: wp.array(dtype=float),
+    walk: wp.array(dtype=int),
+):
+    """Makes the struct use local arrays; Warp assigns them to no field of a struct."""
+    ...
+
+
 _TRANSFORM = """
     const double *m = &place.to_object.data[0][0];
     const double px = place.origin.c[0], py = place.origin.c[1], pz = place.origin.c[2];
     const double cx = rays.center.c[0], cy = rays.center.c[1], cz = rays.center.c[2];
-    float* to_origin = (float*)(own.origins.data + slot);
-    float* to_direction = (float*)(own.directions.data + slot);
+    float* to_origin = (float*)(object_rays.origins.data + slot);
+    float* to_direction = (float*)(object_rays.directions.data + slot);
     for (int k = 0; k < P; ++k) {
         const int i = number.data[k];
         wp::vec3 o = rays.origins.data[i * rays.origin_stride], d = rays.directions.data[i * rays.direction_stride];
@@ -54,19 +96,19 @@ _TRANSFORM = """
             to_origin[3 * k + a] = (float)((m[3 * a] * x + m[3 * a + 1] * y) + m[3 * a + 2] * z);
             to_direction[3 * k + a] = (float)((m[3 * a] * dx + m[3 * a + 1] * dy) + m[3 * a + 2] * dz);
         }
-        own.t_min.data[slot + k] = rays.t_min.data[i * rays.t_min_stride];
-        own.t_max.data[slot + k] = bound.data[k];
+        object_rays.t_min.data[slot + k] = rays.t_min.data[i * rays.t_min_stride];
+        object_rays.t_max.data[slot + k] = bound.data[k];
     }
 """
 
 
 @cache
 def transform_packet(packet_rays: int) -> wp.Function:
-    """`wp.func(rays, number, bound, place, slot, own)`: transforms P rays of a batch, by their numbers, to the space of an
-    instance.
+    """`wp.func(rays, number, bound, place, slot, object_rays)`: transforms P rays of a batch, by their numbers, to the space of
+    an instance.
 
-    The arithmetic is that of `wrt.kernels.layout.instance_maps.object_ray`. own: receives the rays from `slot` on, from their
-    t_min up to `bound`.
+    The arithmetic is that of `wrt.kernels.layout.instance_maps.object_ray`. object_rays: receives the rays from `slot` on, from
+    their t_min up to `bound`.
     """
 
     @wp.func_native(f"{FOR_LANES}    constexpr int P = {packet_rays};\n{DIRECTION_LANES}{_TRANSFORM}")
@@ -76,127 +118,102 @@ def transform_packet(packet_rays: int) -> wp.Function:
         bound: wp.array(dtype=float),
         place: Placement,
         slot: int,
-        own: RayBatch,
+        object_rays: RayBatch,
     ): ...
 
     return transform_packet_native
 
 
 @cache
-def make_begin(config: TraversalConfig) -> wp.Function:
-    """`wp.func(top, rays, begin, number, bound, room, bounds)`: loads the packet at a place in the order of packets.
+def packet_loader(config: TraversalConfig) -> wp.Function:
+    """`wp.func(batch, memory, begin, bounds)`: loads the packet at a place in the order of packets.
 
-    number, bound: receive the number of each ray and its t_max, -inf if it is invalid. bounds: receives the bounds of the
-    packet, with the slack of the upper tree.
+    bounds: receives the bounds of the packet, with the slack of the upper tree.
     """
     load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet.rays
 
     @wp.func
-    def start_packet(
-        top: InstanceTree,
-        rays: RayBatch,
-        begin: int,
-        number: wp.array(dtype=int),
-        bound: wp.array(dtype=float),
-        room: wp.array(dtype=float),
-        bounds: wp.ref[PacketBounds],
-    ):
-        size = wp.max(wp.max(wp.abs(top.tree.low)), wp.max(wp.abs(top.tree.high)))
+    def load_and_bound(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], begin: int, bounds: wp.ref[PacketBounds]):
+        size = wp.max(wp.max(wp.abs(batch.top.tree.low)), wp.max(wp.abs(batch.top.tree.high)))
         farthest = float(0.0)
         for k in range(packet_rays):
-            number[k] = ray_at(rays, wp.min(begin + k, rays.count - 1), packet_rays)
-            bound[k] = -INFINITY
-            if begin + k < rays.count:
-                ray = load_ray(rays, number[k])
+            memory.number[k] = ray_at(batch.rays, wp.min(begin + k, batch.rays.count - 1), packet_rays)
+            memory.bound[k] = -INFINITY
+            if begin + k < batch.rays.count:
+                ray = load_ray(batch.rays, memory.number[k])
                 if ray.valid:
-                    bound[k] = ray.t_max
+                    memory.bound[k] = ray.t_max
                     farthest = wp.max(farthest, wp.max(wp.abs(ray.origin)))
         # each ray's reach in this box is at least `stretch` times its reach in the scene
-        corner = top.stretch * (size + farthest)
-        load(rays, begin, wp.vec3(-corner, -corner, -corner), wp.vec3(corner, corner, corner), room, bounds)
+        corner = batch.top.stretch * (size + farthest)
+        load(batch.rays, begin, wp.vec3(-corner, -corner, -corner), wp.vec3(corner, corner, corner), memory.packet, bounds)
 
-    return start_packet
+    return load_and_bound
 
 
 @cache
-def make_take(config: TraversalConfig) -> wp.Function:
-    """`wp.func(placement, found, slot, number, bound, hits) -> t_max`: merges the hits of a packet in an instance, from `slot`
-    on.
+def merge_packet_hits(config: TraversalConfig) -> wp.Function:
+    """`wp.func(batch, memory, placement, slot) -> t_max`: merges the hits of a packet in an instance.
 
     Shortens the rays, and returns the greatest t at which a hit still counts.
     """
     packet_rays, any_hit = config.packet.rays, config.query == ANY
 
     @wp.func
-    def take(
-        placement: Placement,
-        found: HitBatch,
-        slot: int,
-        number: wp.array(dtype=int),
-        bound: wp.array(dtype=float),
-        hits: HitBatch,
-    ):
+    def merge(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], placement: Placement, slot: int):
         t_max = float(-INFINITY)
         for k in range(packet_rays):
-            i = number[k]
-            if bound[k] >= 0.0:
+            i = memory.number[k]
+            if memory.bound[k] >= 0.0:
                 if wp.static(any_hit):
-                    if found.occluded[slot + k]:
-                        hits.occluded[i] = True
-                        bound[k] = -INFINITY
-                elif found.primitive[slot + k] >= 0:
-                    t = found.t[slot + k]
-                    primitive = placement.first + found.primitive[slot + k]
-                    if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
-                        hits.t[i] = t
-                        hits.primitive[i] = primitive
-                        hits.uv[i] = found.uv[slot + k]
-                        bound[k] = t
-                t_max = wp.max(t_max, bound[k])
+                    if batch.object_hits.occluded[slot + k]:
+                        batch.hits.occluded[i] = True
+                        memory.bound[k] = -INFINITY
+                elif batch.object_hits.primitive[slot + k] >= 0:
+                    t = batch.object_hits.t[slot + k]
+                    primitive = placement.first + batch.object_hits.primitive[slot + k]
+                    if t < batch.hits.t[i] or (t == batch.hits.t[i] and primitive < batch.hits.primitive[i]):
+                        batch.hits.t[i] = t
+                        batch.hits.primitive[i] = primitive
+                        batch.hits.uv[i] = batch.object_hits.uv[slot + k]
+                        memory.bound[k] = t
+                t_max = wp.max(t_max, memory.bound[k])
         return t_max
 
-    return take
+    return merge
 
 
 @cache
 def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work) -> t_max`.
-
-    Traces the packet through one instance. own, found: receive its transformed rays and their hits, from `slot` on.
-    """
+    """`wp.func(batch, memory, instance, slot, work) -> t_max`: traces the packet through one instance."""
     step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
-    keep_leaf = occluder.keep_leaf(packet_layout(config))
-    transform, take, packet_rays = transform_packet(config.packet.rays), make_take(config), config.packet.rays
+    cache_leaf = occluder.cache_leaf(packet_layout(config))
+    transform, merge, packet_rays = transform_packet(config.packet.rays), merge_packet_hits(config), config.packet.rays
 
     @wp.func
-    def visit(
-        top: InstanceTree,
-        parts: wp.array(dtype=BvhPart),
-        instance: int,
-        rays: RayBatch,
-        number: wp.array(dtype=int),
-        bound: wp.array(dtype=float),
-        room: wp.array(dtype=float),
-        memory: wp.array(dtype=int),
-        own: RayBatch,
-        slot: int,
-        found: HitBatch,
-        hits: HitBatch,
-        counters: CounterRows,
-        work: wp.ref[Counters],
-    ):
-        placement = top.placements[instance]
-        part = parts[placement.geometry]
-        transform(rays, number, bound, placement, slot, own)
-        if rays.mask.shape[0] > 0:
+    def visit(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], instance: int, slot: int, work: wp.ref[Counters]):
+        placement = batch.top.placements[instance]
+        part = batch.parts[placement.geometry]
+        transform(batch.rays, memory.number, memory.bound, placement, slot, batch.object_rays)
+        if batch.rays.mask.shape[0] > 0:
             for k in range(packet_rays):
-                if (placement.mask & ray_mask(rays, number[k])) == wp.uint32(0):
-                    own.t_max[slot + k] = -INFINITY
-        batch = own
-        batch.count = slot + wp.static(packet_rays)
-        keep_leaf(room, 0)  # the last packet's leaf is in another instance's tree
-        step(part.tree, part.tree, part.triangles, batch, slot, room, memory, found, counters, work)
-        return take(placement, found, slot, number, bound, hits)
+                if (placement.mask & ray_mask(batch.rays, memory.number[k])) == wp.uint32(0):
+                    batch.object_rays.t_max[slot + k] = -INFINITY
+        batch.object_rays.count = slot + wp.static(packet_rays)
+        cache_leaf(memory.packet, 0)  # the last packet's leaf is in another instance's tree
+        step(
+            part.tree,
+            part.tree,
+            part.triangles,
+            batch.object_rays,
+            slot,
+            memory.packet,
+            memory.walk,
+            batch.object_hits,
+            batch.counters,
+            work,
+        )
+        return merge(batch, memory, placement, slot)
 
     return visit
 
@@ -207,7 +224,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
 
     levels: greatest number of inner nodes on a path of the upper tree.
     """
-    begin_packet, visit, cull = make_begin(config), make_visit(config), cull_boxes(packet_layout(config))
+    load_and_bound, visit, cull = packet_loader(config), make_visit(config), cull_boxes(packet_layout(config))
     width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 
@@ -217,15 +234,25 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         top: InstanceTree,
         parts: wp.array(dtype=BvhPart),
         rays: RayBatch,
-        own: RayBatch,
-        found: HitBatch,
+        object_rays: RayBatch,
+        object_hits: HitBatch,
         hits: HitBatch,
         counters: CounterRows,
     ):
-        room = wp.zeros(shape=(size,), dtype=float)
-        memory = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
+        batch = InstanceBatch()
+        batch.top = top
+        batch.parts = parts
+        batch.rays = rays
+        batch.object_rays = object_rays
+        batch.object_hits = object_hits
+        batch.hits = hits
+        batch.counters = counters
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
+        room = wp.zeros(shape=(size,), dtype=float)
+        walk = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
+        memory = PacketMemory()
+        set_arrays(memory, number, bound, room, walk)
         keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
         work = Counters()
@@ -233,9 +260,9 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         end = wp.min(slot + wp.static(run), rays.count - block)
         while slot < end:
             bounds = PacketBounds()
-            begin_packet(top, rays, block + slot, number, bound, room, bounds)
+            load_and_bound(batch, memory, block + slot, bounds)
             level = wp.where(bounds.active > 0, 0, -1)
-            key = cull(top.tree.bounds, 0, room, bounds, keys, 0)
+            key = cull(top.tree.bounds, 0, memory.packet, bounds, keys, 0)
             while level >= 0:
                 if entry_of(key, wp.static(width)) <= bounds.t_max:
                     lane = key & wp.static(width - 1)
@@ -244,12 +271,10 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                     if child >= 0:
                         level += 1
                         store_int(path, level, child)
-                        key = cull(top.tree.bounds, child, room, bounds, keys, level * wp.static(width))
+                        key = cull(top.tree.bounds, child, memory.packet, bounds, keys, level * wp.static(width))
                     else:
                         instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
-                        bounds.t_max = visit(
-                            top, parts, instance, rays, number, bound, room, memory, own, slot, found, hits, counters, work
-                        )
+                        bounds.t_max = visit(batch, memory, instance, slot, work)
                         key = nearest(keys, level * wp.static(width))
                 else:
                     level -= 1

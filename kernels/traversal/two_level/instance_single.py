@@ -74,12 +74,12 @@ PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
 
 
 @cache
-def take_hits(config: TraversalConfig) -> wp.Function:
+def merge_candidate(config: TraversalConfig) -> wp.Function:
     """`wp.func(placement, found, t_min, hits, i, best) -> best`: merges the hits that a walk found in an instance."""
     crossing, storing = config.crossing, config.query == ALL
 
     @wp.func
-    def take(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[HitBatch], i: int, best: Candidate):
+    def merge(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[HitBatch], i: int, best: Candidate):
         if wp.static(crossing):
             if wp.static(storing):
                 begin = hits.begins[i]
@@ -92,7 +92,7 @@ def take_hits(config: TraversalConfig) -> wp.Function:
             best.primitive = placement.first + found.primitive
         return best
 
-    return take
+    return merge
 
 
 @cache
@@ -113,7 +113,7 @@ def instance_search(kind: str) -> type:
 @cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
-    InstanceSearch, walk, take = instance_search(kind), WALKS[kind][1](config), take_hits(config)
+    InstanceSearch, walk, merge = instance_search(kind), WALKS[kind][1](config), merge_candidate(config)
     width = max(config.width, 2)  # children per node of the upper tree
 
     @wp.func
@@ -128,11 +128,11 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     ):
         placement = search.top.placements[load_int(search.top.order, bvh.first_block(child) * wp.static(width))]
         if (placement.mask & search.mask) != wp.uint32(0):
-            own = object_ray(placement, search.origin, search.ray, best.t)
-            if own.valid:
+            object_space_ray = object_ray(placement, search.origin, search.ray, best.t)
+            if object_space_ray.valid:
                 part = search.parts[placement.geometry]
-                found = walk(part.tree, part.triangles, own, hits, i, work)
-                best = take(placement, found, search.ray.t_min, hits, i, best)
+                found = walk(part.tree, part.triangles, object_space_ray, hits, i, work)
+                best = merge(placement, found, search.ray.t_min, hits, i, best)
         return best
 
     return visit

@@ -3,12 +3,12 @@
 **Problem.** Streams are fast because many rays do the same work at the same time. Rays that leave the upper tree one by one no
 longer form a stream, and only a few rays of one stream reach the same instance.
 
-**Idea.** Rounds. First each ray lists the nearest instances whose boxes it meets, up to `ROOM` of them, with the t of entry. In
-round k every ray whose k-th entry is not beyond its best hit goes to its k-th instance: rays are counted by instance, the
-counts are scanned, and the transformed rays are copied to the positions of their instance. There they are an ordinary batch,
-and streams traverse the tree of the mesh. The hits shorten the rays for later rounds. Rays that meet more than `ROOM` boxes
-list the next ones when they have finished the first. Each ray therefore visits instances front to back, and stops as early as a
-single ray would.
+**Idea.** Rounds. First each ray lists the nearest instances whose boxes it meets, up to `MAX_LISTED` of them, with the t of
+entry. In round k every ray whose k-th entry is not beyond its best hit goes to its k-th instance: rays are counted by instance,
+the counts are scanned, and the transformed rays are copied to the positions of their instance. There they are an ordinary
+batch, and streams traverse the tree of the mesh. The hits shorten the rays for later rounds. Rays that meet more than
+`MAX_LISTED` boxes list the next ones when they have finished the first. Each ray therefore visits instances front to back, and
+stops as early as a single ray would.
 
 **Cost.** A round copies 32 bytes per ray to the instances and 16 bytes back, and reads the state of all rays. When few rays are
 left, they are traced one by one (`wrt.kernels.traversal.two_level.instance_single`). If the instances of a scene are disjoint,
@@ -28,7 +28,7 @@ from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.box_lanes import met_boxes
+from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import INFINITY, ray_slabs, reach
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.stream import stream_bvh
@@ -39,7 +39,7 @@ from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTre
 
 exact_module(__name__)
 
-ROOM = wp.constant(8)
+MAX_LISTED = wp.constant(8)
 """Greatest number of instances in the list of a ray."""
 
 
@@ -54,9 +54,9 @@ class Search:
     size: wp.array(dtype=int)
     """(N,) length of the list."""
     instance: wp.array(dtype=int)
-    """(ROOM * N,) k-th instances of all rays from element k N on."""
+    """(MAX_LISTED * N,) k-th instances of all rays from element k N on."""
     entry: wp.array(dtype=float)
-    """(ROOM * N,) t of entry into their boxes, rounded down."""
+    """(MAX_LISTED * N,) t of entry into their boxes, rounded down."""
 
 
 @wp.struct
@@ -77,10 +77,13 @@ def precedes(entry: float, instance: int, other_entry: float, other: int):
 
 @wp.func
 def insert(entries: wp.array(dtype=float), instances: wp.array(dtype=int), size: int, entry: float, instance: int):
-    """Inserts an instance into a sorted list of at most ROOM; a full list drops its last element. Returns the new size."""
+    """Inserts an instance into a sorted list of at most MAX_LISTED; a full list drops its last element.
+
+    Returns the new size.
+    """
     place = int(size)
-    if size == ROOM:
-        place = ROOM - 1
+    if size == MAX_LISTED:
+        place = MAX_LISTED - 1
         if not precedes(entry, instance, entries[place], instances[place]):
             return size
     while place > 0 and precedes(entry, instance, entries[wp.max(place - 1, 0)], instances[wp.max(place - 1, 0)]):
@@ -89,7 +92,7 @@ def insert(entries: wp.array(dtype=float), instances: wp.array(dtype=int), size:
         place -= 1
     entries[place] = entry
     instances[place] = instance
-    return wp.min(size + 1, ROOM)
+    return wp.min(size + 1, MAX_LISTED)
 
 
 @cache
@@ -98,22 +101,22 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
 
     Nodes are visited in any order, which is cheaper than finding the nearest: most boxes that a ray meets are listed.
     """
-    test_boxes, Lanes, room = met_boxes(width), lanes(width), levels * (width - 1) + 1
+    test_boxes, Lanes, stack_size = intersected_boxes(width), lanes(width), levels * (width - 1) + 1
 
-    def list_instances(first: int, top: InstanceTree, rays: RayBatch, again: bool, search: Search):
+    def list_instances(first: int, top: InstanceTree, rays: RayBatch, resume: bool, search: Search):
         place = first + wp.tid()
         count = search.size.shape[0]
         i = search.begin + place
         ray = load_ray(rays, i)
         passed = float(-INFINITY)
         passed_instance = int(-1)
-        waiting = wp.zeros(shape=(room,), dtype=int)
+        waiting = wp.zeros(shape=(stack_size,), dtype=int)
         left = wp.where(ray.valid, 1, 0)
         bound = wp.where(ray.valid, ray.t_max, -INFINITY)
-        if again:
-            last = (ROOM - 1) * count + place
+        if resume:
+            last = (MAX_LISTED - 1) * count + place
             bound = search.bound[place]
-            if search.size[place] == ROOM and search.entry[last] <= bound:
+            if search.size[place] == MAX_LISTED and search.entry[last] <= bound:
                 passed = search.entry[last]
                 passed_instance = search.instance[last]
             else:
@@ -122,17 +125,17 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
             search.bound[place] = bound
         mask = ray_mask(rays, i)
         slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
-        entries = wp.zeros(shape=(ROOM,), dtype=float)
-        instances = wp.zeros(shape=(ROOM,), dtype=int)
+        entries = wp.zeros(shape=(MAX_LISTED,), dtype=float)
+        instances = wp.zeros(shape=(MAX_LISTED,), dtype=int)
         size = int(0)
         while left > 0:
             left -= 1
             node = load_int(waiting, left)
             entry = Lanes()
-            met = test_boxes(top.tree.bounds, node, slabs, ray.t_min, bound, entry)
-            while met != wp.uint32(0):
-                lane = lowest_bit(met)
-                met = met & (met - wp.uint32(1))
+            lanes_hit = test_boxes(top.tree.bounds, node, slabs, ray.t_min, bound, entry)
+            while lanes_hit != wp.uint32(0):
+                lane = lowest_bit(lanes_hit)
+                lanes_hit = lanes_hit & (lanes_hit - wp.uint32(1))
                 child = load_int(top.tree.child, node * wp.static(width) + lane)
                 if child >= 0:
                     store_int(waiting, left, child)
@@ -142,8 +145,8 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
                     is_seen = (top.placements[instance].mask & mask) != wp.uint32(0)
                     if is_seen and precedes(passed, passed_instance, entry[lane], instance):
                         size = insert(entries, instances, size, entry[lane], instance)
-                        if size == ROOM:
-                            bound = wp.min(bound, entries[ROOM - 1])
+                        if size == MAX_LISTED:
+                            bound = wp.min(bound, entries[MAX_LISTED - 1])
         for k in range(size):
             search.instance[k * count + place] = instances[k]
             search.entry[k * count + place] = entries[k]
@@ -193,13 +196,13 @@ def sort_by_instance(
             i = search.begin + place
             to = row[instance]
             row[instance] = to + 1
-            own = object_ray(top.placements[instance], centered_origin(rays, i), load_ray(rays, i), search.bound[place])
+            local_ray = object_ray(top.placements[instance], centered_origin(rays, i), load_ray(rays, i), search.bound[place])
             sorted_rays.order[to] = i
             sorted_rays.instance[to] = instance
-            sorted_rays.rays.origins[to] = own.origin
-            sorted_rays.rays.directions[to] = own.direction
-            sorted_rays.rays.t_min[to] = own.t_min
-            sorted_rays.rays.t_max[to] = own.t_max
+            sorted_rays.rays.origins[to] = local_ray.origin
+            sorted_rays.rays.directions[to] = local_ray.direction
+            sorted_rays.rays.t_min[to] = local_ray.t_min
+            sorted_rays.rays.t_max[to] = local_ray.t_max
 
 
 @cache
@@ -208,7 +211,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     StreamRay = stream_ray(config.triangle_test)
     load, store, trace = load_stream(config.triangle_test), store_stream(config), stream_bvh.make_trace(config)
     list_valid, size = stream_bvh.list_valid(config.triangle_test), config.stream.rays
-    room = (config.stack.levels + 1) * size + LIST_LANES
+    stack_size = (config.stack.levels + 1) * size + LIST_LANES
 
     def streams_of_instances(
         first: int,
@@ -222,7 +225,7 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
         segment = segments[first + wp.tid()]
         part = parts[placements[segment[0]].geometry]
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
-        words = wp.zeros(shape=(room,), dtype=int)
+        words = wp.zeros(shape=(stack_size,), dtype=int)
         begin = segment[1]
         while begin < segment[2]:
             count = wp.min(wp.static(size), segment[2] - begin)

@@ -126,8 +126,8 @@ def largest_of(result: str, v: str) -> str:
 
 
 SPHERE_CODE = f"""
-    {largest_of("most_d", "d")}
-    const float ex = dx / most_d, ey = dy / most_d, ez = dz / most_d;
+    {largest_of("max_d", "d")}
+    const float ex = dx / max_d, ey = dy / max_d, ez = dz / max_d;
     {minus("l", "m", "o")}{crossed("w", "l", "e")}
 """
 SPHERE_PASSES = f"{dotted('w', 'w')} <= {dotted('e', 'e')} * (1.01f * radius2 + 1e-10f * {dotted('l', 'l')})"
@@ -138,8 +138,8 @@ CIRCLE_PASSES = f"{dotted('w', 'w')} <= radius2"
 """C++ for `in_circle`."""
 
 BOX_CODE = f"""
-    {largest_of("most_o", "o")}{largest_of("most_d", "d")}
-    const float slack = 1e-6f * (most_o + WRT_ABS(t) * most_d);
+    {largest_of("max_o", "o")}{largest_of("max_d", "d")}
+    const float slack = 1e-6f * (max_o + WRT_ABS(t) * max_d);
 """
 BOX_PASSES = " & ".join(f"(p{a} >= low_{a} - slack) & (p{a} <= high_{a} + slack)" for a in "xyz")
 """C++ for `in_box`."""

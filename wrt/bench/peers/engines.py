@@ -107,7 +107,7 @@ class Engine(Peer):
         if rays.query not in (ALL, INSIDE):
             return True
         tree = "none" if way is not None and way.trees == ("none",) else self.scene.accelerator.kind
-        counts = way is None or way.answers("count", tree)
+        counts = way is None or way.supports("count", tree)
         return counts and (test is None or (test.crossing is not None and rays.query == ALL))
 
     def ray_limit(self, triangles: int) -> int | None:

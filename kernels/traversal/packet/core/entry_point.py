@@ -76,7 +76,7 @@ def rays_per_item(config: TraversalConfig) -> int:
 
 
 @cache
-def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
+def candidate_leaf(config: TraversalConfig, accelerated: bool) -> wp.Function:
     """`wp.func(triangles, node, bounds) -> bool`: whether a leaf may contain a hit of a ray of the tile (a candidate leaf)."""
     vertex = CULLINGS["vertex"]  # a culling that needs only bounds, not rays
     holds = vertex.holds_for(TRIANGLE_TESTS[config.triangle_test])
@@ -84,7 +84,7 @@ def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
     width = config.width
 
     @wp.func
-    def counts(triangles: TriangleBlocks, node: wp.vec2i, bounds: wp.ref[PacketBounds]):
+    def is_candidate(triangles: TriangleBlocks, node: wp.vec2i, bounds: wp.ref[PacketBounds]):
         rest = int(kdtree.leaf_triangles(node))
         result = bool(rest > 0)
         if wp.static(accelerated):
@@ -96,17 +96,17 @@ def leaf_counts(config: TraversalConfig, accelerated: bool) -> wp.Function:
                 rest -= wp.static(width)
         return result
 
-    return counts
+    return is_candidate
 
 
 @cache
-def make_reach(config: TraversalConfig, accelerated: bool) -> wp.Function:
+def candidate_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
     """`wp.func(nodes, triangles, bounds, cell, work) -> bool`: whether a candidate leaf is reached from a cell."""
-    counts = leaf_counts(config, accelerated)
+    is_candidate = candidate_leaf(config, accelerated)
     counting = config.counters
 
     @wp.func
-    def reach_leaf(
+    def reaches_candidate(
         nodes: wp.array(dtype=wp.vec2i),
         triangles: TriangleBlocks,
         bounds: wp.ref[PacketBounds],
@@ -131,7 +131,7 @@ def make_reach(config: TraversalConfig, accelerated: bool) -> wp.Function:
             else:
                 if wp.static(counting):
                     work.leaves += 1
-                reached = counts(triangles, node, bounds)
+                reached = is_candidate(triangles, node, bounds)
                 searching = size > 0 and not reached
                 if searching:
                     size -= 1
@@ -140,14 +140,14 @@ def make_reach(config: TraversalConfig, accelerated: bool) -> wp.Function:
                     cell.leave = load_float(stack_leave, size)
         return reached
 
-    return reach_leaf
+    return reaches_candidate
 
 
 @cache
 def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
     """`wp.func(tree, triangles, bounds, work) -> bool`: moves `tree.root` to the entry point; False if no ray can hit
     anything."""
-    counts, reach_leaf = leaf_counts(config, accelerated), make_reach(config, accelerated)
+    is_candidate, reaches_candidate = candidate_leaf(config, accelerated), candidate_search(config, accelerated)
     counting = config.counters
 
     @wp.func
@@ -187,7 +187,7 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
             else:
                 if wp.static(counting):
                     work.leaves += 1
-                reached = counts(triangles, node, bounds)
+                reached = is_candidate(triangles, node, bounds)
                 searching = size > 0 and not reached
                 if searching:
                     size -= 1
@@ -212,7 +212,7 @@ def make_search(config: TraversalConfig, accelerated: bool) -> wp.Function:
                 other.entry = load_float(stack_entry, which)
                 other.leave = load_float(stack_leave, which)
                 done += 1
-                if reach_leaf(tree.nodes, triangles, bounds, other, work):
+                if reaches_candidate(tree.nodes, triangles, bounds, other, work):
                     chosen = which
                     if wp.static(accelerated):
                         done = size
@@ -232,12 +232,12 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
     packet_rays, small, large = config.packet.rays, PACKETS * config.packet.rays, rays_per_item(config)
-    size, room = packet_layout(config).size, walk_memory(config)
+    size, memory_size = packet_layout(config).size, walk_memory(config)
 
     @wp.func
-    def look(
+    def search_tile(
         tree: KdNodes,
-        below: wp.ref[KdNodes],
+        part_tree: wp.ref[KdNodes],
         triangles: TriangleBlocks,
         rays: RayBatch,
         begin: int,
@@ -246,7 +246,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     ):
         bounds = PacketBounds()
         bound_rays(rays, begin, count, tree.low, tree.high, bounds)
-        return bounds.active > 0 and search(below, triangles, bounds, work)
+        return bounds.active > 0 and search(part_tree, triangles, bounds, work)
 
     def entry_points(
         first: int,
@@ -257,31 +257,31 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
-        memory = wp.zeros(shape=(room,), dtype=int)
+        memory = wp.zeros(shape=(memory_size,), dtype=int)
         tile = (first + wp.tid()) * wp.static(large)
         end = wp.min(tile + wp.static(large), rays.count)
         work = Counters()
-        whole = KdNodes()
-        whole.nodes = tree.nodes
-        whole.root = tree.root
-        whole.low = tree.low
-        whole.high = tree.high
-        some = look(tree, whole, triangles, rays, tile, wp.static(large), work)
+        tile_tree = KdNodes()
+        tile_tree.nodes = tree.nodes
+        tile_tree.root = tree.root
+        tile_tree.low = tree.low
+        tile_tree.high = tree.high
+        tile_may_hit = search_tile(tree, tile_tree, triangles, rays, tile, wp.static(large), work)
         part = int(tile)
         while part < end:
             part_end = wp.min(part + wp.static(small), end)
-            below = KdNodes()
-            below.nodes = tree.nodes
-            below.root = whole.root
-            below.low = whole.low
-            below.high = whole.high
-            here = bool(some)
-            if here and kdtree.split_axis(kdtree.load_node(tree.nodes, whole.root)) != LEAF:
-                here = look(tree, below, triangles, rays, part, wp.static(small), work)
+            part_tree = KdNodes()
+            part_tree.nodes = tree.nodes
+            part_tree.root = tile_tree.root
+            part_tree.low = tile_tree.low
+            part_tree.high = tile_tree.high
+            part_may_hit = bool(tile_may_hit)
+            if part_may_hit and kdtree.split_axis(kdtree.load_node(tree.nodes, tile_tree.root)) != LEAF:
+                part_may_hit = search_tile(tree, part_tree, triangles, rays, part, wp.static(small), work)
             begin = int(part)
             while begin < part_end:
-                if here:
-                    trace_packet(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)
+                if part_may_hit:
+                    trace_packet(tree, part_tree, triangles, rays, begin, packet, memory, hits, counters, work)
                 else:
                     for i in range(begin, wp.min(begin + wp.static(packet_rays), part_end)):
                         store(hits, i, start(0.0))

@@ -3,7 +3,7 @@
 **Problem.** If triangles are as small as pixels, only a few rays of a packet of 32 meet the box of a typical leaf, and often
 none does. A triangle that is tested by the packet occupies 32 lanes for them.
 
-**Idea.** Put rays or triangles into the lanes, whichever are more. At most `FEW` rays
+**Idea.** Put rays or triangles into the lanes, whichever are more. At most `MAX_FEW_RAYS` rays
 (`wrt.kernels.traversal.packet.rays.packet_bounds`) are taken out of the packet and tested like single rays, by `block_step`:
 one vector per 16 triangles, and no frustum before it. Figures: notebooks/records/2026-11-22-leaf-rays.md.
 """
@@ -28,7 +28,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
 
-_TAKE = """
+_EXTRACT = """
     const int k = bounds.few.c[place];
     const float wide = SHARED ? slack0 : slack[k];
     const float from[3] = {SHARED ? origin0[0] : origin_x[k], SHARED ? origin0[1] : origin_y[k],
@@ -45,7 +45,7 @@ _TAKE = """
     return begin;
 """
 
-_GIVE = """
+_STORE = """
     const int ray = bounds.few.c[place];
     t[ray] = ANY_HIT ? -INF : best.t;
     ((int*)primitive)[ray] = best.primitive;
@@ -54,14 +54,14 @@ _GIVE = """
 
 
 @cache
-def take_ray(layout: PacketLayout) -> wp.Function:
+def extract_ray(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, bounds, place, ray, slabs, best) -> t_min`: a ray of `bounds.few` in the form that `block_step`
     needs."""
     test = TRIANGLE_TESTS[layout.triangle_test]
     RayState = test.ray_state
 
-    @wp.func_native(layout.head + SHARED_ORIGIN + _TAKE.replace("WRT_RAY", test.packet_form.ray))
-    def take_ray_native(
+    @wp.func_native(layout.head + SHARED_ORIGIN + _EXTRACT.replace("WRT_RAY", test.packet_form.ray))
+    def extract_ray_native(
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         place: int,
@@ -70,42 +70,42 @@ def take_ray(layout: PacketLayout) -> wp.Function:
         best: wp.ref[Candidate],
     ) -> float: ...
 
-    return take_ray_native
+    return extract_ray_native
 
 
 @cache
-def give_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
+def store_ray(layout: PacketLayout, any_hit: bool) -> wp.Function:
     """`wp.func(packet, bounds, place, best)`: stores the hit of a ray of `bounds.few` in the packet."""
     constant = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n"
 
-    @wp.func_native(layout.head + constant + _GIVE + SHORTEN)
-    def give_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
+    @wp.func_native(layout.head + constant + _STORE + SHORTEN)
+    def store_ray_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], place: int, best: wp.ref[Candidate]): ...
 
-    return give_ray_native
+    return store_ray_native
 
 
 @wp.func_native("bounds.few.c[place] = ray;")
-def put_few(bounds: wp.ref[PacketBounds], place: int, ray: int):
-    """Stores the number of a ray in `bounds.few`, for `few_step`."""
+def store_few_ray(bounds: wp.ref[PacketBounds], place: int, ray: int):
+    """Stores the number of a ray in `bounds.few`, for `few_rays_step`."""
     ...
 
 
 @cache
-def few_counts(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: counts the work of the next `few_step`."""
-    active_in, width = active_lanes(packet_layout(config)), config.width
+def count_few_rays(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, first, count, ray_count, packet, bounds, work)`: counts the work of the next `few_rays_step`."""
+    count_active, width = active_lanes(packet_layout(config)), config.width
 
     @wp.func
     def count_work(
         triangles: TriangleBlocks,
         first: int,
         count: int,
-        meet: int,
+        ray_count: int,
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
-        if meet == 0:
+        if ray_count == 0:
             work.culled += count
         else:
             work.triangles += count
@@ -113,8 +113,8 @@ def few_counts(config: TraversalConfig) -> wp.Function:
             rest = int(count)
             while rest > 0:
                 used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))
-                work.lanes += meet * wp.static(width)
-                work.active += active_in(triangles.records, block, used, packet, bounds)
+                work.lanes += ray_count * wp.static(width)
+                work.active += count_active(triangles.records, block, used, packet, bounds)
                 block += 1
                 rest -= wp.static(width)
 
@@ -122,13 +122,13 @@ def few_counts(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def few_step(config: TraversalConfig) -> wp.Function:
-    """`wp.func(triangles, first, count, meet, packet, bounds, work)`: tests the `meet` rays of `bounds.few` against a leaf.
+def few_rays_step(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, first, count, ray_count, packet, bounds, work)`: tests the rays of `bounds.few` against a leaf.
 
-    The leaf has `count` triangles, from block `first` on.
+    Their number is `ray_count`. The leaf has `count` triangles, from block `first` on.
     """
     layout, any_hit = packet_layout(config), config.query == ANY
-    take, give, count_work = take_ray(layout), give_ray(layout, any_hit), few_counts(config)
+    extract, store, count_work = extract_ray(layout), store_ray(layout, any_hit), count_few_rays(config)
     RayState = TRIANGLE_TESTS[config.triangle_test].ray_state
     test_block = block_step(replace(config, single=SingleConfig()))
     width, counting = config.width, config.counters
@@ -138,19 +138,19 @@ def few_step(config: TraversalConfig) -> wp.Function:
         triangles: TriangleBlocks,
         first: int,
         count: int,
-        meet: int,
+        ray_count: int,
         packet: wp.array(dtype=float),
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
         if wp.static(counting):
             work.leaves += 1
-            count_work(triangles, first, count, meet, packet, bounds, work)
-        for place in range(meet):
+            count_work(triangles, first, count, ray_count, packet, bounds, work)
+        for place in range(ray_count):
             ray = RayState()
             slabs = RaySlabs()
             best = Candidate()
-            t_min = take(packet, bounds, place, ray, slabs, best)
+            t_min = extract(packet, bounds, place, ray, slabs, best)
             primitive = best.primitive
             block = int(first)
             rest = int(count)
@@ -161,6 +161,6 @@ def few_step(config: TraversalConfig) -> wp.Function:
                 if wp.static(any_hit):
                     rest = wp.where(best.primitive < 0, rest, 0)
             if best.primitive != primitive:
-                give(packet, bounds, place, best)
+                store(packet, bounds, place, best)
 
     return step

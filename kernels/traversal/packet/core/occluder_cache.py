@@ -31,20 +31,20 @@ exact_module(__name__)
 
 
 @cache
-def last_leaf(layout: PacketLayout) -> wp.Function:
+def cached_leaf(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet) -> int`: the stored leaf."""
 
     @wp.func_native(f"return ((const int*)packet.data)[{layout.occluder}];")
-    def last_leaf_native(packet: wp.array(dtype=float)) -> int: ...
+    def cached_leaf_native(packet: wp.array(dtype=float)) -> int: ...
 
-    return last_leaf_native
+    return cached_leaf_native
 
 
 @cache
-def keep_leaf(layout: PacketLayout) -> wp.Function:
+def cache_leaf(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, leaf)`: stores a leaf for the next packet; 0 for none."""
 
     @wp.func_native(f"((int*)packet.data)[{layout.occluder}] = leaf;")
-    def keep_leaf_native(packet: wp.array(dtype=float), leaf: int): ...
+    def cache_leaf_native(packet: wp.array(dtype=float), leaf: int): ...
 
-    return keep_leaf_native
+    return cache_leaf_native

@@ -11,8 +11,8 @@ does not end the search; the search continues with the next cell on the stack.
 **The order.** Of the rays that visit both children, the majority decides which child comes first. This rule is ours: Rahikainen
 (2013), the source of this file, does not give the rule of the paper.
 
-**Leaves.** If more than `FEW` rays of the packet have reached a leaf, W rays are tested against a triangle at a time; otherwise
-each ray is tested against W triangles at a time (`few_active_rays`). The lanes are filled in both cases.
+**Leaves.** If more than `MAX_FEW_RAYS` rays of the packet have reached a leaf, W rays are tested against a triangle at a time;
+otherwise each ray is tested against W triangles at a time (`few_active_rays`). The lanes are filled in both cases.
 
 **Differences from the paper.** A cell on the stack is its node and its box, not P intervals. When it is popped, the intervals
 are computed from the box, clipped to the current best hits. The size of the stack does not depend on the packet. Rays with
@@ -38,10 +38,10 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core.few_active_rays import few_step, put_few
+from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step, store_few_ray
 from wrt.kernels.traversal.packet.core.lane_cells import enter_cell, split_cell
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
-from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
@@ -61,7 +61,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     layout = packet_layout(config)
     load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.query == ANY)
     enter, split = enter_cell(layout), split_cell(layout)
-    leaf_together, leaf_alone = leaf_step(config), few_step(config)
+    packet_leaf_step, few_rays_leaf_step = leaf_step(config), few_rays_step(config)
     counting, size_of_packet, P = config.counters, layout.size, config.packet.rays
     cell_floats, memory = 2 * P, MAILBOXES[config.mailbox].size
 
@@ -111,15 +111,15 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             else:
                 count = kdtree.leaf_triangles(node)
                 if count > 0:
-                    arrived = int(0)
+                    ray_count = int(0)
                     for k in range(wp.static(P)):
                         if load_float(cells, k) <= load_float(cells, wp.static(P) + k):
-                            put_few(bounds, wp.min(arrived, wp.static(FEW - 1)), k)
-                            arrived += 1
-                    if arrived > wp.static(FEW):
-                        leaf_together(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
+                            store_few_ray(bounds, wp.min(ray_count, wp.static(MAX_FEW_RAYS - 1)), k)
+                            ray_count += 1
+                    if ray_count > wp.static(MAX_FEW_RAYS):
+                        packet_leaf_step(triangles, kdtree.first_block(node), count, packet, bounds, mailbox, work)
                     else:
-                        leaf_alone(triangles, kdtree.first_block(node), count, arrived, packet, bounds, work)
+                        few_rays_leaf_step(triangles, kdtree.first_block(node), count, ray_count, packet, bounds, work)
                 searching = bool(False)
                 while size > 0 and not searching:
                     size -= 1

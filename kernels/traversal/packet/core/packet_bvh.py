@@ -11,8 +11,8 @@ last packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
 
 **Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
 the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may
-visit half of the scene. Its traversal is abandoned after `PATIENCE` steps per ray. Such packets are split by their origins
-(`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`).
+visit half of the scene. Its traversal is abandoned after `MAX_STEPS_PER_RAY` steps per ray. Such packets are split by their
+origins (`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`).
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -35,9 +35,9 @@ from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import occluder_cache as occluder
-from wrt.kernels.traversal.packet.core.few_active_rays import few_step
+from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
-from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -47,7 +47,7 @@ exact_module(__name__)
 MIXED_AXES = 2
 """Greatest number of axes with both signs for which a packet is traversed as a whole."""
 
-PATIENCE = 3
+MAX_STEPS_PER_RAY = 3
 """Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by one
 (notebooks/records/2026-11-21-packets.md)."""
 
@@ -62,8 +62,8 @@ def walk_memory(config: TraversalConfig) -> int:
 def visit_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node."""
     culling, width = CULLINGS[config.packet.culling], config.width
-    start_leaf, looks_at_leaves = culling.leaf(packet_layout(config)), culling.needs_boxes
-    test_leaf, test_few = leaf_step(config), few_step(config)
+    count_rays, counts_rays = culling.leaf(packet_layout(config)), culling.needs_boxes
+    test_leaf, test_few = leaf_step(config), few_rays_step(config)
 
     @wp.func
     def visit(
@@ -79,11 +79,11 @@ def visit_leaf(config: TraversalConfig) -> wp.Function:
         child = load_int(tree.child, node * wp.static(width) + lane)
         first = bvh.first_block(child)
         count = bvh.leaf_triangles(child)
-        meet = start_leaf(tree.bounds, node, lane, packet, bounds)
-        if meet > wp.static(FEW):
+        ray_count = count_rays(tree.bounds, node, lane, packet, bounds)
+        if ray_count > wp.static(MAX_FEW_RAYS):
             test_leaf(triangles, first, count, packet, bounds, mailbox, work)
-        elif wp.static(looks_at_leaves):
-            test_few(triangles, first, count, meet, packet, bounds, work)
+        elif wp.static(counts_rays):
+            test_few(triangles, first, count, ray_count, packet, bounds, work)
 
     return visit
 
@@ -95,10 +95,10 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
     box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
-    remembered = MAILBOXES[config.mailbox].size
-    last_leaf, keep_leaf, any_hit = occluder.last_leaf(layout), occluder.keep_leaf(layout), config.query == ANY
+    mailbox_size = MAILBOXES[config.mailbox].size
+    cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.query == ANY
     width, counting = config.width, config.counters
-    row, patience = config.stack.levels * config.width, PATIENCE * config.packet.rays
+    row, max_steps = config.stack.levels * config.width, MAX_STEPS_PER_RAY * config.packet.rays
 
     @wp.func
     def walk(
@@ -109,15 +109,15 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
-        for i in range(wp.static(remembered)):
+        for i in range(wp.static(mailbox_size)):
             store_int(memory, i, 0)
-        keys = first_line(memory, wp.static(remembered))
+        keys = first_line(memory, wp.static(mailbox_size))
         path = keys + wp.static(row)
         store_int(memory, path, 0)
         steps = int(0)
         leaf = int(0)
         if wp.static(any_hit):
-            leaf = last_leaf(packet)
+            leaf = cached_leaf(packet)
             if leaf > 0:
                 node = (leaf - 1) // wp.static(width)
                 visit(tree, triangles, node, (leaf - 1) % wp.static(width), packet, bounds, memory, work)
@@ -147,14 +147,14 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                     visit(tree, triangles, node, lane, packet, bounds, memory, work)
                     leaf = node * wp.static(width) + lane + 1
                     key = nearest(memory, keys + level * wp.static(width))
-                level = wp.where(steps <= wp.static(patience), level, -1)
+                level = wp.where(steps <= wp.static(max_steps), level, -1)
             else:
                 level -= 1
                 if level >= 0:
                     key = nearest(memory, keys + level * wp.static(width))
         if wp.static(any_hit):
-            keep_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0))
-        return steps <= wp.static(patience)
+            cache_leaf(packet, wp.where(bounds.t_max < 0.0, leaf, 0))
+        return steps <= wp.static(max_steps)
 
     return walk
 

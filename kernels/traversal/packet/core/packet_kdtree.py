@@ -15,7 +15,7 @@ after the farthest of the best hits is dropped, and the search continues with th
 cell may begin before an inner one.
 
 **Limits.** A triangle in several leaves is tested in each of them unless a mailbox remembers it. The traversal of a packet
-whose rays have diverged is abandoned after `PATIENCE` steps per ray, and continues in parts
+whose rays have diverged is abandoned after `MAX_STEPS_PER_RAY` steps per ray, and continues in parts
 (`wrt.kernels.traversal.packet.core.packet_splitting`). Shadow rays to a point light gain little, because neighbours start on
 different surfaces. Figures: notebooks/records/2026-11-21-kdtree-packets.md.
 
@@ -46,7 +46,7 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
 
-PATIENCE = 4
+MAX_STEPS_PER_RAY = 4
 """Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by
 one."""
 
@@ -67,7 +67,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     The walk starts at `tree.root`. If that is not the root of the whole tree, no ray of the packet may have a hit elsewhere.
     """
     test_leaf = leaf_step(config)
-    remembered, counting, patience = MAILBOXES[config.mailbox].size, config.counters, PATIENCE * config.packet.rays
+    mailbox_size, counting, max_steps = MAILBOXES[config.mailbox].size, config.counters, MAX_STEPS_PER_RAY * config.packet.rays
 
     @wp.func
     def walk(
@@ -86,7 +86,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
         stack_entry = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
         stack_leave = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=float)
-        for i in range(wp.static(remembered)):
+        for i in range(wp.static(mailbox_size)):
             store_int(memory, i, 0)
         size = int(0)
         steps = int(0)
@@ -104,14 +104,14 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
             else:
                 test_leaf(triangles, kdtree.first_block(node), kdtree.leaf_triangles(node), packet, bounds, memory, work)
                 searching = bool(False)
-                size = wp.where(steps <= wp.static(patience), size, 0)
+                size = wp.where(steps <= wp.static(max_steps), size, 0)
                 while size > 0 and not searching:
                     size -= 1
                     cell.node = load_int(stack_node, size)
                     cell.entry = load_float(stack_entry, size)
                     cell.leave = load_float(stack_leave, size)
                     searching = cell.entry <= bounds.t_max
-        return steps <= wp.static(patience)
+        return steps <= wp.static(max_steps)
 
     return walk
 

@@ -16,9 +16,9 @@ from wrt.kernels.simd.lanes import count_bits
 from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core import packet_splitting as parting
+from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.core.packet_block import test_block
-from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_a_triangle
+from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
@@ -51,8 +51,8 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     layout = packet_layout(config)
     cull_triangles = CULLINGS[config.packet.culling].triangles(layout)
     test_triangles = test_block(layout, config.query == ANY)
-    active_in, lanes_each = active_lanes(layout), lanes_a_triangle(layout)
-    forget = MAILBOXES[config.mailbox].filter(config.width)
+    count_active, lanes_per_triangle = active_lanes(layout), lanes_tested(layout)
+    filter_tested = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
 
     @wp.func
@@ -72,7 +72,7 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
         rest = int(count)
         while rest > 0:
             kept = cull_triangles(triangles.records, block, bounds)
-            mask = forget(triangles.primitive, block, kept, mailbox)
+            mask = filter_tested(triangles.primitive, block, kept, mailbox)
             if wp.static(counting):
                 used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))
                 tested = count_bits(mask & used)
@@ -80,8 +80,8 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
                 work.culled -= tested + avoided
                 work.avoided += avoided
                 work.triangles += tested
-                work.lanes += tested * lanes_each(bounds)
-                work.active += active_in(triangles.records, block, mask & used, packet, bounds)
+                work.lanes += tested * lanes_per_triangle(bounds)
+                work.active += count_active(triangles.records, block, mask & used, packet, bounds)
             if mask != wp.uint32(0):
                 test_triangles(triangles.records, triangles.primitive, block, mask, packet, bounds)
             block += 1
@@ -91,15 +91,16 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
+def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
     """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: traces the rays of the packet at `begin` one by
     one.
 
-    These are all of its rays, or those that `packet_splitting` left over. walk_ray: `wp.func(tree, triangles, ray, hits, i,
-    work) -> best`. `work` is the work done for the packet so far; it is added to that of the first ray.
+    These are all of its rays, or those for which `packet_splitting.needs_single_ray` is true. walk_ray: `wp.func(tree,
+    triangles, ray, hits, i, work) -> best`. `work` is the work done for the packet so far; it is added to that of the first
+    ray.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet.rays
-    left_over = parting.goes_alone(packet_layout(config))
+    needs_single_ray = packet_splitting.needs_single_ray(packet_layout(config))
 
     @wp.func
     def trace(
@@ -113,7 +114,7 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
         work: wp.ref[Counters],
     ):
         for place in range(begin, wp.min(begin + wp.static(packet_rays), rays.count)):
-            if not left_over(packet, place - begin):
+            if not needs_single_ray(packet, place - begin):
                 continue
             i = ray_at(rays, place, wp.static(packet_rays))
             ray = load_ray(rays, i)
@@ -129,14 +130,15 @@ def trace_alone(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> w
 
 
 @cache
-def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function) -> wp.Function:
+def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function) -> wp.Function:
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, split if necessary.
 
-    False if rays are left over (`parting.goes_alone`). trace_together: the same for a packet that is not to be split.
+    False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). trace_unsplit: the same for a
+    packet that is not to be split.
     """
     layout = packet_layout(config)
-    take = parting.take_part(layout, CULLINGS[config.packet.culling].slopes)
-    settle, count_alone = parting.settle_part(layout), parting.count_alone(layout)
+    activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes)
+    finish, count_single_rays = packet_splitting.finish_part(layout), packet_splitting.count_single_rays(layout)
 
     @wp.func
     def trace(
@@ -148,17 +150,17 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_together: wp.Function
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
-        apart = bool(False)
+        abandoned = bool(False)
         parts = int(1)
         number = int(0)
         while number < parts:
             if number > 0:
-                take(packet, bounds, number)
-            together = trace_together(tree, below, triangles, packet, memory, bounds, work)
-            apart = apart or not together
-            parts += settle(packet, bounds, number, parts, together)
+                activate(packet, bounds, number)
+            completed = trace_unsplit(tree, below, triangles, packet, memory, bounds, work)
+            abandoned = abandoned or not completed
+            parts += finish(packet, bounds, number, parts, completed)
             number += 1
-        return not apart or count_alone(packet) == 0
+        return not abandoned or count_single_rays(packet) == 0
 
     return trace
 
@@ -186,7 +188,7 @@ def packet_step(
     start_packet = culling.start(layout)
 
     @wp.func
-    def trace_together(
+    def trace_unsplit(
         tree: wp.ref[Tree],
         below: wp.ref[Tree],
         triangles: wp.ref[TriangleBlocks],
@@ -195,14 +197,14 @@ def packet_step(
         bounds: wp.ref[PacketBounds],
         work: wp.ref[Counters],
     ):
-        together = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
-        if together and bounds.active > 0:
+        completed = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
+        if completed and bounds.active > 0:
             start_packet(tree.low, tree.high, packet, bounds)
-            together = walk_packet(below, triangles, packet, memory, bounds, work)
-        return together
+            completed = walk_packet(below, triangles, packet, memory, bounds, work)
+        return completed
 
-    alone, counting, parts = trace_alone(config, Tree, walk_ray), config.counters, not config.packet.shared_origin
-    trace = trace_parts(config, Tree, trace_together) if parts else trace_together
+    single_rays, counting, parts = trace_single_rays(config, Tree, walk_ray), config.counters, not config.packet.shared_origin
+    trace = trace_parts(config, Tree, trace_unsplit) if parts else trace_unsplit
 
     @wp.func
     def step(
@@ -219,11 +221,11 @@ def packet_step(
     ):
         bounds = PacketBounds()
         load(rays, begin, tree.low, tree.high, packet, bounds)
-        together = trace(tree, below, triangles, packet, memory, bounds, work)
-        if together or wp.static(parts):  # left-over rays are stored again when they are traced
+        completed = trace(tree, below, triangles, packet, memory, bounds, work)
+        if completed or wp.static(parts):  # left-over rays are stored again when they are traced
             store(packet, rays, begin, hits)
-        if not together:
-            alone(tree, triangles, rays, begin, packet, hits, counters, work)
+        if not completed:
+            single_rays(tree, triangles, rays, begin, packet, hits, counters, work)
         elif wp.static(counting):
             counters.rows[begin] = work
             work = Counters()
@@ -233,7 +235,7 @@ def packet_step(
 
 @cache
 def make_packet_kernel(
-    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, room: int
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, memory_size: int
 ) -> wp.Kernel:
     """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as in `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
@@ -248,7 +250,7 @@ def make_packet_kernel(
         counters: CounterRows,
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
-        memory = wp.zeros(shape=(room,), dtype=int)
+        memory = wp.zeros(shape=(memory_size,), dtype=int)
         begin = (first + wp.tid()) * wp.static(run)
         end = wp.min(begin + wp.static(run), rays.count)
         while begin < end:

@@ -1,4 +1,4 @@
-"""Packet splitting: a packet whose rays diverge continues as smaller packets (after Boulos et al. 2008).
+"""Packet splitting: a packet whose rays diverge continues as smaller packets.
 
 **Problem.** Neighbouring pixels see different surfaces at every silhouette, and secondary rays that start there have little in
 common. A few percent of the packets of shadow rays are like that. They would visit half of the scene before their traversal is
@@ -6,16 +6,18 @@ abandoned and their rays are traced one by one.
 
 **Idea.** Halve the box of the packet's origins along its longest axis. The space between two surfaces is mostly empty, so the
 middle separates them. Each half is a packet with its own bounds, in the same memory; the rays of the other half are inactive
-meanwhile. A part whose traversal is abandoned is halved again, up to `MOST_PARTS` parts; the remaining rays are then traced one
+meanwhile. A part whose traversal is abandoned is halved again, up to `MAX_PARTS` parts; the remaining rays are then traced one
 by one.
 
 **Data.** `part` is the number of the part that contains a ray; parts are split from parts, and the whole packet is number 0.
-`DONE` marks rays whose part has been traced and rays that were never active; `ALONE` marks rays to be traced one by one. `kept`
-stores the t of a ray while another part is active.
+`DONE` marks rays whose part has been traced and rays that were never active; `SINGLE_RAY` marks rays to be traced one by
+one. `kept` stores the t of a ray while another part is active.
 
-**Differences from the paper.** The paper regroups rays by what they hit, after each bounce. Here a packet is split by the
-origins of its rays, and only if its traversal takes too long. Hits that were found until then are kept, and any-hit rays that
-have one are done (figures: notebooks/records/2026-11-21-packets.md).
+**When.** A packet is split only if its traversal takes too long. Hits that were found until then are kept, and any-hit rays
+that have one are done (figures: notebooks/records/2026-11-21-packets.md).
+
+**Related work.** Boulos et al. (2008) also react during the traversal, when a packet has too few active rays: they reorder the
+rays of several packets into new ones. Splitting by origins takes rays of one packet only, and moves none in memory.
 
 References:
     S. Boulos, I. Wald, C. Benthin: Adaptive ray packet reordering. IEEE Symposium on Interactive Ray Tracing 2008.
@@ -32,31 +34,31 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
 
-MOST_PARTS = 7
+MAX_PARTS = 7
 """Greatest number of parts of a packet, including parts that are halved again; more are hardly ever needed
 (notebooks/records/2026-11-21-packets.md)."""
 
-DONE, ALONE = -1, -2
+DONE, SINGLE_RAY = -1, -2
 
 _CONSTANTS = f"""
-    constexpr int DONE = {DONE}, ALONE = {ALONE}, MOST_PARTS = {MOST_PARTS};
+    constexpr int DONE = {DONE}, SINGLE_RAY = {SINGLE_RAY}, MAX_PARTS = {MAX_PARTS};
     int* of = (int*)part;
 """
 
-_SETTLE = """
-    if (together && number == 0) return 0;
+_FINISH = """
+    if (completed && number == 0) return 0;
     WRT_FOR(P, k) {
-        const bool whole = number == 0, in = whole | (of[k] == number), over = (t[k] == -INF) | together;
+        const bool whole = number == 0, in = whole | (of[k] == number), over = (t[k] == -INF) | completed;
         of[k] = in ? (over ? DONE : number) : of[k];
         t[k] = in ? t[k] : kept[k];
     }
-    if (together) return 0;
+    if (completed) return 0;
     const wp::vec3 low = bounds.origin_low, high = bounds.origin_high;
     const float x = high.c[0] - low.c[0], y = high.c[1] - low.c[1], z = high.c[2] - low.c[2];
     const int axis = ((x >= y) & (x >= z)) ? 0 : y >= z ? 1 : 2;
     const float middle = low.c[axis] + 0.5f * (high.c[axis] - low.c[axis]);
-    if (parts + 2 > MOST_PARTS || !((low.c[axis] < middle) & (middle < high.c[axis]))) {  // or no two rays of it start apart
-        WRT_FOR(P, k) { of[k] = of[k] == number ? ALONE : of[k]; }
+    if (parts + 2 > MAX_PARTS || !((low.c[axis] < middle) & (middle < high.c[axis]))) {  // or no two rays of it start apart
+        WRT_FOR(P, k) { of[k] = of[k] == number ? SINGLE_RAY : of[k]; }
         return 0;
     }
     const float* origin = axis == 0 ? origin_x : axis == 1 ? origin_y : origin_z;
@@ -64,7 +66,7 @@ _SETTLE = """
     return 2;
 """
 
-_TAKE = """
+_ACTIVATE = """
     WRT_FOR(P, k) {
         kept[k] = t[k];
         t[k] = of[k] == number ? t[k] : -INF;
@@ -75,54 +77,54 @@ _TAKE = """
 
 
 @cache
-def take_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
+def activate_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes: see
     `load_packet`."""
 
-    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _TAKE + BOUND)
-    def take_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
+    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + BOUND)
+    def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
-    return take_part_native
+    return activate_part_native
 
 
 @cache
-def settle_part(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds, number, parts, together) -> int`: ends a part after its traversal; returns the number of new
+def finish_part(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds, number, parts, completed) -> int`: ends a part after its traversal; returns the number of new
     parts.
 
-    bounds: those of the part. If the traversal was completed (`together`), the rays of the part are done. Otherwise the part is
-    halved into the parts `parts` and `parts` + 1; if all its rays start at one point, or there are too many parts, its rays are
-    marked `ALONE`. The t of all other rays is restored.
+    bounds: those of the part. If the traversal was `completed`, the rays of the part are done. Otherwise the part is halved
+    into the parts `parts` and `parts` + 1; if all its rays start at one point, or there are too many parts, its rays are
+    marked `SINGLE_RAY`. The t of all other rays is restored.
     """
 
-    @wp.func_native(layout.head + _CONSTANTS + _SETTLE)
-    def settle_part_native(
-        packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int, parts: int, together: bool
+    @wp.func_native(layout.head + _CONSTANTS + _FINISH)
+    def finish_part_native(
+        packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int, parts: int, completed: bool
     ) -> int: ...
 
-    return settle_part_native
+    return finish_part_native
 
 
 @cache
-def count_alone(layout: PacketLayout) -> wp.Function:
+def count_single_rays(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet) -> int`: number of rays of a split packet that are to be traced one by one."""
-    count = "    int rays = 0;\n    WRT_FOR(P, k) { rays += of[k] == ALONE ? 1 : 0; }\n    return rays;\n"
+    count = "    int rays = 0;\n    WRT_FOR(P, k) { rays += of[k] == SINGLE_RAY ? 1 : 0; }\n    return rays;\n"
 
     @wp.func_native(layout.head + _CONSTANTS + count)
-    def count_alone_native(packet: wp.array(dtype=float)) -> int: ...
+    def count_single_rays_native(packet: wp.array(dtype=float)) -> int: ...
 
-    return count_alone_native
+    return count_single_rays_native
 
 
 @cache
-def goes_alone(layout: PacketLayout) -> wp.Function:
+def needs_single_ray(layout: PacketLayout) -> wp.Function:
     """`wp.func(packet, k) -> bool`: whether ray k of an abandoned packet is to be traced alone.
 
     With a shared origin this is every ray, because such packets are not split.
     """
-    body = "    return true;\n" if layout.shared_origin else layout.head + _CONSTANTS + "    return of[k] == ALONE;\n"
+    body = "    return true;\n" if layout.shared_origin else layout.head + _CONSTANTS + "    return of[k] == SINGLE_RAY;\n"
 
     @wp.func_native(body)
-    def goes_alone_native(packet: wp.array(dtype=float), k: int) -> bool: ...
+    def needs_single_ray_native(packet: wp.array(dtype=float), k: int) -> bool: ...
 
-    return goes_alone_native
+    return needs_single_ray_native

@@ -3,7 +3,7 @@
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
 exact_module(__name__)
@@ -15,11 +15,11 @@ def _nothing(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds:
     ...
 
 
-@wp.func_native(f"return {FEW + 1};")
+@wp.func_native(f"return {MAX_FEW_RAYS + 1};")
 def _every_leaf(
     boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
 ) -> int:
-    """Reports more than `FEW` rays for every leaf."""
+    """Reports more than `MAX_FEW_RAYS` rays for every leaf."""
     ...
 
 

@@ -30,7 +30,7 @@ from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
 from wrt.kernels.traversal.packet.culling.two_plane_frustum import POINTS_ON_PLANES
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
-from wrt.kernels.traversal.packet.rays.packet_bounds import FEW, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
@@ -52,7 +52,7 @@ _MEETING = f"""
         met += wrt_count_bits(vector[f / W]);
     }}
     if (!met) return 0;
-    if (met <= FEW) {{
+    if (met <= MAX_FEW_RAYS) {{
         for (int f = 0, place = 0; f < P; f += W) {{
             for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
         }}
@@ -81,7 +81,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
-    few = f"    constexpr int FEW = {FEW};\n"
+    few = f"    constexpr int MAX_FEW_RAYS = {MAX_FEW_RAYS};\n"
 
     @wp.func_native(layout.head + few + INTERVALS + BITS + _MEETING + points + "    return met;\n")
     def transient_frustum(

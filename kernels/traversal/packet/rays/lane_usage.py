@@ -50,7 +50,7 @@ def active_lanes(layout: PacketLayout) -> wp.Function:
 
 
 @cache
-def lanes_a_triangle(layout: PacketLayout) -> wp.Function:
+def lanes_tested(layout: PacketLayout) -> wp.Function:
     """`wp.func(bounds) -> int`: number of lanes that `test_block` processes per triangle, over all passes."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
 

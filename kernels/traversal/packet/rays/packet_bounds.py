@@ -6,12 +6,12 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-FEW = 6
+MAX_FEW_RAYS = 6
 """Greatest number of rays at a leaf that are tested one by one, each against W triangles at a time
 (`wrt.kernels.traversal.packet.core.few_active_rays`). A larger value favours reflected rays, a smaller one shadow rays
 (notebooks/records/2026-11-22-leaf-rays.md)."""
 
-FewRays = wp.types.vector(length=FEW, dtype=wp.int32)
+FewRays = wp.types.vector(length=MAX_FEW_RAYS, dtype=wp.int32)
 
 
 @wp.struct
@@ -82,4 +82,4 @@ class PacketBounds:
     """Error bound of these four planes plus the greatest distance of a hit from its triangle
     (`wrt.kernels.traversal.packet.culling.inverse_frustum`)."""
     few: FewRays
-    """Numbers of the rays that meet the current leaf, if they are at most `FEW` (`Culling.leaf`)."""
+    """Numbers of the rays that meet the current leaf, if they are at most `MAX_FEW_RAYS` (`Culling.leaf`)."""

@@ -1,6 +1,6 @@
 """Queries by single rays whose leaves test triangles one by one, or a block at once: what a triangle test costs in a tree.
 
-Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `SingleConfig.one_by_one` does.
+Testing one by one is for measurements only, so no `wrt.Plan` names it. A kernel's `SingleConfig.scalar_test` does.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wrt.scene.scene import Scene
 from wrt.state.device_hits import DeviceHits
 
 
-def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, one_by_one: bool) -> Callable[[], DeviceHits]:
+def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, scalar_test: bool) -> Callable[[], DeviceHits]:
     """Prepares a query by single rays.
 
     Args:
@@ -28,14 +28,14 @@ def leaf_query(scene: Scene, rays: Rays, triangle_test: str, kind: str, *, one_b
         rays: the rays.
         triangle_test: key in `wrt.kernels.triangle.TRIANGLE_TESTS`.
         kind: "closest" or "any".
-        one_by_one: whether the triangles of a leaf are tested one after the other, by the scalar form of the test.
+        scalar_test: whether the triangles of a leaf are tested one after the other, by the scalar form of the test.
 
     Returns:
         A function that traces all rays. Each call writes its hits to the same arrays.
     """
     state, buffers = scene.state, to_device(rays, scene.device, scene.center)
     plan = plan_for_query(make_plan(state, buffers, "single", triangle_test, kind), kind)
-    config = replace(traversal_config(plan, state, kind, False), single=SingleConfig(one_by_one=one_by_one))
+    config = replace(traversal_config(plan, state, kind, False), single=SingleConfig(scalar_test=scalar_test))
     batch, hits = buffers.batch, DeviceHits.new(kind, buffers.count, scene.device)
     kernel, inputs = kernel_and_inputs(state, plan, config, batch, hits.struct(), no_work(Counters, scene.device.alias))
 

@@ -105,9 +105,9 @@ class Case:
     def query(self, triangle_test: str, mode: str) -> Callable[[], int]:
         """What asks all rays with a test; returns the number of hits."""
         view, ambient = self.workloads
-        one_by_one = mode == "alone"
-        trace_view = leaf_query(self.scene, view.rays, triangle_test, CLOSEST, one_by_one=one_by_one)
-        trace_ambient = leaf_query(self.scene, ambient.rays, triangle_test, ANY, one_by_one=one_by_one)
+        scalar_test = mode == "alone"
+        trace_view = leaf_query(self.scene, view.rays, triangle_test, CLOSEST, scalar_test=scalar_test)
+        trace_ambient = leaf_query(self.scene, ambient.rays, triangle_test, ANY, scalar_test=scalar_test)
 
         def ask() -> int:
             return int((trace_view().primitive.numpy() >= 0).sum() + trace_ambient().occluded.numpy().sum())
