@@ -1,4 +1,4 @@
-"""The pictures of the architecture page, drawn from the code as it stands: rooms on their floors, and the way of a query."""
+"""The pictures of the architecture page, drawn from the code as it stands: rooms on their floors, and the path of a query."""
 
 from __future__ import annotations
 

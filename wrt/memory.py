@@ -13,6 +13,7 @@ gain from them (notebooks/records/2026-11-22-memory.md).
 from __future__ import annotations
 
 import mmap
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator
@@ -33,6 +34,12 @@ GRAIN = 1 << 21
 
 KEPT_BYTES = 1 << 28
 """Largest number of bytes kept for reuse; the blocks unused for longest are freed first."""
+
+OFFERED_SHARE = 8
+"""One part in so many of the machine's memory is kept in addition, but offered to the operating system, which takes it when
+memory becomes scarce. Results of more than `KEPT_BYTES` would otherwise be fresh memory in every query
+(notebooks/records/2026-11-22-large-results.md).
+"""
 
 STAGGER = 4096 + 1088
 """Bytes by which the start of a block in its first page is shifted against the previous one, 16 in turn. Without the shift,
@@ -56,11 +63,33 @@ def large_pages(size: int) -> np.ndarray:
     return np.frombuffer(space, dtype=np.uint8)[begin : begin + size]
 
 
-class BlockPool:
-    """A pool of free blocks of host memory; safe to use from several threads."""
+def offer(block: np.ndarray) -> bool:
+    """Allows the operating system to take the pages of a block of `large_pages` until they are written again.
 
-    def __init__(self, kept_bytes: int = KEPT_BYTES) -> None:
-        self.kept_bytes = kept_bytes
+    Returns:
+        Whether it could be offered.
+    """
+    space = getattr(block.base, "base", None)
+    space = getattr(space, "obj", space)  # with some versions of NumPy, a memoryview is in between
+    if not isinstance(space, mmap.mmap) or not hasattr(mmap, "MADV_FREE"):
+        return False
+    try:
+        space.madvise(mmap.MADV_FREE)
+    except OSError:  # a Linux before 4.5
+        return False
+    return True
+
+
+class BlockPool:
+    """A pool of free blocks of host memory; safe to use from several threads.
+
+    Args:
+        kept_bytes: largest number of bytes of free blocks.
+        offered_bytes: largest number of bytes beyond that, of blocks that are offered to the operating system (`offer`).
+    """
+
+    def __init__(self, kept_bytes: int = KEPT_BYTES, offered_bytes: int = 0) -> None:
+        self.kept_bytes, self.offered_bytes = kept_bytes, offered_bytes
         # reentrant: the garbage collector may free an array, which returns a block, while a block is taken
         self._lock = threading.RLock()
         self._free: OrderedDict[int, np.ndarray] = OrderedDict()
@@ -83,8 +112,11 @@ class BlockPool:
     def give_back(self, block: np.ndarray) -> None:
         """Returns an unused block to the pool."""
         with self._lock:
+            most = self.kept_bytes
+            if self.offered_bytes and self.free_bytes + block.nbytes > most and offer(block):
+                most += self.offered_bytes
             self._free[id(block)] = block
-            while self._free and self.free_bytes > self.kept_bytes:
+            while self._free and self.free_bytes > most:
                 self._free.popitem(last=False)
 
     def release(self) -> None:
@@ -93,7 +125,15 @@ class BlockPool:
             self._free.clear()
 
 
-_pool = BlockPool()
+def machine_bytes() -> int:
+    """Bytes of the machine's memory; 0 if the system does not say."""
+    try:
+        return max(0, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (AttributeError, ValueError, OSError):
+        return 0
+
+
+_pool = BlockPool(offered_bytes=machine_bytes() // OFFERED_SHARE)
 
 
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:

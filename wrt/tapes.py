@@ -33,7 +33,7 @@ def refuse_tape(query: str, arrays: Iterable[Any]) -> None:
     Raises:
         ValueError: a tape records, and one of the arrays requires gradients.
     """
-    if any(isinstance(values, wp.array) and values.requires_grad for values in arrays) and tape_records():
+    if tape_records() and any(isinstance(values, wp.array) and values.requires_grad for values in arrays):
         raise ValueError(
             f"{query} has no gradients, and inside a wp.Tape these rays require them; call it before the tape, or with "
             "wp.clone(array, requires_grad=False), and pass its hits to wrt.differentiable_hits inside the tape"

@@ -198,3 +198,17 @@ def mark_hits(first: int, primitive: wp.array(dtype=int), is_hit: wp.array(dtype
     """Writes whether a ray hit anything. Item: a ray."""
     i = first + wp.tid()
     is_hit[i] = primitive[i] >= 0
+
+
+@wp.kernel
+def round_vectors(first: int, values: wp.array(dtype=wp.vec3d), rounded: wp.array(dtype=wp.vec3)):
+    """Rounds vectors to float32. Item: a ray."""
+    i = first + wp.tid()
+    rounded[i] = wp.vec3(values[i])
+
+
+@wp.kernel
+def widen_vectors(first: int, values: wp.array(dtype=wp.vec3), widened: wp.array(dtype=wp.vec3d)):
+    """Converts vectors to float64. Item: a ray."""
+    i = first + wp.tid()
+    widened[i] = wp.vec3d(values[i])

@@ -1,4 +1,4 @@
-"""The tables of Pichler's thesis: rows are complete, and what they count and draw is consistent. Times are not judged."""
+"""The tables of Pichler's thesis: rows are complete, and what they count and draw is consistent. Times are not checked."""
 
 from __future__ import annotations
 

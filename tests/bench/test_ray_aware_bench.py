@@ -1,4 +1,4 @@
-"""`wrt bench ray-aware` and the experiments on known rays: complete, and consistent. Times are not judged."""
+"""`wrt bench ray-aware` and the experiments on known rays: complete, and consistent. Times are not checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bounding volume hierarchies: invariants, quality against the judge, independence of threads, refit, limits."""
+"""Bounding volume hierarchies: invariants, quality against the reference, independence of threads, refit, limits."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_threads_and_tasks_do_not_show(width, monkeypatch):
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-def test_binned_is_nearly_as_good_as_the_judge(scene_mesh, width):
+def test_binned_is_nearly_as_good_as_the_reference(scene_mesh, width):
     """The atrium's binary tree is a fifth worse, where few large triangles lie across many small ones; wide nodes make up
     for most of it, and other scenes differ by 1 to 2 %."""
     costs = {}
@@ -135,7 +135,7 @@ def test_binned_is_nearly_as_good_as_the_judge(scene_mesh, width):
     assert costs["binned"] <= {2: 1.25, 4: 1.12, 8: 1.08, 16: 1.08}[width] * costs["sweep"]
 
 
-def test_binned_is_nearly_as_good_as_the_judge_on_the_bunny(bunny):
+def test_binned_is_nearly_as_good_as_the_reference_on_the_bunny(bunny):
     statistics = {}
     for builder in ("binned", "sweep"):
         tree, config = build(bunny, builder, 16)

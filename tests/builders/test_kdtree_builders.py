@@ -1,4 +1,4 @@
-"""Trees: the packing of nodes, invariants, equality with the judge, independence of threads."""
+"""Trees: the packing of nodes, invariants, equality with the reference, independence of threads."""
 
 from __future__ import annotations
 
@@ -161,16 +161,16 @@ def test_invariants(scene_mesh, builder, width):
         {"max_depth": 6},
     ],
 )
-def test_exact_builders_equal_the_judge(scene_mesh, options):
+def test_exact_builders_equal_the_reference(scene_mesh, options):
     """They make the sorting sweep's tree: the same nodes to the bit, the same leaf lists, the same cost."""
-    judge, config = build(scene_mesh, "sorting_sweep", **options)
-    cost = kdtree_statistics(judge, scene_mesh.triangle_count, config.cost).sah_cost
+    reference, config = build(scene_mesh, "sorting_sweep", **options)
+    cost = kdtree_statistics(reference, scene_mesh.triangle_count, config.cost).sah_cost
     for builder in EXACT:
         if scene_mesh.triangle_count > KDTREE_BUILDERS[builder].most_triangles:
             continue
         tree, _ = build(scene_mesh, builder, **options)
-        np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-        np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
         assert kdtree_statistics(tree, scene_mesh.triangle_count, config.cost).sah_cost == cost
 
 
@@ -184,28 +184,28 @@ def test_exact_builders_equal_the_judge(scene_mesh, options):
     ],
 )
 @pytest.mark.parametrize("name", ["stadium", "grid", "degenerate"])
-def test_exact_builders_equal_the_judge_with_options(name, options):
-    test_exact_builders_equal_the_judge(SCENES[name](), options)
+def test_exact_builders_equal_the_reference_with_options(name, options):
+    test_exact_builders_equal_the_reference(SCENES[name](), options)
 
 
-def test_exact_builders_equal_the_judge_on_the_bunny(bunny):
-    judge, _ = build(bunny, "sorting_sweep", width=16)
+def test_exact_builders_equal_the_reference_on_the_bunny(bunny):
+    reference, _ = build(bunny, "sorting_sweep", width=16)
     for builder in ("in_place", "sweep"):
         tree, _ = build(bunny, builder, width=16)
-        np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-        np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
 
 
 @pytest.mark.parametrize("soup", [snapped_soup, scattered_soup])
-def test_exact_builders_equal_the_judge_where_chunks_are_left_out(soup, monkeypatch):
+def test_exact_builders_equal_the_reference_where_chunks_are_left_out(soup, monkeypatch):
     """The levels search few of the chunks of a large mesh; in none of the others is a best plane, or one of equals."""
     mesh = soup(10_000, seed=4)
-    judge, _ = build(mesh, "sorting_sweep")
+    reference, _ = build(mesh, "sorting_sweep")
     use_tasks(monkeypatch, 256)
     with use_threads(4):
         tree, _ = build(mesh)
-    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-    np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+    np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
 
 
 def use_tasks(monkeypatch, tasks):

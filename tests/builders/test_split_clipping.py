@@ -93,7 +93,7 @@ def test_planes_end_what_is_left_of_triangles():
 def test_no_hit_is_lost(scene_mesh, builder):
     """Closest hits and all hits, as with a tree of whole boxes, of rays from inside, from far outside, and at vertices."""
     scene = wrt.Scene(scene_mesh, wrt.KdTree(builder=builder, split_clipping=True), device="cpu")
-    judge = wrt.Scene(scene_mesh, wrt.KdTree(builder="binned"), device="cpu")
+    reference = wrt.Scene(scene_mesh, wrt.KdTree(builder="binned"), device="cpu")
     rng = np.random.default_rng(5)
     low, high = scene_mesh.vertices.min(axis=0), scene_mesh.vertices.max(axis=0)
     size = (high - low).max()
@@ -101,10 +101,10 @@ def test_no_hit_is_lost(scene_mesh, builder):
     corner = scene_mesh.vertices[rng.integers(0, len(scene_mesh.vertices), 1500)]
     inside = low + (high - low) * rng.random((1500, 3))
     directions = np.where(rng.random((1500, 1)) < 0.5, corner, inside) - origins
-    hits, expected = (s.intersect(origins, directions, traversal="single") for s in (scene, judge))
+    hits, expected = (s.intersect(origins, directions, traversal="single") for s in (scene, reference))
     for name in ("t", "primitive_id", "uv"):
         np.testing.assert_array_equal(getattr(hits, name), getattr(expected, name))
-    lists, all_expected = (s.intersect_all(origins, directions) for s in (scene, judge))
+    lists, all_expected = (s.intersect_all(origins, directions) for s in (scene, reference))
     np.testing.assert_array_equal(lists.offsets, all_expected.offsets)
     np.testing.assert_array_equal(lists.primitive_id, all_expected.primitive_id)
     assert expected.is_hit.mean() > 0.2
@@ -131,11 +131,11 @@ def test_needles_are_crossed_once(builder, far):
     targets = (corners * (weights / weights.sum(axis=1, keepdims=True))[:, :, None]).sum(axis=1)
     origins = mesh.center + far * mesh.extent * rng.normal(size=(20000, 3))
     scene = wrt.Scene(mesh, wrt.KdTree(builder=builder, split_clipping=True), device="cpu")
-    judge = wrt.Scene(mesh, "bvh", device="cpu")
-    hits, expected = (s.intersect(origins, targets - origins) for s in (scene, judge))
+    reference = wrt.Scene(mesh, "bvh", device="cpu")
+    hits, expected = (s.intersect(origins, targets - origins) for s in (scene, reference))
     np.testing.assert_array_equal(hits.t.view(np.int32), expected.t.view(np.int32))
     np.testing.assert_array_equal(hits.primitive_id, expected.primitive_id)
-    lists, all_expected = (s.intersect_all(origins, targets - origins) for s in (scene, judge))
+    lists, all_expected = (s.intersect_all(origins, targets - origins) for s in (scene, reference))
     np.testing.assert_array_equal(lists.offsets, all_expected.offsets)
     np.testing.assert_array_equal(lists.primitive_id, all_expected.primitive_id)
     np.testing.assert_array_equal(scene.count(origins, targets - origins), all_expected.count)
@@ -170,9 +170,9 @@ EXACT_CASES = SCENES | {name: lambda name=name: hard_meshes()[name] for name in 
 def test_merged_events_make_the_naive_tree(name, options):
     """Lists that are merged and lists that are scanned give the same nodes to the bit, and the same leaves."""
     mesh = EXACT_CASES[name]()
-    tree, judge = (build(mesh, builder, split_clipping=True, **options)[0] for builder in ("sweep", "naive"))
-    np.testing.assert_array_equal(tree.nodes.numpy(), judge.nodes.numpy())
-    np.testing.assert_array_equal(leaf_references(tree), leaf_references(judge))
+    tree, reference = (build(mesh, builder, split_clipping=True, **options)[0] for builder in ("sweep", "naive"))
+    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+    np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
 
 
 @pytest.mark.parametrize(("size", "share"), [(0.1, 0.96), (0.3, 0.55), (0.5, 0.35)])
@@ -181,8 +181,8 @@ def test_soups_get_cheaper_trees(size, share):
     mesh = scenes.build("random_triangles", count=1000, size=size, seed=1)
     for options, most in (({}, 1.0), ({"width": 1, "block_cost": 1.5}, share)):
         (clipped, config), (plain, _) = (build(mesh, "sweep", split_clipping=clip, **options) for clip in (True, False))
-        cost, judge = (kdtree_statistics(tree, mesh.triangle_count, config.cost).sah_cost for tree in (clipped, plain))
-        assert cost < most * judge
+        cost, reference = (kdtree_statistics(tree, mesh.triangle_count, config.cost).sah_cost for tree in (clipped, plain))
+        assert cost < most * reference
 
 
 @pytest.mark.parametrize("name", ["one huge, many tiny", "across each other", "needles", "identical"])

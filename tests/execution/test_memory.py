@@ -40,6 +40,42 @@ def test_no_more_is_kept_than_allowed():
     assert pool.free_bytes == 0
 
 
+@pytest.mark.skipif(not hasattr(mmap, "MADV_FREE"), reason="only Linux takes pages when memory becomes scarce")
+def test_more_is_kept_if_the_system_may_take_it():
+    """The results of a query larger than what is kept were fresh memory, page fault by page fault, in every query."""
+    pool = BlockPool(kept_bytes=4 * GRAIN, offered_bytes=4 * GRAIN)
+    blocks = [pool.take(GRAIN * size) for size in (4, 3, 2)]
+    for block in blocks[:2]:
+        block[:] = 1
+        pool.give_back(block)
+    assert pool.free_bytes == 7 * GRAIN
+    assert pool.take(3 * GRAIN) is blocks[1]
+    blocks[1][:] = 2
+    assert (blocks[1] == 2).all(), "what was offered can be written again"
+    pool.give_back(blocks[1])
+    pool.give_back(blocks[2])
+    assert pool.free_bytes == 5 * GRAIN, "the blocks unused for longest went"
+
+
+def test_no_more_is_kept_if_the_system_cannot_take_it(monkeypatch):
+    monkeypatch.setattr(memory, "offer", lambda block: False)
+    pool = BlockPool(kept_bytes=4 * GRAIN, offered_bytes=4 * GRAIN)
+    for block in [pool.take(GRAIN * size) for size in (4, 3)]:
+        pool.give_back(block)
+    assert pool.free_bytes == 3 * GRAIN
+
+
+@pytest.mark.parametrize("advice", [None, -1])
+def test_blocks_are_not_offered_to_other_systems(monkeypatch, advice):
+    """A system that does not know how, one that refuses, and memory of NumPy's own."""
+    assert not memory.offer(np.empty(GRAIN, dtype=np.uint8))
+    if advice is None:
+        monkeypatch.delattr(mmap, "MADV_FREE", raising=False)
+    else:
+        monkeypatch.setattr(mmap, "MADV_FREE", advice, raising=False)
+    assert not memory.offer(large_pages(GRAIN))
+
+
 def test_arrays_share_memory_only_one_after_the_other():
     device = wp.get_device("cpu")
     memory.release()

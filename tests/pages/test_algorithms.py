@@ -46,7 +46,7 @@ TABLES: dict[str, Iterable[str]] = {
     "As published": PUBLISHED,
     "Schedules": SCHEDULES,
 }
-"""Heading of a section -> the table that judges it. A new table needs a section and a line here."""
+"""Heading of a section -> the table that it lists. A new table needs a section and a line here."""
 
 DEFAULTS = {
     "BVH builders": wrt.Bvh().builder,

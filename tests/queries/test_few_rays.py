@@ -74,6 +74,35 @@ def test_shapes_and_ranges(scene):
         assert_as_many(scene, *rays)
 
 
+def test_shapes_in_turns(scene):
+    """One prepared query serves rays of other shapes, types and numbers, and its answers of one do not show in another's."""
+    origins, directions = mixed_rays(scene.meshes[0], 24, seed=7)
+    expected = scene.intersect(origins, directions, traversal="single").t
+    for _ in range(2):
+        for dtype in (np.float32, np.float64, np.dtype(np.float32, metadata={"unit": "m"})):
+            for shape in ((24,), (4, 6), (1, 24), (3, 1, 8)):
+                t = scene.intersect(origins.astype(dtype).reshape(*shape, 3), directions.reshape(*shape, 3)).t
+                np.testing.assert_array_equal(t, expected.reshape(shape))
+            for count in (1, 5, 2):
+                part = slice(3, 3 + count)
+                np.testing.assert_array_equal(scene.intersect(origins[part].astype(dtype), directions[part]).t, expected[part])
+                np.testing.assert_array_equal(scene.occluded(origins[part], directions[part]), np.isfinite(expected[part]))
+
+
+@pytest.mark.filterwarnings("error")
+def test_numbers_beyond_float32(scene):
+    """They miss, or bound nothing, and NumPy's warnings about them do not reach the caller."""
+    origins, directions = (a.astype(np.float32) for a in mixed_rays(scene.meshes[0], 4, seed=8))
+    expected = scene.intersect(origins, directions).t
+    for bound in (1e300, 3.4028235e38, 3.41e38, np.inf, np.float64(1e300), 10**40):
+        np.testing.assert_array_equal(scene.intersect(origins, directions, 0.0, bound).t, expected)
+    assert np.isinf(scene.intersect(origins, directions, 1e300).t).all()
+    assert np.isinf(scene.intersect(np.full((4, 3), np.finfo(np.float32).max), directions).t).all()
+    for far in (1e300, np.inf, np.nan):
+        assert np.isinf(scene.intersect(np.full((4, 3), far), directions).t).all()
+        assert np.isinf(scene.intersect(origins, np.full((4, 3), far)).t).all()
+
+
 def test_only_few(scene):
     """Many rays, Warp's and a way that is asked for go as ever; none at all too."""
     origins, directions = mixed_rays(scene.meshes[0], FEW_RAYS + 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 import trimesh
@@ -256,6 +258,36 @@ def test_building_while_tracing(make):
     assert scene.num_threads == 3
     assert_same_hits(scene.intersect(*rays, traversal="single"), expected.intersect(*rays, traversal="single"))
     assert scene.last_update.action == "kept"
+
+
+@pytest.mark.parametrize("make", [lambda: BALL, lambda: [wrt.Instance(BALL), BALL]], ids=["mesh", "instances"])
+def test_queries_during_updates(make):
+    """A query under way sees the scene before an update or after it, and never a mixture."""
+    scene, rays = wrt.Scene(make(), device="cpu"), mixed_rays(BALL, 400)
+    few = [part[:9] for part in rays]
+    frames, expected = (BALL.vertices, 1.5 * BALL.vertices), []
+    for vertices in frames:
+        scene.update(0, vertices=vertices)
+        expected.append((scene.intersect(*rays, traversal="single").t, scene.occluded(*few)))
+    assert (expected[0][0] != expected[1][0]).any()
+    ended, answers = threading.Event(), []
+
+    def query() -> None:
+        while not ended.is_set():
+            answers.append((scene.intersect(*rays, traversal="single").t, scene.occluded(*few)))
+
+    threads = [threading.Thread(target=query) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for number in range(40):
+        scene.update(0, vertices=frames[number % 2])
+    ended.set()
+    for thread in threads:
+        thread.join()
+    assert answers
+    for t, dark in answers:
+        assert any(np.array_equal(t, one) for one, _ in expected)
+        assert any(np.array_equal(dark, one) for _, one in expected)
 
 
 def test_a_failed_update_in_the_background_changes_nothing():

@@ -1,8 +1,8 @@
-"""The way of a query: rays, plan, prepared query, launch, answers in device memory.
+"""The path of a query: rays, plan, prepared query, launch, answers in device memory.
 
-A query that can be prepared is looked up by its plan and the layout of its rays and run. What cannot be prepared is traced as
-a batch: rays in another order than their own, work that is counted, masks, lazily built trees, influence areas, triangle tests
-whose records depend on the rays' origin, many rays through instances, and calls inside a graph capture, whose launches Warp
+A prepared query is looked up by its plan and the layout of its rays. Queries that cannot be prepared are traced as a batch:
+those that sort rays, count work or have masks; those on lazily built trees or influence areas; those with triangle tests whose
+records depend on the origin of the rays; many rays through instances; and calls inside a graph capture, whose launches Warp
 must see with all their arrays.
 """
 
@@ -18,7 +18,7 @@ from wrt.execution.prepared import PreparedQuery
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
 from wrt.rays.ray_buffers import RayBuffers, set_mask, to_device
-from wrt.rays.staged_rays import STAGED
+from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
 
 if TYPE_CHECKING:
@@ -44,20 +44,20 @@ class Answer(NamedTuple):
     work: wp.array | None = None
 
 
-def answer(scene: SceneState, rays: Rays, query: Query, mask: Any = None) -> Answer:
+def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
     """Answers a query "closest", "any" or "count".
 
     Raises:
         TypeError, ValueError: as `wrt.Scene.intersect`.
     """
     if scene.num_threads is None:  # spares few rays a context
-        return _answer(scene, rays, query, mask)
+        return _answer(scene, rays, query)
     with use_threads(scene.num_threads):
-        return _answer(scene, rays, query, mask)
+        return _answer(scene, rays, query)
 
 
-def _answer(scene: SceneState, rays: Rays, query: Query, mask: Any) -> Answer:
-    buffers = on_device(scene, rays, mask, may_stage(scene, query))
+def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
+    buffers = on_device(scene, rays, query.mask, may_stage(scene, query))
     chosen = find_plan(scene, buffers, query)
     hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters)
     return Answer(hits, buffers.form, chosen.plan, work)
@@ -119,7 +119,7 @@ def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kin
     if chosen.missed_savings:
         scene.cache.missed_savings += chosen.missed_savings * buffers.count
     prepared = chosen.take(layout) or PreparedQuery(scene, chosen.carried_out, kind, layout)
-    if layout is STAGED:
+    if layout in (STAGED, STAGED_CENTERED):
         hits = prepared.run_staged(buffers.given)
     else:
         hits = prepared.run(scene, buffers.given, buffers.columns if chosen.carried_out.reorder == "tiles" else 0)

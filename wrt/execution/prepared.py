@@ -9,14 +9,14 @@ notebooks/records/2026-11-22-one-way-through-a-query.md.)
 work to share. On CUDA it was recorded once and is repeated on the current stream.
 
 **Staged rays.** Few rays in NumPy arrays are copied to memory of the prepared query, and their answers from it, because
-making Warp arrays of them takes longer than tracing them.
+making Warp arrays of them takes longer than tracing them (notebooks/records/2026-11-22-small-calls.md).
 
 **Threads.** A prepared query serves one caller at a time (`wrt.state.query_cache`).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import warp as wp
@@ -26,7 +26,7 @@ from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, RecordedLaunch
 from wrt.memory import new_rays
 from wrt.planning.plan import traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch
-from wrt.rays.staged_rays import STAGED
+from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.device_hits import DeviceHits, written
 from wrt.state.query_kinds import FEW_RAYS
 
@@ -47,7 +47,7 @@ class PreparedQuery:
         scene: whose rays these are; not kept.
         plan: the query's own (`wrt.planning.plan.plan_for_query`).
         kind: "closest", "any" or "count".
-        layout: of the rays, or `STAGED`.
+        layout: of the rays, or `STAGED` or `STAGED_CENTERED`.
     """
 
     def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
@@ -55,7 +55,9 @@ class PreparedQuery:
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = traversal_config(self._plan, scene, kind, False)
         device = scene.device
-        self._staging = Staging(kind, device) if layout == STAGED else None
+        self._staging = None
+        if layout in (STAGED, STAGED_CENTERED):
+            self._staging = Staging(kind, device, scene.center if layout == STAGED else np.zeros(3))
         rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
@@ -88,23 +90,38 @@ class PreparedQuery:
     def run_staged(self, rays: StagedRays) -> DeviceHits:
         """Answers staged rays, one by one."""
         staging = self._staging
+        if rays.shape != staging.shape:
+            staging.fit(rays.shape, rays.count)
         rays.copy_to(*staging.inputs)
         self._launch.run(rays.count, FEW_CHUNKS)
-        copies = {name: values[: rays.count].copy() for name, values in staging.outputs.items()}
+        copies = {name: values.copy() for name, values in staging.outputs}
         return DeviceHits.of_host(rays.count, staging.hits.device, copies)
 
 
 class Staging:
     """Memory of a prepared query for few rays and their answers.
 
+    NumPy takes as long to make a view as to copy a ray, so the views for one shape are kept: most callers repeat it.
+
     Attributes:
         rays, hits: as kernels see them.
-        inputs: the same memory as NumPy arrays: origins, directions, t_min and t_max.
-        outputs: the same for answers, by name.
+        shape: leading shape for which `inputs` and `outputs` were cut; None at first.
+        inputs: of the same memory as NumPy arrays: origins, directions, t_min and t_max, in the leading shape.
+        outputs: the same for answers, flat, each with its name.
     """
 
-    def __init__(self, kind: str, device: wp.Device) -> None:
+    def __init__(self, kind: str, device: wp.Device, center: np.ndarray) -> None:
         self.rays, self.hits = new_rays(FEW_RAYS, device), DeviceHits.new(kind, FEW_RAYS, device)
+        self.rays.center = wp.vec3d(*map(float, center))
         arrays = self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max
-        self.inputs: list[np.ndarray] = [array.numpy() for array in arrays]
-        self.outputs: dict[str, Any] = {name: getattr(self.hits, name).numpy() for name in written(kind)}
+        self._inputs = [array.numpy() for array in arrays]
+        self._outputs = [(name, getattr(self.hits, name).numpy()) for name in written(kind)]
+        self.shape: tuple[int, ...] | None = None
+        self.inputs: list[np.ndarray] = []
+        self.outputs: list[tuple[str, np.ndarray]] = []
+
+    def fit(self, shape: tuple[int, ...], count: int) -> None:
+        """Cuts `inputs` and `outputs` for `count` rays of a leading shape."""
+        self.inputs = [array[:count].reshape(shape + array.shape[1:]) for array in self._inputs]
+        self.outputs = [(name, array[:count]) for name, array in self._outputs]
+        self.shape = shape

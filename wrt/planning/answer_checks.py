@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.rays.ray_buffers import shares_origin
 from wrt.state.query_kinds import ALL, COUNT
 from wrt.state.wide_trees import can_be_wide
 
 if TYPE_CHECKING:
-    from wrt.kernels.traversal import Traversal
-    from wrt.kernels.triangle import TriangleTest
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.state.scene_state import SceneState
 
@@ -52,8 +52,6 @@ def check_instances(scene: SceneState, query: str, traversal: Traversal, test: T
     Raises:
         ValueError: the traversal walks only single-level trees, or the test has records for one origin.
     """
-    from wrt.kernels.traversal import TRAVERSALS
-
     kind, is_cuda = scene.accelerator.kind, scene.device.is_cuda
     if not traversal.supports_through_instances(query, kind, is_cuda):
         able = [name for name, entry in TRAVERSALS.items() if entry.supports_through_instances(query, kind, is_cuda)]
@@ -87,8 +85,6 @@ def check_spaces(scene: SceneState, traversal: Traversal) -> None:
     Raises:
         ValueError: the scene has such trees (`wrt.FuzzyScene`).
     """
-    from wrt.kernels.traversal import TRAVERSALS
-
     if scene.only_single and not traversal.own_spaces:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.own_spaces)
         raise ValueError(f"traversal {traversal.name!r} does not support trees with their own spaces; choose from auto, {able}")
@@ -100,9 +96,6 @@ def check_query(query: str, traversal: Traversal, tree: str, test: TriangleTest)
     Raises:
         ValueError: it cannot; the message names those that can.
     """
-    from wrt.kernels.traversal import TRAVERSALS
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     if not traversal.supports(query, tree):
         able = ", ".join(
             name
@@ -126,8 +119,6 @@ def check_culling(cull_backfaces: bool, traversal: Traversal, tree: str) -> None
     Raises:
         ValueError: it cannot; the message names those that can.
     """
-    from wrt.kernels.traversal import TRAVERSALS
-
     if cull_backfaces and not traversal.culls_backfaces(tree):
         able = ", ".join(
             name for name, entry in TRAVERSALS.items() if entry.culls_backfaces(tree) or entry.culls_backfaces("none")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from wrt.kernels.runtime.launch import CUDA_BLOCK
+from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.traversal_config import PacketConfig, StackConfig, StreamConfig, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.state.query_kinds import ANY
 from wrt.state.wide_trees import wide_tree
 
@@ -15,8 +18,6 @@ if TYPE_CHECKING:
     import warp as wp
 
     from wrt.builders.tree import Bvh, KdTree
-    from wrt.kernels.traversal import Traversal
-    from wrt.kernels.traversal.traversal_config import TraversalConfig
     from wrt.state.scene_state import SceneState
 
 
@@ -90,19 +91,18 @@ class ChosenPlan:
 
     def __init__(self, plan: Plan, carried_out: Plan, prepares: bool, missed_savings: float) -> None:
         self.plan, self.carried_out, self.prepares, self.missed_savings = plan, carried_out, prepares, missed_savings
-        self._free: dict[Any, deque[Any]] = {}
+        self._free: defaultdict[Any, deque[Any]] = defaultdict(deque)
 
     def take(self, layout: Any) -> Any | None:
         """A prepared query for rays of a layout, for the caller alone until `give_back`; None if none is free."""
-        free = self._free.get(layout)
         try:
-            return free.pop() if free else None
-        except IndexError:  # another caller took the last one
+            return self._free[layout].pop()
+        except IndexError:
             return None
 
     def give_back(self, layout: Any, prepared: Any) -> None:
         """Puts a prepared query where the next caller finds it."""
-        self._free.setdefault(layout, deque()).append(prepared)
+        self._free[layout].append(prepared)
 
     def waiting(self) -> list[Any]:
         """Prepared queries that no caller holds."""
@@ -111,8 +111,6 @@ class ChosenPlan:
 
 def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) -> TraversalConfig:
     """The specialisation of the traversal that carries out a plan."""
-    from wrt.kernels.traversal.traversal_config import PacketConfig, StackConfig, StreamConfig, TraversalConfig
-
     traversal, families = traversal_of(plan), {}
     if traversal.packets:
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling)
@@ -151,15 +149,11 @@ def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig],
 
 def traversal_of(plan: Plan) -> Traversal:
     """The plan's entry in the table of traversals."""
-    from wrt.kernels.traversal import TRAVERSALS
-
     return TRAVERSALS[plan.traversal]
 
 
 def plan_for_query(plan: Plan, query: str) -> Plan:
     """The plan as a query runs it: a triangle test may name another test for any-hit queries."""
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     other = TRIANGLE_TESTS[plan.triangle_test].any_hit
     return replace(plan, triangle_test=other) if query == ANY and other else plan
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from wrt.kernels.traversal import ORDERS, TRAVERSALS, Traversal
+from wrt.kernels.traversal.mailbox import MAILBOXES
+from wrt.kernels.traversal.packet import CULLINGS, Culling
+from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import check_answer, check_origins
 from wrt.state.query_kinds import ALL, COUNT
 from wrt.state.wide_trees import wide_width
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.kernels.traversal import Traversal
-    from wrt.kernels.traversal.packet import Culling
-    from wrt.kernels.triangle import TriangleTest
     from wrt.planning.plan import Plan
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.state.scene_state import SceneState
@@ -35,11 +36,6 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     Raises:
         ValueError: the plan does not fit; the message names the field.
     """
-    from wrt.kernels.traversal import ORDERS, TRAVERSALS
-    from wrt.kernels.traversal.mailbox import MAILBOXES
-    from wrt.kernels.traversal.packet import CULLINGS
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     traversal = lookup(TRAVERSALS, plan.traversal, "plan.traversal")
     test = lookup(TRIANGLE_TESTS, plan.triangle_test, "plan.triangle_test")
     check_origins(test, rays)

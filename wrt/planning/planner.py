@@ -6,6 +6,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from wrt.kernels.runtime.launch import get_num_threads
+from wrt.kernels.traversal import TRAVERSALS, Traversal
+from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.traversal_scores import Situation
+from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.planning.plan_checks import check_plan, fits
@@ -14,9 +18,6 @@ from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings,
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
-    from wrt.kernels.traversal import Traversal
-    from wrt.kernels.traversal.traversal_scores import Situation
-    from wrt.kernels.triangle import TriangleTest
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.state.scene_state import SceneState
 
@@ -68,7 +69,7 @@ def make_plan(
 
 def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
     """The plan of a query about rays, from the scene's cache or made; errors as of `make_plan`."""
-    kind, traversal, triangle_test, cull_backfaces, _ = query
+    kind, traversal, triangle_test, cull_backfaces = query[:4]
     if isinstance(traversal, Plan):
         culled = cull_backfaces or traversal.cull_backfaces
         return chosen_plan(scene, check_plan(replace(traversal, cull_backfaces=culled), scene, rays, kind), rays, kind)
@@ -96,8 +97,6 @@ def chosen_plan(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> C
 
 def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
     """A plan for a kind of query, and whether such queries can be prepared: see `wrt.execution.executor`."""
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     carried_out = plan_for_query(plan, kind)
     through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
     by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > FEW_RAYS)
@@ -119,12 +118,9 @@ def choose_plan(
     scene: SceneState, rays: RayBuffers, traversal: str, triangle_test: str, query: str, cull_backfaces: bool
 ) -> Plan:
     """A new plan for these rays; arguments and errors as in `make_plan`."""
-    from wrt.kernels.traversal import TRAVERSALS
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
     check_origins(test, rays)
-    name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as asked")
+    name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as given")
     chosen = lookup(TRAVERSALS, name, "traversal")
     accelerator = tree_for(chosen, scene)
     check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
@@ -154,8 +150,6 @@ def default_test(scene: SceneState, query: str) -> str:
     """Name of the triangle test for queries that name none: the scene's, or the default test if the query counts and the
     scene's test cannot.
     """
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
     if scene.triangle_test == AUTO or (query in (COUNT, ALL) and TRIANGLE_TESTS[scene.triangle_test].crossing is None):
         return DEFAULT_TEST
     return scene.triangle_test
@@ -163,8 +157,6 @@ def default_test(scene: SceneState, query: str) -> str:
 
 def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> tuple[str, str]:
     """Name of the traversal with the best score among those that can answer, and the reason for it."""
-    from wrt.kernels.traversal import TRAVERSALS
-
     situation = situation_of(scene, rays, query, cull_backfaces)
     best, name, reason = 0.0, "", ""
     for traversal in TRAVERSALS.values():
@@ -176,8 +168,6 @@ def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backf
 
 def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool) -> Situation:
     """What the scores of traversals depend on."""
-    from wrt.kernels.traversal.traversal_scores import Situation
-
     return Situation(
         query=query,
         cull_backfaces=cull_backfaces,
@@ -200,8 +190,6 @@ def tree_for(traversal: Traversal, scene: SceneState) -> str:
     Raises:
         ValueError: the traversal does not walk the scene's kind of tree.
     """
-    from wrt.kernels.traversal import TRAVERSALS
-
     kind = scene.accelerator.kind
     if not traversal.walks_tree:
         return "none"
@@ -222,8 +210,6 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
 
 def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    from wrt.kernels.traversal.packet import CULLINGS
-
     from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
     dense = from_one_point and rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
     kind, best, name = scene.accelerator.kind, 0.0, ""

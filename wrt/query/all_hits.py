@@ -157,11 +157,11 @@ def check_max_hits(max_hits: int | None) -> int:
     return min(int(max_hits), MAX_TOTAL)
 
 
-def list_hits(scene: SceneState, rays: Rays, query: Query, mask: Any, max_hits: int | None) -> AllHits:
+def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     """All hits of rays; see `wrt.Scene.intersect_all`."""
-    bound = check_max_hits(max_hits)
+    bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
-        buffers = on_device(scene, rays, mask)
+        buffers = on_device(scene, rays, query.mask)
         plan = find_plan(scene, buffers, query).plan
         hits, offsets = find_all(scene, plan, buffers.batch, bound)
     return AllHits(hits, offsets, buffers.form, scene, plan)

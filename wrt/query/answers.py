@@ -1,4 +1,4 @@
-"""Closest hits, occlusion and counts: each query by the way that its arguments ask for."""
+"""Closest hits, occlusion and counts: how each query is answered, by its options."""
 
 from __future__ import annotations
 
@@ -16,22 +16,20 @@ if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
 
-def closest_hits(
-    scene: SceneState, rays: Rays, query: Query, mask: Any = None, skip: Any = None, precise: bool = False
-) -> Hits:
-    """Closest hits; arguments and errors as of `wrt.Scene.intersect`."""
-    if skip is not None:
-        found = answer_skipping(scene, rays, query, skip, mask, precise)
-    elif precise:
-        return find_precisely(scene, rays, query, mask)
+def closest_hits(scene: SceneState, rays: Rays, query: Query) -> Hits:
+    """Closest hits; options and errors as of `wrt.Scene.intersect`."""
+    if query.skip is not None:
+        found = answer_skipping(scene, rays, query)
+    elif query.precise:
+        return find_precisely(scene, rays, query)
     else:
         if query.counters and scene.instances and query.traversal == AUTO:
             query = query._replace(traversal="single")  # what is counted there
-        found = answer(scene, rays, query, mask)
+        found = answer(scene, rays, query)
     return Hits(found.hits, found.form, scene, found.plan, found.work)
 
 
-def ray_values(scene: SceneState, rays: Rays, query: Query, name: str, mask: Any = None, skip: Any = None) -> Any:
+def ray_values(scene: SceneState, rays: Rays, query: Query, name: str) -> Any:
     """A value of each ray: "occluded" or "counts", in the rays' leading shape.
 
     Args:
@@ -39,7 +37,6 @@ def ray_values(scene: SceneState, rays: Rays, query: Query, name: str, mask: Any
         rays: the rays.
         query: of kind "any" or "count".
         name: of the array that holds the values.
-        mask, skip: as of `wrt.Scene.intersect`; None for none.
     """
-    found = answer(scene, rays, query, mask) if skip is None else answer_skipping(scene, rays, query, skip, mask)
+    found = answer(scene, rays, query) if query.skip is None else answer_skipping(scene, rays, query)
     return found.hits.result(name, found.form)

@@ -8,21 +8,38 @@ from wrt.execution.executor import on_device
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
-from wrt.query.blocks import BlockQueries
+from wrt.query.blocks import as_source, blocks_of
+from wrt.query.query_options import (
+    BlockOptions,
+    ClosestBlockOptions,
+    ClosestOptions,
+    ExplainOptions,
+    ListOptions,
+    ValueOptions,
+    as_query,
+    check_options,
+    takes,
+)
 from wrt.rays.rays import as_rays
-from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, QUERIES, Query
 from wrt.tables import lookup
 from wrt.tapes import refuse_tape
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from wrt.planning.plan import Plan
     from wrt.query.all_hits import AllHits
+    from wrt.query.blocks import Blocks
     from wrt.query.hits import Hits
     from wrt.query.verification import Verification
     from wrt.state.scene_state import SceneState
 
 
-class Queries(BlockQueries):
+INF = float("inf")
+
+
+class Queries:
     """The queries of a `wrt.Scene`. Each takes the rays to the device, makes a plan for them and traces them by it.
 
     Attributes:
@@ -31,20 +48,9 @@ class Queries(BlockQueries):
 
     state: SceneState
 
+    @takes(ClosestOptions)
     def intersect(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        mask: Any = None,
-        cull_backfaces: bool = False,
-        skip: Any = None,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
-        counters: bool = False,
-        precise: bool = False,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ClosestOptions]
     ) -> Hits:
         """Closest hits.
 
@@ -86,44 +92,25 @@ class Queries(BlockQueries):
                 with ids of no triangle, hits of another scene, or a shape that does not broadcast to that of the rays; rays
                 that require gradients inside a `wp.Tape` (call `wrt.differentiable_hits` for gradients).
         """
+        query = as_query(Queries.intersect, CLOSEST, options)
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect", (rays.origins, rays.directions))
-        query = Query(CLOSEST, traversal, triangle_test, cull_backfaces, counters)
-        return closest_hits(self.state, rays, query, mask, skip, precise)
+        return closest_hits(self.state, rays, query)
 
+    @takes(ValueOptions)
     def occluded(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        mask: Any = None,
-        cull_backfaces: bool = False,
-        skip: Any = None,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ValueOptions]
     ) -> Any:
         """Whether each ray hits anything: (...) bool, a NumPy array if the rays were, else a Warp array.
 
         Arguments and errors as in `intersect`. The search ends at the first hit found.
         """
-        rays = as_rays(origins, directions, t_min, t_max)
-        query = Query(ANY, traversal, triangle_test, cull_backfaces)
-        return ray_values(self.state, rays, query, "occluded", mask, skip)
+        query = as_query(Queries.occluded, ANY, options)
+        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query, "occluded")
 
+    @takes(ListOptions)
     def intersect_all(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        max_hits: int | None = None,
-        mask: Any = None,
-        cull_backfaces: bool = False,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ListOptions]
     ) -> AllHits:
         """All hits of each ray, sorted by t, then geometry, then triangle.
 
@@ -144,31 +131,70 @@ class Queries(BlockQueries):
         """
         from wrt.query.all_hits import list_hits
 
+        query = as_query(Queries.intersect_all, ALL, options)
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect_all", (rays.origins, rays.directions))
-        query = Query(ALL, traversal, triangle_test, cull_backfaces)
-        return list_hits(self.state, rays, query, mask, max_hits)
+        return list_hits(self.state, rays, query)
 
+    @takes(ValueOptions)
     def count(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        mask: Any = None,
-        cull_backfaces: bool = False,
-        skip: Any = None,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ValueOptions]
     ) -> Any:
         """Number of hits of each ray: (...) int32, a NumPy array if the rays were, else a Warp array.
 
         Equal to the number of hits that `intersect_all` lists. Arguments and errors as there, and `skip` as in `intersect`.
         """
-        rays = as_rays(origins, directions, t_min, t_max)
-        query = Query(COUNT, traversal, triangle_test, cull_backfaces)
-        return ray_values(self.state, rays, query, "counts", mask, skip)
+        query = as_query(Queries.count, COUNT, options)
+        return ray_values(self.state, as_rays(origins, directions, t_min, t_max), query, "counts")
+
+    @takes(ClosestBlockOptions)
+    def intersect_blocks(
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ClosestBlockOptions]
+    ) -> Blocks:
+        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write`.
+
+            for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
+                nearest[rows] = hits.t
+
+        The hits equal those of `intersect`, whatever the size of the blocks.
+
+        Args:
+            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis. An array may be any object
+                with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
+                at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
+                `directions` is left out: items are answered in order, and items larger than a block in parts.
+            memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
+                ray. A block has at least one row.
+            progress: whether to show a progress bar on stderr.
+            traversal, triangle_test, precise: as in `intersect`.
+
+        Raises:
+            TypeError: an argument has a wrong type.
+            ValueError: as `intersect`; rays without a leading axis, or a bound that is not an amount of memory. Values and
+                types of arrays are checked block by block.
+        """
+        check_options(Queries.intersect_blocks, options)
+        return blocks_of(self.intersect, as_source(origins, directions, t_min, t_max), **options)
+
+    @takes(BlockOptions)
+    def occluded_blocks(
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[BlockOptions]
+    ) -> Blocks:
+        """Occlusion block by block: pairs (rows, bool array), or call `write`; arguments and errors as in
+        `intersect_blocks`.
+        """
+        check_options(Queries.occluded_blocks, options)
+        return blocks_of(self.occluded, as_source(origins, directions, t_min, t_max), **options)
+
+    @takes(BlockOptions)
+    def count_blocks(
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[BlockOptions]
+    ) -> Blocks:
+        """Numbers of hits block by block: pairs (rows, int32 array), or `write`; arguments and errors as in
+        `intersect_blocks`.
+        """
+        check_options(Queries.count_blocks, options)
+        return blocks_of(self.count, as_source(origins, directions, t_min, t_max), **options)
 
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.
@@ -237,17 +263,9 @@ class Queries(BlockQueries):
 
         return verify(self.state, samples, seed)
 
+    @takes(ExplainOptions)
     def explain(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        query: str = CLOSEST,
-        cull_backfaces: bool = False,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ExplainOptions]
     ) -> Plan:
         """The plan by which these rays would be traced, with the reason for it. Nothing is traced.
 
@@ -258,9 +276,8 @@ class Queries(BlockQueries):
         Raises:
             TypeError, ValueError: as `intersect`.
         """
-        rays = as_rays(origins, directions, t_min, t_max)
-        lookup(dict.fromkeys((CLOSEST, ANY, COUNT, ALL)), query, "query")
-        scene = self.state
+        check_options(Queries.explain, options)
+        rays, scene = as_rays(origins, directions, t_min, t_max), self.state
+        kind = lookup(QUERIES, options.pop("query", CLOSEST), "query").kind
         with use_threads(scene.num_threads):
-            buffers = on_device(scene, rays, None)
-            return find_plan(scene, buffers, Query(query, traversal, triangle_test, cull_backfaces)).plan
+            return find_plan(scene, on_device(scene, rays, None), Query(kind, **options)).plan

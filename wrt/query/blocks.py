@@ -21,9 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from wrt.planning.plan import Plan
 from wrt.rays.rays import Rays, leading_shape
-from wrt.state.query_kinds import AUTO
 
 BYTES_PER_RAY = 320
 """Largest memory per ray: 32 bytes on the device, 46 while rays are sorted, 16 for a hit and 93 for all attributes computed
@@ -147,82 +145,11 @@ class Blocks:
         return range(0, shape[0], max(rows, 1))
 
 
-class BlockQueries:
-    """Queries of a `wrt.Scene` for more rays than fit into memory."""
-
-    def intersect_blocks(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        memory: int | str = MEMORY,
-        progress: bool = False,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
-        precise: bool = False,
-    ) -> Blocks:
-        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write`.
-
-            for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
-                nearest[rows] = hits.t
-
-        The hits equal those of `intersect`, whatever the size of the blocks.
-
-        Args:
-            origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis. An array may be any object
-                with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
-                at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
-                `directions` is left out: items are answered in order, and items larger than a block in parts.
-            memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
-                ray. A block has at least one row.
-            progress: whether to show a progress bar on stderr.
-            traversal, triangle_test, precise: as in `intersect`.
-
-        Raises:
-            TypeError: an argument has a wrong type.
-            ValueError: as `intersect`; rays without a leading axis, or a bound that is not an amount of memory. Values and
-                types of arrays are checked block by block.
-        """
-        query = partial(self.intersect, traversal=traversal, triangle_test=triangle_test, precise=precise)
-        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
-
-    def occluded_blocks(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        memory: int | str = MEMORY,
-        progress: bool = False,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
-    ) -> Blocks:
-        """Occlusion block by block: pairs (rows, bool array), or call `write`; arguments and errors as in
-        `intersect_blocks`.
-        """
-        query = partial(self.occluded, traversal=traversal, triangle_test=triangle_test)
-        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
-
-    def count_blocks(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = float("inf"),
-        *,
-        memory: int | str = MEMORY,
-        progress: bool = False,
-        traversal: str | Plan = AUTO,
-        triangle_test: str = AUTO,
-    ) -> Blocks:
-        """Numbers of hits block by block: pairs (rows, int32 array), or `write`; arguments and errors as in
-        `intersect_blocks`.
-        """
-        query = partial(self.count, traversal=traversal, triangle_test=triangle_test)
-        return Blocks(query, as_source(origins, directions, t_min, t_max), memory, progress)
+def blocks_of(
+    query: Callable[..., Any], source: Rays | Iterator[Rays], memory: int | str = MEMORY, progress: bool = False, **options: Any
+) -> Blocks:
+    """The blocks of a batch, each answered by a method of a scene with these options."""
+    return Blocks(partial(query, **options), source, memory, progress)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:

@@ -63,7 +63,7 @@ class PreciseHits(Hits):
         return self._out(out)
 
 
-def find_precisely(scene: SceneState, rays: Rays, query: Query, mask: Any) -> PreciseHits:
+def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     """Closest hits in float64; see `wrt.Scene.intersect`.
 
     Raises:
@@ -74,7 +74,7 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query, mask: Any) -> Pr
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
     with use_threads(scene.num_threads):
-        buffers, device = on_device(scene, rays, mask), scene.device
+        buffers, device = on_device(scene, rays, query.mask), scene.device
         plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
         hits, mesh = ExactHits(), exact_mesh(scene)
         rounded = DeviceHits.new(EXACT, buffers.count, device)

@@ -214,9 +214,12 @@ class Hits:
         return shaped(values, self._form)
 
     def _as_dtype(self, values: wp.array) -> Any:
+        """Vectors in the type of the rays; converted by all threads, unlike by `wp.utils.array_cast`."""
+        from wrt.kernels.query.hit_attributes import round_vectors, widen_vectors
+
         wanted = wp.vec3d if self._form.dtype is np.float64 else wp.vec3f
         if values.dtype is not wanted:
             converted = self._empty(wanted)
-            wp.utils.array_cast(values, converted)
+            self._launch(round_vectors if wanted is wp.vec3f else widen_vectors, values, converted)
             values = converted
         return self._out(values)

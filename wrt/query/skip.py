@@ -29,24 +29,22 @@ if TYPE_CHECKING:
     from wrt.state.scene_state import SceneState
 
 
-def answer_skipping(scene: SceneState, rays: Rays, query: Query, skip: Any, mask: Any, precise: bool = False) -> Answer:
+def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
     """Answers a query "closest", "any" or "count" of rays that each pass through one triangle; see `wrt.Scene.intersect`.
 
     Args:
         scene: what the rays meet.
         rays: the rays.
-        query: what is asked; of its choices only `cull_backfaces` goes with `skip`.
-        skip, mask, precise: as the caller gave them.
+        query: of its options only `cull_backfaces` can be combined with `skip`.
     """
     from wrt.kernels.query.skip_triangle import make_kernel
 
     with use_threads(scene.num_threads):
-        buffers = on_device(scene, rays, mask)
-        others = {"traversal": query.traversal, "triangle_test": query.triangle_test, "counters": query.counters}
-        check_skip(scene, others | {"precise": precise})
-        skipped = skipped_triangles(skip, scene, buffers)
-        asked = Query(query.kind, "single", AUTO, query.cull_backfaces)
-        plan = replace(find_plan(scene, buffers, asked).plan, reason="each ray skips a triangle")
+        buffers = on_device(scene, rays, query.mask)
+        check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
+        skipped = skipped_triangles(query.skip, scene, buffers)
+        single = Query(query.kind, "single", AUTO, query.cull_backfaces)
+        plan = replace(find_plan(scene, buffers, single).plan, reason="each ray skips a triangle")
         carried_out = plan_for_query(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)

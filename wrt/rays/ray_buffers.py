@@ -48,12 +48,12 @@ class RayBuffers:
 
     @property
     def arrays_or_batch(self) -> RayArrays | RayBatch:
-        """The arrays, as long as nobody asked for the batch; all know `count` and whether rays share their origin."""
+        """The arrays, or the batch once it was made; both have `count` and tell whether rays share their origin."""
         return self.__dict__.get("batch", self.given)
 
     @property
     def layout(self) -> Layout | str | None:
-        """How the rays lie in their arrays; None once somebody asked for the batch."""
+        """How the rays are stored in their arrays; None once the batch was made."""
         return None if "batch" in self.__dict__ else getattr(self.given, "layout", None)
 
     @property

@@ -12,6 +12,8 @@ import warp as wp
 MAX_RAYS = (1 << 31) - 1
 """Largest number of rays of one call: kernels number them with 32 bits."""
 
+FLOAT32, FLOAT64 = np.dtype(np.float32), np.dtype(np.float64)
+
 Array = Any
 """A NumPy array or anything that NumPy converts; a Warp array; or an object with `__dlpack__`."""
 
@@ -67,7 +69,10 @@ def as_rays(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays:
         return origins
     if directions is None:
         raise TypeError("directions is missing; pass origins and directions, or a wrt.Rays")
-    return Rays(origins, directions, t_min, t_max)
+    rays = object.__new__(Rays)  # the __init__ of a frozen dataclass takes three times as long, which few rays feel
+    values = rays.__dict__
+    values["origins"], values["directions"], values["t_min"], values["t_max"] = origins, directions, t_min, t_max
+    return rays
 
 
 def check_number(shape: tuple[int, ...]) -> None:
@@ -84,6 +89,8 @@ def check_number(shape: tuple[int, ...]) -> None:
 
 
 def leading_shape(values: Array) -> tuple[int, ...]:
+    if isinstance(values, np.ndarray):
+        return values.shape[:-1]
     if isinstance(values, wp.array):
         return values.shape if values.dtype in (wp.vec3f, wp.vec3d) else values.shape[:-1]
     return np.shape(values)[:-1]
@@ -91,6 +98,8 @@ def leading_shape(values: Array) -> tuple[int, ...]:
 
 def as_vectors(values: Array, name: str, device: wp.Device) -> np.ndarray | wp.array:
     """`values` as a Warp array of vectors or a NumPy array (..., 3) of float32 or float64."""
+    if type(values) is np.ndarray and values.dtype in (FLOAT32, FLOAT64) and values.shape[-1:] == (3,):
+        return values
     if not isinstance(values, (np.ndarray, wp.array)) and hasattr(values, "__dlpack__"):
         values = wp.from_dlpack(values)
     if isinstance(values, wp.array):
@@ -122,6 +131,8 @@ def _as_real(values: Array, name: str) -> np.ndarray:
 
 def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray | wp.array:
     """A bound of t: a number as it is, else float32. Values in Warp arrays are not checked; a bad one makes its ray miss."""
+    if type(values) is float and values >= 0.0 and (values < math.inf or name == "t_max"):
+        return values
     if isinstance(values, wp.array):
         if values.dtype is not wp.float32:
             raise TypeError(f"{name} must hold float32, not {values.dtype.__name__}")
@@ -145,10 +156,10 @@ def as_range(values: Array, name: str, device: wp.Device) -> float | np.ndarray 
 
 
 def common_shape(origins: Array, directions: Array, t_min: Array, t_max: Array) -> tuple[int, ...]:
-    ranges = [() if type(bound) is float else np.shape(bound) for bound in (t_min, t_max)]  # np.shape takes a microsecond
-    shapes = [leading_shape(origins), leading_shape(directions), *ranges]
-    if shapes[0] in (shapes[1], ()) and shapes[2:] == [(), ()]:
-        return shapes[1]
+    shape, other = leading_shape(origins), leading_shape(directions)
+    if type(t_min) is float and type(t_max) is float and shape in (other, ()):
+        return other
+    shapes = [shape, other, np.shape(t_min), np.shape(t_max)]
     try:
         return np.broadcast_shapes(*shapes)
     except ValueError:

@@ -15,10 +15,12 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.rays.ray_arrays import lay_out
-from wrt.rays.rays import Rays, ResultForm, as_range, as_vectors, common_shape
+from wrt.rays.rays import FLOAT32, FLOAT64, Rays, ResultForm, as_range, as_vectors, common_shape
 
-STAGED = "staged"
-"""Layout of rays that a prepared query copies."""
+STAGED, STAGED_CENTERED = "staged", "staged, centered"
+"""Layouts of rays that a prepared query copies: origins in float32 as they are, and those in float64 relative to the centre."""
+
+FLOAT32_MAX = float(np.finfo(np.float32).max)
 
 
 class StagedRays:
@@ -33,7 +35,7 @@ class StagedRays:
         center: (3,) float64, the scene's.
     """
 
-    layout, is_warp, coherent, scattered, columns = STAGED, False, True, False, 0
+    is_warp, coherent, scattered, columns = False, True, False, 0
 
     def __init__(
         self,
@@ -52,6 +54,11 @@ class StagedRays:
         return self.form.shape
 
     @property
+    def layout(self) -> str:
+        """The layout for which a query is prepared."""
+        return STAGED if self.origins.dtype == FLOAT32 else STAGED_CENTERED
+
+    @property
     def given(self) -> StagedRays:
         """As of `RayBuffers`."""
         return self
@@ -66,8 +73,11 @@ class StagedRays:
         """0 where all of several rays share their origin, else 1."""
         if self.count == 1:
             return 1
-        leading = zip(self.origins.shape[:-1], self.origins.strides[:-1], strict=True)
-        return 0 if all(n == 1 or stride == 0 for n, stride in leading) else 1
+        shape, strides = self.origins.shape, self.origins.strides
+        for axis in range(len(shape) - 1):
+            if shape[axis] > 1 and strides[axis]:
+                return 1
+        return 0
 
     @cached_property
     def batch(self) -> RayBatch:
@@ -75,14 +85,26 @@ class StagedRays:
         return lay_out(Rays(self.origins, self.directions, self.t_min, self.t_max), self.device, self.center).batch()
 
     def copy_to(self, origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
-        """Copies the rays, relative to the scene's centre, to the first elements of arrays of their number or more."""
-        shape, count = self.form.shape, self.count
-        with np.errstate(all="ignore"):  # what float32 does not hold misses
-            out = origins[:count].reshape((*shape, 3))
-            np.subtract(self.origins, self.center, out=out, dtype=np.float64, casting="unsafe")
-            directions[:count].reshape((*shape, 3))[...] = self.directions
-            t_min[:count].reshape(shape)[...] = self.t_min
-            t_max[:count].reshape(shape)[...] = self.t_max
+        """Copies the rays to arrays of float32 of their leading shape; origins in float64 relative to the scene's centre."""
+        if self.form.dtype is np.float32 and self.has_small_bounds:  # nothing can overflow
+            self._copy(origins, directions, t_min, t_max)
+        else:
+            with np.errstate(all="ignore"):  # what float32 does not hold misses
+                self._copy(origins, directions, t_min, t_max)
+
+    def _copy(self, origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> None:
+        if self.layout is STAGED:
+            origins[...] = self.origins
+        else:
+            np.subtract(self.origins, self.center, origins)
+        directions[...] = self.directions
+        t_min[...] = self.t_min
+        t_max[...] = self.t_max
+
+    @property
+    def has_small_bounds(self) -> bool:
+        """Whether float32 holds the bounds of t."""
+        return all(type(bound) is not float or not FLOAT32_MAX < bound < math.inf for bound in (self.t_min, self.t_max))
 
 
 def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> StagedRays | None:
@@ -91,16 +113,16 @@ def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> Stage
     Raises:
         TypeError, ValueError: as `wrt.rays.ray_arrays.lay_out`.
     """
-    given = rays.origins, rays.directions, rays.t_min, rays.t_max
-    if not all(is_small(values, most) for values in given):
+    origins, directions, t_min, t_max = rays.origins, rays.directions, rays.t_min, rays.t_max
+    if not (is_small(origins, most) and is_small(directions, most) and is_small(t_min, most) and is_small(t_max, most)):
         return None
-    origins, directions = as_vectors(given[0], "origins", device), as_vectors(given[1], "directions", device)
-    t_min, t_max = as_range(given[2], "t_min", device), as_range(given[3], "t_max", device)
+    origins, directions = as_vectors(origins, "origins", device), as_vectors(directions, "directions", device)
+    t_min, t_max = as_range(t_min, "t_min", device), as_range(t_max, "t_max", device)
     shape = common_shape(origins, directions, t_min, t_max)
     count = math.prod(shape)
     if not 0 < count <= most:
         return None
-    dtype = np.float64 if np.float64 in (origins.dtype, directions.dtype) else np.float32
+    dtype = np.float64 if FLOAT64 in (origins.dtype, directions.dtype) else np.float32
     return StagedRays((origins, directions, t_min, t_max), ResultForm(shape, False, dtype), count, device, center)
 
 

@@ -11,22 +11,22 @@ from wrt.state.query_kinds import AUTO
 
 
 class InstancedScene(Scene):
-    """A scene of two levels: what `wrt.Scene` makes of instances, also of meshes that stand where they are.
+    """A scene of two levels, as `wrt.Scene` makes it of instances; here also of meshes without a transform.
 
-    Triangles that instances share are held once. Hits tell the instance (`Hits.instance_id`), the mesh (`Hits.geometry_id`,
-    index in `meshes`) and the triangle of the mesh as it was given; `uv` weigh that triangle's second and third vertex; `t`,
-    `position` and `normal` are the scene's, `normal` on the outer side of mirrored instances too. Ties go to the smaller t,
-    then to the earlier instance, then to the smaller triangle.
+    Triangles that instances share are stored once. Hits have the instance (`Hits.instance_id`), the mesh (`Hits.geometry_id`,
+    index in `meshes`) and the triangle of the mesh as it was given; `uv` weighs that triangle's second and third vertex; `t`,
+    `position` and `normal` are in the scene's space, and `normal` points outward for mirrored instances, too. Ties go to the
+    smaller t, then to the earlier instance, then to the smaller triangle.
 
-    Many rays on the CPU go in packets or streams, sorted by instance, if trees are BVHs. Few rays, lists of all hits, and rays
-    whose work is counted (`counters=True`) go one by one (`Hits.plan`). Ray masks go with these scenes; triangle tests with
-    records for one origin (`komatsu`, `benthin`) do not. What may run at the same time is as for any `wrt.Scene`.
+    If trees are BVHs, many rays on the CPU are traced in packets or streams, sorted by instance. Few rays, lists of all hits,
+    and rays whose work is counted (`counters=True`) are traced one by one (`Hits.plan`). These scenes support ray masks, but
+    not triangle tests with records for one origin (`komatsu`, `benthin`).
 
-    Args: as in `wrt.Scene`.
+    Arguments as in `wrt.Scene`.
 
     Attributes:
         instances: tuple of `wrt.Instance`, in the order given; those of a trimesh.Scene in the order of its graph.
-        meshes: tuple of `TriangleMesh`, each once, in the order of their first instances.
+        meshes: tuple of `TriangleMesh`, one for each mesh, in the order of their first instances.
         geometry_ids: tuple of int, the mesh of each instance.
 
     Raises:

@@ -51,7 +51,7 @@ class InstancedState(SceneState):
     """
 
     refused: ClassVar[dict[str, str]] = {
-        "statistics": "a scene of instances has many trees; ask wrt.Scene(scene.meshes[0]).statistics() for one mesh's",
+        "statistics": "a scene of instances has many trees; call wrt.Scene(scene.meshes[0]).statistics() for one mesh",
         "float64 vertices": "a scene of instances has no vertices in float64, which precise=True and gradients need; "
         "use wrt.Scene(scene.flattened())",
         "handle": "kernels need the handle of a single tree, not of instances; use wrt.Scene(scene.flattened()).handle()",
@@ -191,7 +191,7 @@ def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> Inst
     check_extent(instances, geometry_ids, meshes)
     states = tuple(build_state((mesh,), settings, cache) for mesh in meshes)
     for state in states:
-        state.complete()  # nothing asks for more of a tree on the lower level
+        state.complete()  # trees of the lower level cannot grow during a query
     return place_instances(instances, geometry_ids, states, tuple(map(cover, states)), settings, new_mark())
 
 

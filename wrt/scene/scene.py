@@ -38,27 +38,26 @@ if TYPE_CHECKING:
 
 
 class Scene(Queries):
-    """Triangle meshes that rays can be shot at.
+    """Triangle meshes in a tree, against which rays are traced.
 
-    The tree is built at once, or as far as rays ask for it (`wrt.KdTree(builder="lazy")`). A scene may be used from several
-    threads, as long as none of them calls `update`: that changes the scene in one step, at its end or not at all, but a query
-    under way may see a part of it before and a part after. Results that were made before keep the geometry that they were made
-    with.
+    The tree is built at once, or where rays visit it (`wrt.KdTree(builder="lazy")`). Several threads may use a scene at the
+    same time. `update` changes it in one step at its end, or not at all: a query that runs meanwhile sees the scene as it was
+    before. Earlier results keep the geometry for which they were computed.
 
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, a `wrt.Instance`, or a sequence of such. Each mesh of a
             sequence is a geometry of its own (`Hits.geometry_id`), in one tree with the others. With an instance or a
             trimesh.Scene in it, the scene has two levels (`wrt.InstancedScene`): each node of the graph is an instance.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
-        triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of all queries that ask for none of
-            their own. Only the default one counts (`count`, `intersect_all`, `contains`) exactly, and stays in charge of that.
+        triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of queries that name no
+            other. Only the default one counts crossings exactly; `count`, `intersect_all` and `contains` always use it.
         device: a Warp device or its name, such as "cpu" or "cuda:0"; None for Warp's default device.
         num_threads: threads for the build and for queries on the CPU; None for `wrt.get_num_threads()`.
-        cache: path of a folder in which to look for the tree, by a hash of all that it depends on; one that is not there is
-            built and written there. Trees of any number of scenes share a folder. None: no file is read or written.
+        cache: path of a folder that stores trees by a hash of all that they depend on. A tree that is not there is built and
+            written there. A folder may hold the trees of any number of scenes. None: no file is read or written.
 
     Raises:
-        TypeError: `geometry`, `accelerator`, `num_threads` or `cache` is of a wrong type.
+        TypeError: `geometry`, `accelerator`, `num_threads` or `cache` has a wrong type.
         ValueError: unknown names, no such device, an empty sequence, one that contains itself, a `cache` that is a file;
             triangles that spread over more than 6.9e10 (`wrt.meshes.placement.MAX_EXTENT`) or lie beyond 1.3e36, which float32
             cannot hold.
@@ -67,7 +66,7 @@ class Scene(Queries):
     """
 
     state: SceneState
-    """What queries read, at one moment. An update replaces it."""
+    """What queries read. An update replaces it."""
 
     def __init__(
         self,
@@ -88,7 +87,7 @@ class Scene(Queries):
 
     @classmethod
     def of_state(cls, state: SceneState) -> Scene:
-        """A scene with a state that another one has, or that is part of one (`parts`)."""
+        """A scene with the state of another scene, or with a part of one (`parts`)."""
         scene = object.__new__(Scene)
         scene.state = state
         return scene
@@ -109,24 +108,24 @@ class Scene(Queries):
             scene.update(range(100), transform=matrices)        # many at once: the upper tree is built once
             scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
 
-        The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. It
-        answers more slowly the further triangles move. So it is built again, in parts or as a whole, once it has become too
-        costly (`wrt.UpdatePolicy`); `last_update` tells what was done. Trees that are lazy, clip triangles or are made for
-        influence areas are built again every time.
+        The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
+        further triangles move, the slower queries become. So the tree is rebuilt, in parts or as a whole, once its cost is too
+        high (`wrt.UpdatePolicy`); `last_update` reports what was done. Trees that are lazy, that clip triangles or that are
+        made for influence areas are always rebuilt.
 
         Args:
-            index: of the mesh (`Hits.geometry_id`); in a scene of instances of the instance, or of several instances for
-                `transform` and `mask`.
-            vertices: (V, 3), as many as the mesh has; of an instance's mesh, in the mesh's own space.
-            transform: of instances: (4, 4), or (N, 4, 4) for N instances, as `wrt.Instance` takes it.
-            mask: of the instance, or of all those of the index.
+            index: index of the mesh (`Hits.geometry_id`); in a scene of instances, index of the instance, or several indices
+                for `transform` and `mask`.
+            vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
+            transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`.
+            mask: mask of the instance, or of all instances in `index`.
             rebuild: for `vertices`: "auto", "always", "never", or a `wrt.UpdatePolicy`.
 
         Raises:
-            TypeError: a value is of a wrong type, or none was given.
-            ValueError: no such mesh or instance, a wrong number of vertices, NaN or infinite ones, triangles that spread too
-                far (as of the class), a transform or a mask in a scene without instances, one that `wrt.Instance` refuses, an
-                unknown name. The scene is then as before.
+            TypeError: a value has a wrong type, or no value was given.
+            ValueError: no such mesh or instance, a wrong number of vertices, vertices that are NaN or infinite, triangles that
+                spread too far (as for the class), a transform or a mask in a scene without instances, one that `wrt.Instance`
+                refuses, or an unknown name. The scene is then unchanged.
         """
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild))
 
@@ -192,12 +191,12 @@ class Scene(Queries):
 
     @property
     def triangle_test(self) -> str:
-        """The triangle test of queries that ask for none of their own; "auto" or a name."""
+        """The triangle test of queries that name no other; "auto" or a name."""
         return self.state.triangle_test
 
     @property
     def device(self) -> wp.Device:
-        """Where the scene lives."""
+        """The device that holds the scene."""
         return self.state.device
 
     @property
@@ -211,17 +210,17 @@ class Scene(Queries):
 
     @property
     def meshes(self) -> tuple[TriangleMesh, ...]:
-        """The meshes, in the order of their geometry ids; of instances each once, in the order of their first instances."""
+        """The meshes in the order of their geometry ids; those of instances once each, in order of first use."""
         return self.state.meshes
 
     @property
     def instances(self) -> tuple[Instance, ...]:
-        """What a scene of two levels is made of, in the order of instance ids; none in a scene of meshes."""
+        """The instances of a scene of two levels, in the order of instance ids; empty in a scene of meshes."""
         return self.state.instances
 
     @property
     def geometry_ids(self) -> tuple[int, ...]:
-        """The mesh of each instance; none in a scene of meshes."""
+        """Index of the mesh of each instance; empty in a scene of meshes."""
         return getattr(self.state, "geometry_ids", ())
 
     @property
@@ -241,12 +240,12 @@ class Scene(Queries):
 
     @property
     def tree(self) -> common.KdTree | common.Bvh:
-        """The tree; of one that is built lazily, what there is by now; of instances, the upper one."""
+        """The tree; if it is built lazily, the part that exists so far; in a scene of instances, the upper tree."""
         return self.state.tree
 
     @property
     def lazy_tree(self) -> LazyKdTree | None:
-        """The tree that is built while rays are traced; None if it is of another kind."""
+        """The tree that is built while rays are traced; None for trees of other kinds."""
         return self.state.lazy_tree
 
     @property
@@ -261,7 +260,7 @@ class Scene(Queries):
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of all meshes; of all instances together."""
+        """Number of triangles of all meshes, or of all instances together."""
         return self.state.triangle_count
 
     @property
@@ -281,12 +280,12 @@ class Scene(Queries):
 
     @property
     def last_update(self) -> UpdateReport | None:
-        """What the last update did to the tree; None if there was none, or trees of this kind are always built again."""
+        """What the last update did to the tree; None without an update, or if trees of this kind are always rebuilt."""
         return self.state.last_update
 
     @property
     def exact_vertices(self) -> wp.array:
-        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64; made once.
+        """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64; computed once.
 
         Raises:
             ValueError: the scene is of instances, or of fuzzy boxes.
@@ -314,7 +313,7 @@ class Scene(Queries):
         return unpickle_scene, pack_scene(self.state)
 
     def __copy__(self) -> Scene:
-        """A scene of its own with the same state: updates of the one leave the other as it is."""
+        """Another scene with the same state: updates of one do not change the other."""
         other = object.__new__(type(self))
         other.__dict__ |= self.__dict__
         return other
@@ -324,9 +323,9 @@ class Scene(Queries):
         self.state.complete()
 
     def flattened(self) -> TriangleMesh:
-        """All meshes as one, triangles in the order in which the scene numbers them.
+        """All meshes as one, with triangles in the order in which the scene numbers them.
 
-        Of instances in float64, those in the order of instances; that takes the memory of all of them.
+        A scene of instances gives float64 vertices, instance after instance, and needs the memory of all of them.
         """
         return self.state.flattened()
 
@@ -341,9 +340,9 @@ class Scene(Queries):
         return scene_statistics(self.state)
 
     def handle(self) -> Any:
-        """The scene for kernels of your own: what the functions of `wrt.device` take.
+        """The scene for your own kernels, as the functions of `wrt.device` take it.
 
-        A struct that refers to the scene's arrays and keeps them alive; made in some 0.1 ms.
+        A struct that refers to the scene's arrays and keeps them alive. Making it takes about 0.1 ms.
 
         Raises:
             ValueError: the scene has many trees.
@@ -356,8 +355,8 @@ class Scene(Queries):
         """The triangles in the order of the tree's leaves, as the plan's triangle test stores them.
 
         Args:
-            plan: whose triangle test and tree are meant.
-            rays: those whose shared origin the records depend on; None for tests whose records depend on none.
+            plan: the plan with the triangle test and the tree.
+            rays: rays on whose shared origin the records depend; None for tests whose records depend on no origin.
         """
         return records_of(self.state, plan, rays)
 
@@ -365,7 +364,7 @@ class Scene(Queries):
 def as_settings(
     accelerator: str | Accelerator, triangle_test: str, device: str | wp.Device | None, num_threads: int | None
 ) -> Settings:
-    """What the caller chose, checked; arguments and errors as of `Scene`."""
+    """The checked settings of a caller; arguments and errors as in `Scene`."""
     # Imported here, before any thread queries the scene: the modules of this package import one another, and threads that
     # enter it from two ends at a time fail.
     import wrt.kernels.traversal  # noqa: F401

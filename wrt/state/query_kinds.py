@@ -9,12 +9,12 @@ AUTO = "auto"
 CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
 
 FEW_RAYS = 1024
-"""Rays up to which each goes alone on the CPU: to detect coherence and to set up packets or streams would take as long as to
-trace them."""
+"""Number of rays up to which each is traced on its own on the CPU: detecting coherence and setting up packets or streams would
+take as long as tracing them."""
 
 
 class Query(NamedTuple):
-    """What is asked about rays, and what the caller chose.
+    """The kind of a query and its options, with their defaults; `wrt.Scene.intersect` explains them.
 
     Attributes:
         kind: "closest", "any", "count" or "all".
@@ -22,6 +22,10 @@ class Query(NamedTuple):
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
         cull_backfaces: whether triangles are hit only from their front.
         counters: whether the work for each ray is counted.
+        mask: of rays in a scene of instances; None for all bits.
+        skip: the triangle that each ray ignores; None for none.
+        precise: whether closest hits are computed in float64.
+        max_hits: largest number of hits that are listed for each ray; None for all.
     """
 
     kind: str
@@ -29,3 +33,11 @@ class Query(NamedTuple):
     triangle_test: str = AUTO
     cull_backfaces: bool = False
     counters: bool = False
+    mask: Any = None
+    skip: Any = None
+    precise: bool = False
+    max_hits: int | None = None
+
+
+QUERIES = {kind: Query(kind) for kind in (CLOSEST, ANY, COUNT, ALL)}
+"""A query of each kind with default options."""

@@ -57,7 +57,7 @@ class SceneState:
         settings: what the caller chose.
         meshes: the meshes, in the order of their geometry ids.
         center: (3,) float64; geometry is held in float32 relative to this point.
-        built_tree: the tree; of one that is built lazily, as it was at first (`tree` is what there is by now).
+        built_tree: the tree; if it is built lazily, its initial part (`tree` is the part that exists so far).
         device_mesh: all triangles on the device, for kernels.
         lazy_tree: the tree that is built while rays are traced; None if it is complete.
         area_trees: the trees of influence areas; None if there are none (`wrt.execution.area_trees`).
@@ -89,7 +89,7 @@ class SceneState:
 
     @property
     def triangle_test(self) -> str:
-        """The triangle test of queries that ask for none of their own, or "auto"."""
+        """The triangle test of queries that name no other, or "auto"."""
         return self.settings.triangle_test
 
     @property

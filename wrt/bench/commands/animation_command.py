@@ -1,4 +1,4 @@
-"""`wrt bench animation`: ways to follow what moves."""
+"""`wrt bench animation`: ways to update moving meshes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from wrt.scenes.colonnade import atrium
 @click.argument("name", default="figure", type=click.Choice([*ANIMATIONS]))
 @target_options
 @click.option("--way", "ways", multiple=True, type=click.Choice([*WAYS]), help="Repeat. [all]")
-@click.option("--frames", default=24, show_default=True, type=click.IntRange(1), help="Of a period.")
+@click.option("--frames", default=24, show_default=True, type=click.IntRange(1), help="Frames of a period.")
 @click.option("--detail", default=24, show_default=True, type=click.IntRange(3), help="Triangles grow with its square.")
 @click.option("--size", default=256, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")

@@ -56,12 +56,16 @@ class BenchCommand(click.Command):
 @click.command(cls=BenchCommand)
 @click.argument("model", required=False)
 @target_options
-@click.option("--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to ask; repeat. [all]")
-@click.option("--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; repeat. [all]")
+@click.option(
+    "--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to trace; may be repeated. [all]"
+)
+@click.option(
+    "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all]"
+)
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
-@click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Of a view's pixels.")
+@click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Order of a view's pixels.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each contender.")
-@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads of everybody. [all cores]")
+@click.option("--threads", type=click.IntRange(1, MAX_THREADS), help="CPU threads of each contender. [all cores]")
 @click.option("--device", default="cpu", show_default=True, help="Where wrt and wp.Mesh run, such as cuda:0.")
 @click.option("--builders/--no-builders", default=True, show_default=True, help="Compare builds.")
 @click.option("--startup/--no-startup", default=True, show_default=True, help="Compare start-up in fresh processes.")
@@ -83,15 +87,15 @@ def bench(
 ) -> None:
     """Compares wrt with the peers that are installed, on MODEL: a mesh file or the name of a built-in scene.
 
-    Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on
-    which they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, beside which stands what being
-    watertight costs; "engines" are wrt's own traversals, one by one. With --target x86-64-v3 Embree's C library is held to
-    AVX2 as well; embreex and Open3D choose for themselves.
+    Contenders take turns on the same rays; every figure is a ratio to wrt in the same round, with the share of rays on which
+    they agree beside it. "plain" is wrt with Moeller and Trumbore's triangle test, which shows what watertightness costs;
+    "engines" are wrt's own traversals, one by one. With --target x86-64-v3, Embree's C library is limited to AVX2, too; embreex
+    and Open3D choose for themselves.
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
-    animation` ways to follow what moves, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
-    divide work among them; each has options of its own.
+    animation` ways to update moving meshes, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways
+    to divide work among them; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import print_report

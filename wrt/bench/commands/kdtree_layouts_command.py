@@ -17,7 +17,9 @@ from wrt.meshes.mesh import TriangleMesh
 @click.command("layouts")
 @click.argument("model", default="teapot")
 @target_options
-@click.option("--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Of the tree.")
+@click.option(
+    "--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Builder of the tree."
+)
 @click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")

@@ -16,7 +16,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 @click.command("triangle-tests")
 @click.argument("model", default="teapot")
 @target_options
-@click.option("--test", "tests", multiple=True, type=click.Choice([*TRIANGLE_TESTS]), help="Tests; repeat. [all]")
+@click.option("--test", "tests", multiple=True, type=click.Choice([*TRIANGLE_TESTS]), help="Tests; may be repeated. [all]")
 @click.option("--situation", "situations", multiple=True, type=click.Choice([*SITUATIONS]), help="What to time. [all]")
 @click.option("--size", default=512, show_default=True, type=click.IntRange(16), help="Views have SIZE x SIZE pixels.")
 @click.option("--rounds", default=9, show_default=True, type=click.IntRange(1), help="Turns of each test.")

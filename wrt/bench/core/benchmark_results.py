@@ -69,7 +69,7 @@ class Row:
 
 @dataclass
 class Question:
-    """What was asked of all contenders.
+    """What all contenders were measured on.
 
     Attributes:
         kind: "closest", "occlusion", "all", "inside", "build" or "startup".
@@ -104,7 +104,7 @@ class Report:
         machine: see `machine`.
         options: what was asked for.
         models: one entry a mesh.
-        startup: the question about start-up, if it was asked.
+        startup: the comparison of start-up times, if it was made.
         missing: reason why a peer could not run, by its name.
     """
 

@@ -1,4 +1,4 @@
-"""The rays of a mesh that the benchmark asks.
+"""The rays of a mesh that the benchmark traces.
 
     far, near   closest hit   pinhole views that see all of the mesh, or fly into it: coherent rays from one origin
     random      closest hit   origins anywhere in the bounding box, directions anywhere: nothing coherent

@@ -82,7 +82,7 @@ class Embree(Peer):
         self._scene = Scene(self._embree_device, *self._mesh)
 
     def asked_by(self, threads: int) -> Embree:
-        """The same scene, asked by another number of threads; it cannot be built again."""
+        """The same scene for queries with another number of threads; it cannot be built again."""
         other = copy.copy(self)
         other.threads = threads
         return other
@@ -99,7 +99,7 @@ class Embree(Peer):
         return Query(self._asking("rtcOccluded", rays), lambda result: result["tfar"].ravel()[: len(rays)] < 0.0)
 
     def _asking(self, function: str, rays: Workload) -> Callable[[], np.ndarray]:
-        """What asks `rtcIntersect` or `rtcOccluded`; it returns the packets."""
+        """A function that calls `rtcIntersect` or `rtcOccluded` and returns the packets."""
         closest, scene, threads = function == "rtcIntersect", self._scene, self.threads
         packets = ray_packets(rays, self.width, closest)
         address = address_of(f"{function}{self.width}")
@@ -116,7 +116,7 @@ class Embree(Peer):
 
 
 def ray_packets(rays: Workload, width: int, hits: bool) -> np.ndarray:
-    """(ceil(N / width),) Embree's RTCRay of that width, or RTCRayHit, aligned as it asks.
+    """(ceil(N / width),) Embree's RTCRay of that width, or RTCRayHit, aligned as it requires.
 
     The rays are in order; lanes beyond the last ray repeat it.
     """

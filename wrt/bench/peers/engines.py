@@ -100,7 +100,7 @@ class Engine(Peer):
         return super().query(rays) if self.answers(rays) else None
 
     def answers(self, rays: Workload) -> bool:
-        """Whether its traversal and its triangle test, if they are not on "auto", answer what the workload asks."""
+        """Whether its traversal and its triangle test, if they are not on "auto", answer the workload's query."""
         test, way = TRIANGLE_TESTS.get(self.triangle_test), TRAVERSALS.get(self.traversal)
         if test is not None and test.needs_shared_origin and not rays.shares_origin:
             return False

@@ -57,7 +57,7 @@ class Query:
     """Rays in a peer's native form, ready to be asked.
 
     Attributes:
-        run: asks; returns the peer's own result.
+        run: traces the rays; returns the peer's own result.
         read: that result -> `Answer`, `Lists` for all hits, or (N,) bool for occlusion and inside tests.
     """
 
@@ -123,7 +123,7 @@ class Peer(ABC):
         return None
 
     def query(self, rays: Workload) -> Query | None:
-        """What the workload asks."""
+        """The workload's query."""
         ask = {CLOSEST: self.closest, OCCLUSION: self.occluded, ALL: self.all_hits, INSIDE: self.inside}[rays.query]
         return ask(rays)
 

@@ -30,7 +30,7 @@ def ask(
     rounds: int,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[Question]:
-    """Builds every peer, then asks it every workload; the first peer is wrt, which ratios and agreement refer to."""
+    """Builds every peer and traces every workload with it. The first peer is wrt, to which ratios and agreement refer."""
     for peer in peers:
         on_turn(f"build {peer.name}")
         peer.build(mesh)

@@ -32,7 +32,7 @@ RANDOM = (1 << 16, 1 << 21)
 BUILDS = ("bvh", "kdtree")
 
 COMPARED = ("far", "near", "random")
-"""Workloads that Embree is asked too."""
+"""Workloads that Embree traces, too."""
 
 COMPARED_SIZE = 1024
 """Of these workloads: pixels a side; `random` has as many rays."""
@@ -101,7 +101,7 @@ class EmbreeTurns:
         self._peer: Embree | None = None
 
     def rays(self, workload: Workload) -> Prepare:
-        """What asks a workload."""
+        """A function that traces a workload."""
 
         def prepare(threads: int) -> Callable[[], Any]:
             if self._peer is None:

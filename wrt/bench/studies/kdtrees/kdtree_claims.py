@@ -62,7 +62,7 @@ class BuiltPart:
     """What of a lazy tree is built.
 
     Attributes:
-        cells, built_cells: into which the planes above divide the scene, and those that were asked for.
+        cells, built_cells: into which the planes above divide the scene, and those that rays visited.
         triangles: share of the mesh's triangles that are in any leaf.
         seen: share of the mesh's triangles that are a ray's closest hit.
     """

@@ -27,7 +27,7 @@ from wrt.scene.scene import Scene
 
 @cache
 def make_search(heuristic: Heuristic) -> wp.Kernel:
-    """The kernel that asks a heuristic for the planes of nodes whose bins are filled."""
+    """The kernel in which a heuristic finds the planes of nodes whose bins are filled."""
     rays_type, search = heuristic.rays, heuristic.search
 
     def search_nodes(

@@ -1,7 +1,8 @@
 """Triangle fans against triangles one by one, all of them for every ray: does sharing vertices pay?
 
-`closest` asks a set of fans as `Scene.intersect` asks a tree. `compare` times it beside brute force by Moeller and Trumbore's
-test, from which the fans' is derived, with and without precomputed edges, and beside the plane's rows.
+`closest` finds the closest hits with a set of fans, as `Scene.intersect` does with a tree. `compare` times it beside brute
+force by Moeller and Trumbore's test, from which the fans' is derived, with and without precomputed edges, and beside the
+plane's rows.
 """
 
 from __future__ import annotations

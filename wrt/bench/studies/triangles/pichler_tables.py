@@ -103,7 +103,7 @@ class Case:
         self.workloads: tuple[Workload, ...] = tuple(WorkloadMaker(self.mesh, size=size).make(("far", "ao")))
 
     def query(self, triangle_test: str, mode: str) -> Callable[[], int]:
-        """What asks all rays with a test; returns the number of hits."""
+        """A function that traces all rays with a test and returns the number of hits."""
         view, ambient = self.workloads
         scalar_test = mode == "alone"
         trace_view = leaf_query(self.scene, view.rays, triangle_test, CLOSEST, scalar_test=scalar_test)

@@ -1,0 +1,127 @@
+"""The options of queries: the name and the type of each stand here, once, and their defaults in `wrt.state.query_kinds.Query`.
+
+A query takes its options as `**options: Unpack[...]` of one of the classes below, from which type checkers and editors know
+the keywords. `takes` gives the method a signature that lists them, for `help`, `inspect` and the documentation. What the
+options mean is in the docstrings of the methods (`wrt.query.api`).
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+
+from wrt.query.blocks import MEMORY
+from wrt.state.query_kinds import CLOSEST, QUERIES, Query
+
+if TYPE_CHECKING:
+    from wrt.planning.plan import Plan
+
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+class PlanOptions(TypedDict, total=False):
+    """Of every query: how it is answered."""
+
+    traversal: str | Plan
+    triangle_test: str
+
+
+class FacingOptions(PlanOptions, total=False):
+    """Of queries in memory."""
+
+    cull_backfaces: bool
+
+
+class MaskOptions(FacingOptions, total=False):
+    """Of queries that trace rays."""
+
+    mask: Any
+
+
+class ValueOptions(MaskOptions, total=False):
+    """Of `occluded` and `count`."""
+
+    skip: Any
+
+
+class PrecisionOptions(TypedDict, total=False):
+    """Of closest hits."""
+
+    precise: bool
+
+
+class ClosestOptions(ValueOptions, PrecisionOptions, total=False):
+    """Of `intersect`."""
+
+    counters: bool
+
+
+class ListOptions(MaskOptions, total=False):
+    """Of `intersect_all`."""
+
+    max_hits: int | None
+
+
+class ExplainOptions(FacingOptions, total=False):
+    """Of `explain`."""
+
+    query: str
+
+
+class BlockOptions(PlanOptions, total=False):
+    """Of `occluded_blocks` and `count_blocks`."""
+
+    memory: int | str
+    progress: bool
+
+
+class ClosestBlockOptions(BlockOptions, PrecisionOptions, total=False):
+    """Of `intersect_blocks`."""
+
+
+DEFAULTS: Mapping[str, Any] = {"query": CLOSEST, "memory": MEMORY, "progress": False, **Query._field_defaults}
+"""The default of each option, in the order in which signatures list them."""
+
+
+def takes(options: type) -> Callable[[Method], Method]:
+    """A decorator for methods with `**options`: their signature lists the options, each with its type and default."""
+
+    def sign(method: Method) -> Method:
+        signature = inspect.signature(method)
+        fixed = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+        types = {name: getattr(kind, "__forward_arg__", kind) for name, kind in options.__annotations__.items()}
+        listed = [
+            inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=types[name])
+            for name, default in DEFAULTS.items()
+            if name in types
+        ]
+        method.__signature__ = signature.replace(parameters=[*fixed, *listed])
+        return method
+
+    return sign
+
+
+def check_options(method: Callable[..., Any], options: Mapping[str, Any]) -> None:
+    """Refuses options that a method does not take.
+
+    Raises:
+        TypeError: there is one; the message lists those that the method takes.
+    """
+    known = [one.name for one in method.__signature__.parameters.values() if one.kind is inspect.Parameter.KEYWORD_ONLY]
+    for name in options:
+        if name not in known:
+            listed = ", ".join(known)
+            raise TypeError(f"{method.__name__}() got an unexpected keyword argument {name!r}; its options are {listed}")
+
+
+def as_query(method: Callable[..., Any], kind: str, options: Mapping[str, Any]) -> Query:
+    """A query of a kind with the options that a method was called with.
+
+    Raises:
+        TypeError: the method does not take one of them.
+    """
+    if not options:  # most calls of few rays, whose time is Python's
+        return QUERIES[kind]
+    check_options(method, options)
+    return Query(kind, **options)
