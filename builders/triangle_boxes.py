@@ -14,6 +14,10 @@ MAX_CORNER = 2.0**126
 """Largest absolute coordinate of a box. float32 ends at 2^128, and builders add and subtract two coordinates."""
 
 
+CHUNK = 2048
+"""Triangles that are worth a chunk of their own."""
+
+
 @wp.struct
 class Boxes:
     """Bounding boxes of triangles, component by component."""
@@ -72,20 +76,26 @@ class TriangleBoxes:
         return float((self.high - self.low).max())
 
 
-def triangle_boxes(vertices: wp.array, faces: wp.array, center: np.ndarray | None = None) -> TriangleBoxes:
+def triangle_boxes(
+    vertices: wp.array,
+    faces: wp.array,
+    center: np.ndarray | None = None,
+    bounds: tuple[np.ndarray, np.ndarray] | None = None,
+) -> TriangleBoxes:
     """Bounding boxes of the triangles.
 
     Args:
         vertices: (V,) vec3.
         faces: (F,) vec3i.
         center: (3,) the point that vertices are relative to; None for the origin.
+        bounds: (3,) float32 each, without negative zeros: the box around all triangles; None if it is not known.
     """
     device, count = vertices.device, len(faces)
     boxes = Boxes()
     boxes.low = wp.empty((3, count), dtype=float, device=device)
     boxes.high = wp.empty((3, count), dtype=float, device=device)
-    launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=4096)
-    low, high = boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1)
+    launch(compute_boxes, count, [vertices, faces, boxes], device=device, chunk=CHUNK)
+    low, high = bounds or (boxes.low.numpy().min(axis=1), boxes.high.numpy().max(axis=1))
     return TriangleBoxes(boxes, count, low, high, np.zeros(3) if center is None else center, vertices, faces)
 
 

@@ -25,6 +25,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
+from wrt.kernels.runtime import workspace
 
 MIN_BYTES = 1 << 20
 """Smaller arrays are allocated by Warp."""
@@ -186,5 +187,6 @@ def memory_for(what: str, size: int) -> Iterator[None]:
 
 
 def release() -> None:
-    """Frees the memory that is kept for later results and records."""
+    """Frees the memory that is kept for later results, records and builds."""
     _pool.release()
+    workspace.release()

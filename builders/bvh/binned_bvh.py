@@ -43,9 +43,9 @@ from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_ker
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
-from wrt.kernels.layout.struct_arrays import array_of_structs
-from wrt.kernels.runtime.launch import get_num_threads, launch, load
-from wrt.kernels.runtime.launch_loop import Step, launch_loop
+from wrt.kernels.runtime.launch import get_num_threads, load
+from wrt.kernels.runtime.launch_loop import Step
+from wrt.kernels.runtime.workspace import Workspace, kept_workspace, read_ints, write
 
 TASKS_PER_THREAD = 4
 """Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
@@ -66,9 +66,17 @@ MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks whatever their size."""
 
 
+MAX_KEPT = 1 << 18
+"""Triangles up to which a build's work space is kept for the next one: some 85 bytes each, 22 MB in all."""
+
+
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
-    return BinnedBuilder(triangles, config).build()
+    device = triangles.boxes.low.device
+    if triangles.count > MAX_KEPT or config.reinsertion or not device.is_cpu:
+        return BinnedBuilder(triangles, config).build()
+    with kept_workspace((build, config, get_num_threads()), device) as work:
+        return BinnedBuilder(triangles, config, work=work).build()
 
 
 class BinnedBuilder:
@@ -79,23 +87,33 @@ class BinnedBuilder:
         config: costs, bins, leaf size.
         heuristic: the weight of boxes and the choice of planes.
         rays: the heuristic's knowledge of the rays; None if it has none.
+        work: work space; None for its own.
     """
 
-    def __init__(self, triangles: TriangleBoxes, config: BvhConfig, heuristic: Heuristic = SURFACE, rays: Any = None) -> None:
+    def __init__(
+        self,
+        triangles: TriangleBoxes,
+        config: BvhConfig,
+        heuristic: Heuristic = SURFACE,
+        rays: Any = None,
+        work: Workspace | None = None,
+    ) -> None:
+        count = triangles.count
         self.triangles = triangles
         self.config = config
         self.heuristic = heuristic
-        self.rays = AllDirections() if rays is None else rays
+        self.device = triangles.boxes.low.device
+        self.work = work = Workspace(self.device) if work is None else work
+        self.rays = work.make("rays", 1, lambda _: AllDirections()) if rays is None else rays
         self.search_planes = make_search_planes(heuristic)
         self.subtree_kernel = make_build_subtrees(heuristic)
-        self.device = triangles.boxes.low.device
-        self.rules = config.struct()
+        self.rules = work.make("rules", 1, lambda _: config.struct())
         self.phase = Phases(self.device)
-        self.tree = empty_tree(triangles.count, self.device)
+        self.tree = work.make("tree", count, lambda size: empty_tree(size, self.device))
         threads = get_num_threads()
-        self.chunk = max(MIN_CHUNK, -(-triangles.count // (CHUNKS_PER_THREAD * threads)))
-        self.large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
-        self.references = wp.empty(16 * triangles.count, dtype=float, device=self.device)
+        self.chunk = max(MIN_CHUNK, -(-count // (CHUNKS_PER_THREAD * threads)))
+        self.large = max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
+        self.references = work.empty("references", 16 * count, float)
         """Two buffers of references."""
         self.top: wp.array | None = None
 
@@ -122,40 +140,41 @@ class BinnedBuilder:
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
-        launch(kernel, count, inputs, device=self.device, chunk=chunk, chunks_per_thread=CHUNKS_PER_THREAD)
+        self.work.launch(kernel, count, inputs, chunk=chunk, chunks_per_thread=CHUNKS_PER_THREAD)
 
     def make_references(self) -> None:
         """Phase "references": fills the first buffer and computes the root's box."""
         count, size = self.triangles.count, self.chunk
         chunks = -(-count // size)
-        self.parts = wp.empty(16 * (chunks + count // self.large + 1), dtype=float, device=self.device)
+        self.parts = self.work.empty("parts", 16 * (chunks + count // self.large + 1), float)
         self.run(level_phase.make_references, chunks, self.triangles.boxes, count, size, self.references, self.parts)
         root = np.zeros(8, dtype=np.float32)
         root[0:3], root[4:7] = self.triangles.low, -self.triangles.high
-        wp.copy(self.tree.box, wp.array(root, dtype=float, device=self.device), count=8)
+        write(self.tree.box, root)
 
     def build_levels(self) -> None:
         """Phase "top levels": splits large nodes until none is left."""
-        count, size, device = self.triangles.count, self.chunk, self.device
+        count, size, work = self.triangles.count, self.chunk, self.work
         chunks = -(-count // size)
-        root = LiveNode()
-        root.frame.count = count
+        root = np.zeros(1, dtype=LiveNode.numpy_dtype())
+        root["frame"]["count"] = count
         if count <= self.large:
-            self.tasks = array_of_structs([root.frame], Frame, device)
+            self.tasks, self.task_count = work.empty("tasks", 1, Frame), 1
+            write(self.tasks, root["frame"])
             return
-        root.chunk_count = chunks
-        root.part_count = chunks
+        root["chunk_count"] = root["part_count"] = chunks
         max_nodes = count // self.large + 1
         max_chunks = chunks + max_nodes
-        nodes = [wp.empty(max_nodes, dtype=LiveNode, device=device) for _ in range(2)]
-        lists = [wp.empty(max_chunks, dtype=Chunk, device=device) for _ in range(2)]
-        tasks = wp.empty(2 * max_nodes * MAX_LEVELS, dtype=Frame, device=device)
-        top = wp.empty(max_nodes * MAX_LEVELS, dtype=int, device=device)
-        numbers = wp.array([1, chunks, 0, 0, 0], dtype=int, device=device)
-        totals = wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=device)
-        scratch = make_scratch(max_chunks + max_nodes, device)
-        domain = wp.empty(8 * max_chunks, dtype=float, device=device)
-        wp.copy(nodes[0], array_of_structs([root], LiveNode, device), count=1)
+        nodes = [work.empty(f"nodes {i}", max_nodes, LiveNode) for i in range(2)]
+        lists = [work.empty(f"lists {i}", max_chunks, Chunk) for i in range(2)]
+        tasks = work.empty("tasks", 2 * max_nodes * MAX_LEVELS, Frame)
+        top = work.empty("top", max_nodes * MAX_LEVELS, int)
+        numbers = work.empty("numbers", 5, int)
+        write(numbers, np.array([1, chunks, 0, 0, 0], dtype=np.int32))
+        totals = work.make("totals", 1, lambda _: wp.array(ptr=numbers.ptr, dtype=Totals, shape=1, device=self.device))
+        scratch = work.make("level scratch", max_chunks + max_nodes, lambda size: make_scratch(size, self.device))
+        domain = work.empty("level domain", 8 * max_chunks, float)
+        write(nodes[0], root)
         self.run(level_phase.cut_root, 1, nodes[0], size, lists[0])
 
         def level(nodes: wp.array, lists: wp.array, next_nodes: wp.array, next_lists: wp.array) -> list[Step]:
@@ -171,19 +190,20 @@ class BinnedBuilder:
             ]
 
         even, odd = (nodes[0], lists[0]), (nodes[1], lists[1])
-        launch_loop([level(*even, *odd), level(*odd, *even)], numbers, device)
-        _, _, done, pairs, _ = numbers.numpy().tolist()
+        work.loop("levels", [level(*even, *odd), level(*odd, *even)], numbers)
+        _, _, self.task_count, pairs, _ = read_ints(numbers, 5)
         self.top = top[:pairs] if pairs else None
-        made = tasks[:done].numpy()
-        self.tasks = wp.array(made[np.argsort(-made["count"], kind="stable")], dtype=Frame, device=device)
+        made = tasks.numpy()[: self.task_count]
+        write(tasks, made[np.argsort(-made["count"], kind="stable")])
+        self.tasks = tasks
 
     def build_subtrees(self) -> None:
         """Phase "subtrees": builds all tasks, the largest first, which balances the load."""
-        count = len(self.tasks)
-        scratch = make_scratch(count, self.device)
-        domain = wp.empty(8 * STACK * count, dtype=float, device=self.device)
-        stack = wp.empty((count, STACK), dtype=Frame, device=self.device)
-        self.subtrees = wp.empty(count, dtype=wp.vec2i, device=self.device)
+        count, work = self.task_count, self.work
+        scratch = work.make("subtree scratch", count, lambda size: make_scratch(size, self.device))
+        domain = work.empty("subtree domain", 8 * STACK * count, float)
+        stack = work.make("stack", count, lambda size: wp.empty((size, STACK), dtype=Frame, device=self.device))
+        self.subtrees = work.make(f"subtrees {count}", 1, lambda _: wp.empty(count, dtype=wp.vec2i, device=self.device))
         inputs = [
             self.rules,
             self.rays,
@@ -196,8 +216,8 @@ class BinnedBuilder:
             self.tree,
             self.subtrees,
         ]
-        launch(self.subtree_kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=count)
+        work.launch(self.subtree_kernel, count, inputs, chunk=1, chunks_per_thread=count)
 
     def result(self) -> BinaryBuild:
         """The finished binary tree. The references are no longer needed."""
-        return BinaryBuild(self.tree, self.subtrees, self.top, self.references, self.heuristic, self.rays)
+        return BinaryBuild(self.tree, self.subtrees, self.top, self.references, self.heuristic, self.rays, self.work)

@@ -31,8 +31,8 @@ def make_shift(dtype: type) -> wp.Kernel:
     return specialised_kernel(shift_vertices)
 
 
-def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(V, 3) float32: vertices relative to a point. Those that no triangle uses may come to be infinite.
+def shifted(center: np.ndarray, vertices: np.ndarray) -> wp.array:
+    """(V,) vec3 on the CPU: vertices relative to a point. Those that no triangle uses may come to be infinite.
 
     Args:
         center: (3,) float64.
@@ -43,4 +43,9 @@ def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     relative = wp.empty(len(vertices), dtype=wp.vec3, device=device)
     inputs = [wp.vec3d(*map(float, center)), given, relative]
     launch(specialise(make_shift, dtype), len(vertices), inputs, device=device, chunk=CHUNK)
-    return relative.numpy()
+    return relative
+
+
+def relative_to(center: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(V, 3) float32: as of `shifted`."""
+    return shifted(center, vertices).numpy()

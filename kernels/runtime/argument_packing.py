@@ -1,7 +1,7 @@
 """A CPU kernel whose arguments are packed once and that can be called repeatedly, for any range of items."""
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -23,7 +23,7 @@ class Compiled:
         forward: the entry point.
         bounds, bounds_type: launch bounds of one item, as bytes, and their type.
         arguments: the struct of packed arguments.
-        packers: for each parameter, its declared type, the class of its values if it is a struct, and its packed type.
+        packers: of each parameter.
     """
 
     def __init__(self, kernel: wp.Kernel, launch: wp.Launch) -> None:
@@ -41,21 +41,26 @@ class Compiled:
         """Packed arguments; None if a value does not have exactly its parameter's type, and Warp must convert or reject it."""
         if len(inputs) != len(self.packers):
             return None
-        packed = []
-        for value, (declared, struct, kind) in zip(inputs, self.packers, strict=True):
-            if struct is not None and isinstance(value, struct):
-                packed.append(value.__ctype__())
-            elif type(value) is wp.array:
-                if type(declared) is not wp.array or value.dtype is not declared.dtype or value.ndim != declared.ndim:
-                    return None
-                packed.append(value.__ctype__())
-            elif (type(value) is int and kind in INTEGERS) or (type(value) is float and kind is ctypes.c_float):
-                packed.append(kind(value))
-            elif type(value) is kind:
-                packed.append(value)
-            else:
-                return None
-        return self.arguments(*packed)
+        packed = [*map(pack_argument, inputs, self.packers)]
+        return None if None in packed else self.arguments(*packed)
+
+
+Packer = tuple[Any, type | None, type]
+"""A parameter's declared type, the class of its values if it is a struct, and its packed type."""
+
+
+def pack_argument(value: Any, packer: Packer) -> Any:
+    """A packed argument; None if it does not have exactly its parameter's type."""
+    declared, struct, kind = packer
+    if struct is not None and isinstance(value, struct):
+        return value.__ctype__()
+    if type(value) is wp.array:
+        if type(declared) is not wp.array or value.dtype is not declared.dtype or value.ndim != declared.ndim:
+            return None
+        return value.__ctype__()
+    if (type(value) is int and kind in INTEGERS) or (type(value) is float and kind is ctypes.c_float):
+        return kind(value)
+    return value if type(value) is kind else None
 
 
 INTEGERS = (ctypes.c_int32, ctypes.c_int64)
@@ -77,7 +82,7 @@ class PackedKernel:
     """
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
-        self._inputs = inputs  # keeps the arrays alive
+        self._inputs = inputs  # keeps the arrays alive; compared by `update`
         compiled = _compiled.get(kernel)
         arguments = compiled.pack(inputs) if compiled is not None else None
         if arguments is None:
@@ -88,6 +93,24 @@ class PackedKernel:
             arguments = compiled.arguments(*launch.params[1:])
         self._compiled, self._forward, self.arguments = compiled, compiled.forward, arguments
         self.bounds = compiled.bounds_type.from_buffer_copy(compiled.bounds)
+
+    def update(self, inputs: Sequence[Any]) -> None:
+        """Packs the arguments that are other objects than before. An object that is the same must have the same value.
+
+        Raises:
+            TypeError: a value does not have exactly its parameter's type.
+        """
+        for index, (old, new) in enumerate(zip(self._inputs, inputs, strict=True)):
+            if new is not old:
+                packed = pack_argument(new, self._compiled.packers[index])
+                if packed is None:
+                    raise TypeError(f"argument {index} is a {type(new).__name__}, which is not the type of its parameter")
+                setattr(self.arguments, f"p{index}", packed)
+        self._inputs = inputs
+
+    def forget(self, but: Container[int]) -> None:
+        """Lets go of all arguments but objects of these identities; before the next call, `update` must replace them."""
+        self._inputs = [value if id(value) in but else None for value in self._inputs]
 
     @property
     def entry(self) -> int:

@@ -21,7 +21,7 @@ References:
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -178,6 +178,14 @@ class PreparedLaunch:
     def argument(self, index: int) -> Any:
         """The packed form of a struct argument. Values that are written to it take effect at the next run."""
         return self._packed.argument(index)
+
+    def update(self, inputs: Sequence[Any]) -> None:
+        """Replaces the arguments; `PackedKernel.update`."""
+        self._packed.update([0, *inputs])
+
+    def forget(self, but: Container[int]) -> None:
+        """`PackedKernel.forget`."""
+        self._packed.forget(but)
 
     def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
         """Runs the kernel for the items 0 .. count - 1.

@@ -7,7 +7,7 @@ microseconds besides its work (notebooks/records/2026-11-22-launches.md). On CUD
 
 import ctypes
 import itertools
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,46 @@ class Step:
         return int(numbers[self.number]) if self.count is None else self.count
 
 
+class LaunchLoop:
+    """A loop in native code, packed for repeated runs with one number of threads; arguments as of `launch_loop`."""
+
+    def __init__(self, turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
+        self.numbers = numbers
+        threads, schedule = get_num_threads(), SCHEDULES[DEFAULT_SCHEDULE]
+        self._packed, self._jobs, self._memory = [], [], []
+        for steps in turns:
+            for step in steps:
+                packed = PackedKernel(step.kernel, [0, *step.inputs], device)
+                job, used = native.new_job(packed, step.count or 0, largest=1, smallest=1, threads=threads, schedule=schedule)
+                if step.count is None:
+                    job.count_at = numbers.ptr + 4 * step.number
+                self._packed.append(packed)
+                self._jobs.append(job)
+                self._memory.append(used)
+            self._jobs[-1].while_at = numbers.ptr
+        for job, following in zip(self._jobs, [*self._jobs[1:], self._jobs[0]], strict=True):
+            job.following = ctypes.addressof(following)
+
+    def update(self, turns: Sequence[Sequence[Step]]) -> None:
+        """Replaces the arguments of the same steps; `PackedKernel.update`."""
+        for packed, step in zip(self._packed, itertools.chain.from_iterable(turns), strict=True):
+            packed.update([0, *step.inputs])
+
+    def forget(self, but: Container[int]) -> None:
+        """`PackedKernel.forget`."""
+        for packed in self._packed:
+            packed.forget(but)
+
+    def run(self) -> None:
+        """Runs the loop."""
+        native.the_pool().run(self._jobs[0], (self._jobs, self._memory, self.numbers))
+
+
+def has_native_loop(device: wp.Device) -> bool:
+    """Whether the calling thread's loops on a device run in native code."""
+    return device.is_cpu and get_num_threads() > 1 and native.is_available()
+
+
 def launch_loop(turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.Device) -> None:
     """Runs the steps of each turn in order, and cycles through the turns until the first element of `numbers` is 0.
 
@@ -51,22 +91,8 @@ def launch_loop(turns: Sequence[Sequence[Step]], numbers: wp.array, device: wp.D
         device: device of the arrays.
     """
     load([step.kernel for steps in turns for step in steps], device)
-    threads = get_num_threads()
-    if device.is_cpu and threads > 1 and native.is_available():
-        schedule = SCHEDULES[DEFAULT_SCHEDULE]
-        jobs, memory = [], []
-        for steps in turns:
-            for step in steps:
-                packed = PackedKernel(step.kernel, [0, *step.inputs], device)
-                job, used = native.new_job(packed, step.count or 0, largest=1, smallest=1, threads=threads, schedule=schedule)
-                if step.count is None:
-                    job.count_at = numbers.ptr + 4 * step.number
-                jobs.append(job)
-                memory.append(used)
-            jobs[-1].while_at = numbers.ptr
-        for job, following in zip(jobs, [*jobs[1:], jobs[0]], strict=True):
-            job.following = ctypes.addressof(following)
-        native.the_pool().run(jobs[0], (jobs, memory, numbers))
+    if has_native_loop(device):
+        LaunchLoop(turns, numbers, device).run()
         return
     for steps in itertools.cycle(turns):
         now = numbers.numpy()

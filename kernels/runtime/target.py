@@ -81,7 +81,13 @@ def cpu_name() -> str:
 
 def cpu_features() -> frozenset[str]:
     """The SIMD extensions of this CPU that targets refer to, as far as the operating system reports them."""
-    return frozenset((cpu_information("flags", "Features") or "").split())
+    return words_of(cpu_information("flags", "Features") or "")
+
+
+@cache
+def words_of(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
 
 
 def target_name() -> str:

@@ -1,5 +1,7 @@
 """The benchmark measures what it says: rays where they belong, right ratios, wrong answers in sight. No timings here."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import trimesh
@@ -8,7 +10,10 @@ import wrt
 from wrt.bench.core.agreement import closest_agreement, lists_agreement, occlusion_agreement, share
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns, time_call
 from wrt.bench.core.workloads import WORKLOADS, Workload, WorkloadMaker
+from wrt.bench.peers import embree as embree_peer
+from wrt.bench.peers import peer_table
 from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.embree_library import EMBREES
 from wrt.bench.peers.engines import BRUTE_FORCE_PAIRS, all_engines
 from wrt.bench.peers.peer import Answer, Peer, Query, device_rays
 from wrt.bench.peers.peer_table import PEERS, make_peers
@@ -230,12 +235,13 @@ def test_a_peer_that_cannot_be_imported_is_missing(monkeypatch, tmp_path):
     assert missing == {"Broken": reason}
 
 
-@pytest.fixture
-def embree():
-    """Makes Embree with a number of threads; skips where it is not to be had."""
-    if (reason := Embree().available()) is not None:
+@pytest.fixture(params=[*EMBREES], ids="version {}".format)
+def embree(request):
+    """Makes a version of Embree with a number of threads; skips where it is not to be had."""
+    make = partial(Embree, version=request.param)
+    if (reason := make().available()) is not None:
         pytest.skip(reason)
-    return Embree
+    return make
 
 
 @pytest.mark.parametrize("rays", [1, 15, 16, 17, 255, 256, 257, 4097])
@@ -269,11 +275,74 @@ def test_embree_answers_the_same_in_packets_of_any_width(embree, width):
     peer.width = width
     query = peer.closest(made("random"))
     answer = query.read(query.run())
-    assert query.run().itemsize == width * 80
+    assert query.run().itemsize == width * {3: 80, 4: 84}[peer.version.number]
     np.testing.assert_array_equal(answer.primitive, expected.primitive)
     np.testing.assert_allclose(answer.t, expected.t, rtol=1e-5)
     occluded = peer.occluded(made("random"))
     np.testing.assert_array_equal(occluded.read(occluded.run()), expected.primitive >= 0)
+
+
+def test_embree_finds_what_brute_force_finds(embree):
+    """Triangles apart from each other, so that its test, which lets rays through along edges, differs nowhere."""
+    rng = np.random.default_rng(1)
+    corners = rng.uniform(-1.0, 1.0, (300, 1, 3)) + rng.uniform(-0.1, 0.1, (300, 3, 3))
+    mesh = wrt.TriangleMesh(corners.reshape(-1, 3).astype(np.float32), np.arange(900).reshape(-1, 3))
+    peer, rays = embree(2), next(WorkloadMaker(mesh, size=60).make(["random"]))
+    peer.build(mesh)
+    query = peer.closest(rays)
+    answer = query.read(query.run())
+    expected = wrt.Scene(mesh, device="cpu").intersect(rays.origins, rays.directions, traversal="brute")
+    assert 100 < expected.is_hit.sum() < len(rays) - 100
+    np.testing.assert_array_equal(answer.primitive, expected.primitive_id)
+    np.testing.assert_allclose(answer.t, expected.t, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(answer.uv[expected.is_hit], expected.uv[expected.is_hit], atol=1e-4)
+    short = Workload("random", "occlusion", rays.origins, rays.directions, t_max=0.5)
+    query = peer.occluded(short)
+    np.testing.assert_array_equal(query.read(query.run()), expected.t <= 0.5)
+
+
+def test_embree_is_held_to_avx2_where_wrt_is(embree, monkeypatch):
+    monkeypatch.setattr(embree_peer, "target_name", lambda: "x86-64-v3")
+    held = embree(1)
+    held.build(MESH)
+    assert held.width == 8
+    assert held.note.endswith(", AVX2")
+    query = held.closest(made("random"))
+    answer = query.read(query.run())
+    monkeypatch.undo()
+    free = embree(1)
+    free.build(MESH)
+    query = free.closest(made("random"))
+    np.testing.assert_array_equal(answer.primitive, query.read(query.run()).primitive)
+    assert not free.note.endswith("AVX2")
+
+
+def test_each_version_of_embree_is_one_contender():
+    """The old name stands for both; whoever asks for all contenders gets each once."""
+    peers, missing = make_peers(["embree", "embree3", "embree4"], 2, "cpu")
+    names = [peer.name for peer in peers] + [*missing]
+    assert sorted(names) == ["Embree 3", "Embree 4", "wrt"]
+
+
+def test_embree_that_is_missing_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr(embree_peer, "library", lambda version: None)
+    peers, missing = make_peers(["embree"], 1, "cpu")
+    assert [peer.name for peer in peers] == ["wrt"]
+    assert "libembree3-3" in missing["Embree 3"]
+    assert "pip install embreex" in missing["Embree 4"]
+
+
+def test_embreex_does_not_build_embree_4_with_its_threads(monkeypatch):
+    """Its own device is for all cores: beside it, Embree 4 with one thread was built by two, twice as fast as its row said."""
+    monkeypatch.setattr(peer_table, "available_cores", lambda: 2)
+    monkeypatch.setattr(Peer, "available", lambda self: None)
+    monkeypatch.setattr(Embree, "available", lambda self: None)
+    peers, missing = make_peers(["embree", "embreex", "trimesh_embreex"], 1, "cpu")
+    assert [peer.name for peer in peers] == ["wrt", "Embree 3", "Embree 4"]
+    assert set(missing) == {"embreex", "trimesh+embreex"}
+    assert "builds with all cores" in missing["embreex"]
+    for names, threads in ((["embree", "embreex"], 2), (["embree3", "embreex"], 1)):
+        assert not make_peers(names, threads, "cpu")[1]
 
 
 def test_embree_is_not_built_with_the_threads_of_another_peer(embree):

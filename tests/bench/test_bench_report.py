@@ -12,7 +12,9 @@ from wrt.bench.commands import kdtree_builders_command
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
 from wrt.bench.commands.command_options import table_console
 from wrt.bench.core import benchmark_plot as plot
-from wrt.bench.core.benchmark_report import percent, print_report, times
+from wrt.bench.core.agreement import Agreement
+from wrt.bench.core.benchmark_report import build_table, percent, print_report, ray_table, times
+from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.workloads import WORKLOADS
 from wrt.bench.studies import startup_times as startup
 from wrt.bench.studies.kdtrees.kdtree_comparison import BuilderFigures
@@ -76,6 +78,25 @@ def test_tables_show_every_contender(report, capsys):
         assert question.workload is None or f"{question.workload} {question.rays:,}" in text
         assert all(row.name in text for row in question.rows)
     assert os.getcwd() not in text
+
+
+def test_wrt_is_held_to_the_fastest_version_of_embree(capsys):
+    from rich.console import Console
+
+    rows = [Row("wrt", 1, "cpu", ratio=1.0), Row("Embree 3, 1 thread", 1, "cpu", ratio=1.5)]
+    assert Question("build", None, None, "wrt", rows).embree_ratios == [1.5]
+    Console(width=180).print(build_table(Question("build", None, None, "wrt", rows)))
+    assert "fastest Embree" not in capsys.readouterr().out
+    question = Question("build", None, None, "wrt", [*rows, Row("Embree 4, 1 thread", 1, "cpu", ratio=1.25)])
+    Console(width=180).print(build_table(question))
+    assert next(line.split() for line in capsys.readouterr().out.splitlines() if "fastest" in line)[2] == "1.25x"
+    question = Question(
+        "closest", "far", 4, "wrt", [Row("Embree 3", 1, "cpu", ratio=2.5), Row("Embree 4", 1, "cpu", ratio=2.0)]
+    )
+    for row in question.rows:
+        row.rays, row.agreement = 4, Agreement(4, 1.0, 1.0, 1.0)
+    Console(width=180).print(ray_table("closest", [question]))
+    assert next(line.split() for line in capsys.readouterr().out.splitlines() if "fastest" in line)[2] == "2.00x"
 
 
 def test_numbers_are_not_rounded_to_something_better():
@@ -149,7 +170,7 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
     assert "Traceback" not in done.output
 
 
-@pytest.mark.parametrize("command", [*COMPARISONS][:-1])
+@pytest.mark.parametrize("command", [name for name in COMPARISONS if name not in ("animation", "build-sizes")])
 def test_warp_keeps_quiet(command, monkeypatch):
     """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)

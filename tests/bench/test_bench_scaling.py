@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from wrt import scenes
 from wrt.bench.commands import scaling_command as scaling
-from wrt.bench.peers.embree_library import library, thread_limit
+from wrt.bench.peers.embree_library import EMBREES, library, thread_limit
 from wrt.bench.studies import thread_scaling
 from wrt.cli import main
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
@@ -58,31 +58,37 @@ def test_scaling(tmp_path):
     assert (tmp_path / "plot.png").stat().st_size > 10_000
 
 
-def test_the_peer_stands_beside_wrt_with_each_number_of_threads(monkeypatch, tmp_path):
+def test_the_peers_stand_beside_wrt_with_each_number_of_threads(monkeypatch, tmp_path):
     """Embree is asked the same rays, and builds with the threads of its column, no matter which were used before."""
-    if library() is None:
-        pytest.skip("Embree 3 is not installed")
+    found = [version for version in EMBREES if library(version) is not None]
+    if not found:
+        pytest.skip("neither Embree 3 nor Embree 4 is installed")
     limits = []
     commit = thread_scaling.Embree.commit
 
     def watched(peer):
         commit(peer)
-        limits.append((peer.threads, thread_limit()))
+        limits.append((peer.threads, thread_limit(peer.version.number)))
 
     monkeypatch.setattr(thread_scaling.Embree, "commit", watched)
     command = ["bench", "scaling", "teapot", "--threads", "3", "--rounds", "2", "--json", str(tmp_path / "figures.json")]
     result = CliRunner().invoke(main, [*command, "--plot", str(tmp_path / "plot.png")])
     assert result.exit_code == 0, result.output
-    assert "Embree / wrt" in result.output
+    assert ("fastest / wrt" in result.output) == (len(found) > 1)
     rows = json.loads((tmp_path / "figures.json").read_text())["jobs"]
     compared = ["far 1,024", "near 1,024", "random 1,024", "build bvh"]
-    assert [row["job"] for row in rows if row["engine"] == "Embree"] == compared
+    for version in found:
+        assert f"Embree {version} / wrt" in result.output
+        assert [row["job"] for row in rows if row["engine"] == f"Embree {version}"] == compared
     for job in compared:
-        own, peer = (row for row in rows if row["job"] == job)
-        assert (own["engine"], peer["engine"], own["ratios"]) == ("wrt", "Embree", [])
-        assert len(peer["ratios"]) == len(peer["figures"]) == 3
-        assert all(figure > 0 for figure in own["figures"] + peer["figures"] + peer["ratios"])
-        assert peer["gains"][0] == 1.0
+        own, *peers = (row for row in rows if row["job"] == job)
+        assert (own["engine"], own["ratios"]) == ("wrt", [])
+        assert [peer["engine"] for peer in peers] == [f"Embree {version}" for version in found]
+        for peer in peers:
+            assert len(peer["ratios"]) == len(peer["figures"]) == 3
+            assert all(figure > 0 for figure in own["figures"] + peer["figures"] + peer["ratios"])
+            assert peer["gains"][0] == 1.0
+        assert own["least_ratios"] == [min(ratios) for ratios in zip(*(peer["ratios"] for peer in peers), strict=True)]
     assert {threads for threads, limit in limits} == {1, 2, 3}
     assert all(threads == limit for threads, limit in limits)
     assert (tmp_path / "plot.png").stat().st_size > 10_000
@@ -92,8 +98,9 @@ def test_scaling_says_that_embree_is_missing(monkeypatch):
     monkeypatch.setattr(scaling.Embree, "available", lambda self: "not installed; install it")
     result = CliRunner().invoke(main, ["bench", "scaling", "teapot", "--threads", "1", "--rounds", "1"])
     assert result.exit_code == 0, result.output
-    assert "Embree: not installed; install it" in result.output
-    assert "Embree / wrt" not in result.output
+    for version in EMBREES:
+        assert f"Embree {version}: not installed; install it" in result.output
+        assert f"Embree {version} / wrt" not in result.output
 
 
 def test_scheduling(tmp_path):

@@ -16,7 +16,9 @@ making Warp arrays of them takes longer than tracing them (notebooks/records/202
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
+from weakref import finalize
 
 import numpy as np
 import warp as wp
@@ -57,7 +59,7 @@ class PreparedQuery:
         device = scene.device
         self._staging = None
         if layout in (STAGED, STAGED_CENTERED):
-            self._staging = Staging(kind, device, scene.center if layout == STAGED else np.zeros(3))
+            self._staging = borrow_staging(self, kind, device, scene.center if layout == STAGED else np.zeros(3))
         rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
@@ -93,13 +95,13 @@ class PreparedQuery:
         if rays.shape != staging.shape:
             staging.fit(rays.shape, rays.count)
         rays.copy_to(*staging.inputs)
-        self._launch.run(rays.count, FEW_CHUNKS)
+        self._launch.run(rays.count, FEW_CHUNKS, self)  # until the last helper is done, nobody else gets the staging
         copies = {name: values.copy() for name, values in staging.outputs}
         return DeviceHits.of_host(rays.count, staging.hits.device, copies)
 
 
 class Staging:
-    """Memory of a prepared query for few rays and their answers.
+    """Memory of a prepared query for few rays and their answers; the query's as long as that lives.
 
     NumPy takes as long to make a view as to copy a ray, so the views for one shape are kept: most callers repeat it.
 
@@ -110,9 +112,8 @@ class Staging:
         outputs: the same for answers, flat, each with its name.
     """
 
-    def __init__(self, kind: str, device: wp.Device, center: np.ndarray) -> None:
+    def __init__(self, kind: str, device: wp.Device) -> None:
         self.rays, self.hits = new_rays(FEW_RAYS, device), DeviceHits.new(kind, FEW_RAYS, device)
-        self.rays.center = wp.vec3d(*map(float, center))
         arrays = self.rays.origins, self.rays.directions, self.rays.t_min, self.rays.t_max
         self._inputs = [array.numpy() for array in arrays]
         self._outputs = [(name, getattr(self.hits, name).numpy()) for name in written(kind)]
@@ -125,3 +126,21 @@ class Staging:
         self.inputs = [array[:count].reshape(shape + array.shape[1:]) for array in self._inputs]
         self.outputs = [(name, array[:count]) for name, array in self._outputs]
         self.shape = shape
+
+
+MAX_FREE = 16
+"""Free stagings of a kind that are kept. Making one takes 0.1 ms, much of the time to a small scene's first answer."""
+
+_free: dict[tuple[str, str], deque[Staging]] = {}
+
+
+def borrow_staging(owner: PreparedQuery, kind: str, device: wp.Device, center: np.ndarray) -> Staging:
+    """A staging for a kind of query, free again when its owner is gone; safe to call from several threads."""
+    free = _free.setdefault((kind, device.alias), deque(maxlen=MAX_FREE))
+    try:
+        staging = free.pop()
+    except IndexError:
+        staging = Staging(kind, device)
+    staging.rays.center = wp.vec3d(*map(float, center))
+    finalize(owner, free.append, staging)
+    return staging

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.layout.mesh_placement import relative_to
+from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.meshes.mesh import TriangleMesh
 
@@ -36,6 +36,7 @@ class PlacedMeshes:
     Attributes:
         first: (meshes + 1,) the first triangle of each mesh, and the number of all triangles.
         center: (3,) float64.
+        bounds: (3,) float32 each, corners of the box of all triangles, relative to the centre; no negative zeros.
         vertices: (V,) vec3 on the CPU.
         faces: (F,) vec3i on the CPU.
         mesh: the same on the scene's device; its box is set by `fill_in`.
@@ -43,6 +44,7 @@ class PlacedMeshes:
 
     first: np.ndarray
     center: np.ndarray
+    bounds: tuple[np.ndarray, np.ndarray]
     vertices: wp.array
     faces: wp.array
     mesh: SceneMesh
@@ -57,23 +59,37 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedM
     """Joins meshes, subtracts their centre in float64, and copies them to a device in float32.
 
     Raises:
-        ValueError: they are too large, or too far away (`find_center`).
+        ValueError: they are too large, or too far away (`find_bounds`).
     """
-    center = find_center(meshes)
+    low, high = find_bounds(meshes)
+    center = 0.5 * low + 0.5 * high
+    with np.errstate(over="ignore"):
+        # the corners as the vertices below: rounding keeps their order
+        bounds = tuple((corner - center).astype(np.float32) + np.float32(0.0) for corner in (low, high))
     vertices, faces, first = join_meshes(meshes)
-    host_vertices = wp.array(relative_to(center, vertices), dtype=wp.vec3, device="cpu", copy=False)
+    host_vertices = shifted(center, vertices)
     host_faces = wp.array(faces, dtype=wp.vec3i, device="cpu", copy=False)
     mesh = SceneMesh()
     mesh.vertices, mesh.faces = host_vertices.to(device), host_faces.to(device)
     mesh.center = wp.vec3d(*map(float, center))
     mesh.geometry_first = wp.array(first, dtype=int, device=device)
-    return PlacedMeshes(first, center, host_vertices, host_faces, mesh)
+    return PlacedMeshes(first, center, bounds, host_vertices, host_faces, mesh)
 
 
 def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
     """(3,) float64: the centre of the bounding box of all triangles, which positions are relative to.
 
     Vertices that no triangle uses do not count: one far from all triangles would cost the others precision.
+
+    Raises:
+        ValueError: as `find_bounds`.
+    """
+    low, high = find_bounds(meshes)
+    return 0.5 * low + 0.5 * high
+
+
+def find_bounds(meshes: Sequence[TriangleMesh]) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) float64 each: lower and upper corner of the bounding box of all triangles.
 
     Raises:
         ValueError: the box has a side longer than MAX_EXTENT, or a coordinate is beyond MAX_COORDINATE.
@@ -87,7 +103,7 @@ def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
             f"the geometry is {(high - low).max():.3g} across, more than the {MAX_EXTENT:.3g} within which float32 can hold "
             f"areas and distances: {_outlier(meshes)} is the farthest from the others, {_REMEDY}"
         )
-    return 0.5 * low + 0.5 * high
+    return low, high
 
 
 _REMEDY = "a coordinate that is probably an error; repair or remove it, or scale the geometry down"

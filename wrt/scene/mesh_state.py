@@ -73,7 +73,7 @@ def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str
     with memory_for_tree(meshes):
         placed = place_meshes(meshes, settings.device)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
-        boxes = triangle_boxes(placed.vertices, placed.faces, placed.center)
+        boxes = triangle_boxes(placed.vertices, placed.faces, placed.center, placed.bounds)
         tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache)
     state = MeshState(
         settings=settings,

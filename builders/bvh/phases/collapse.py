@@ -33,6 +33,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
@@ -42,8 +43,8 @@ from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
-from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.workspace import Workspace, read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
@@ -328,6 +329,7 @@ class BinaryBuild:
         space: (16 * triangles,) float32 work space, overwritten by the collapse.
         heuristic: the weight of its boxes.
         rays: the heuristic's knowledge of the rays.
+        work: work space of the build; None if there is none.
     """
 
     tree: BinaryTree
@@ -336,6 +338,11 @@ class BinaryBuild:
     space: wp.array
     heuristic: Heuristic = SURFACE
     rays: Any = field(default_factory=AllDirections)
+    work: Workspace | None = None
+
+    def __post_init__(self) -> None:
+        if self.work is None:
+            self.work = Workspace(self.space.device)
 
     def arrays(self) -> list[wp.array]:
         """The arrays that are held until the collapse is done."""
@@ -349,12 +356,28 @@ def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:
 
 def solve_costs(binary: BinaryBuild, rules: BuildRules) -> None:
     """Writes F of all inner nodes to `binary.space`."""
-    solve, device, tree, rays = make_solve(binary.heuristic), binary.space.device, binary.tree, binary.rays
-    in_order = wp.empty(0, dtype=int, device=device)
-    launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], device=device, chunk=1)
+    solve, tree, rays, work = make_solve(binary.heuristic), binary.tree, binary.rays, binary.work
+    in_order = work.empty("in order", 0, int)
+    work.launch(solve, len(binary.subtrees), [rules, rays, tree, binary.subtrees, in_order, binary.space], chunk=1)
     if binary.top is not None:
-        whole = wp.array([(0, len(binary.top))], dtype=wp.vec2i, device=device)
-        launch(solve, 1, [rules, rays, tree, whole, binary.top, binary.space], device=device)
+        whole = work.empty("whole", 1, wp.vec2i)
+        write(whole, np.array([0, len(binary.top)], dtype=np.int32))
+        work.launch(solve, 1, [rules, rays, tree, whole, binary.top, binary.space], name="top")
+
+
+def most_nodes(binary: BinaryBuild) -> int:
+    """A bound on the number of wide nodes: that of pairs, and the root."""
+    pairs = binary.subtrees.numpy()
+    return 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
+
+
+def empty_levels(nodes: int, width: int, device: wp.Device) -> WideLevels:
+    """Allocates the levels of up to so many wide nodes."""
+    wide = WideLevels()
+    wide.source = wp.empty(nodes, dtype=int, device=device)
+    wide.pick = wp.empty((nodes, width), dtype=int, device=device)
+    wide.first = wp.empty(nodes, dtype=wp.vec2i, device=device)
+    return wide
 
 
 def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, stats: BuildStats) -> Bvh:
@@ -363,34 +386,32 @@ def collapse(binary: BinaryBuild, triangles: TriangleBoxes, config: BvhConfig, s
     Raises:
         ValueError: the tree would have more than MAX_BLOCKS blocks.
     """
-    tree, costs, rays = binary.tree, binary.space, binary.rays
+    tree, costs, rays, work = binary.tree, binary.space, binary.rays, binary.work
     pick_children = make_pick_children(binary.heuristic)
-    device, width, rules = costs.device, config.cost.width, config.struct()
+    device, width = costs.device, config.cost.width
+    rules = work.make("rules", 1, lambda _: config.struct())
     solve_costs(binary, rules)
-    pairs = binary.subtrees.numpy()
-    most = 1 + int((pairs[:, 1] - pairs[:, 0]).sum()) + (0 if binary.top is None else len(binary.top))
-    wide = WideLevels()
-    wide.source = wp.zeros(most, dtype=int, device=device)
-    wide.pick = wp.empty((most, width), dtype=int, device=device)
-    wide.first = wp.empty(most, dtype=wp.vec2i, device=device)
-    totals = wp.array([1, 0], dtype=int, device=device)
+    wide = work.make("wide", most_nodes(binary), lambda size: empty_levels(size, width, device))
+    write(wide.source, np.zeros(1, dtype=np.int32))
+    totals = work.empty("totals of levels", 2, int)
+    write(totals, np.array([1, 0], dtype=np.int32))
     level_first = [0]
     nodes, blocks = 1, 0
     while level_first[-1] < nodes:
         first, count = level_first[-1], nodes - level_first[-1]
-        launch(pick_children, count, [first, rules, rays, tree, costs, wide], device=device, chunk=16)
-        launch(scan_level, 1, [first, nodes, wide, totals], device=device)
-        launch(list_children, count, [first, width, wide], device=device, chunk=128)
+        work.launch(pick_children, count, [first, rules, rays, tree, costs, wide], chunk=16)
+        work.launch(scan_level, 1, [first, nodes, wide, totals])
+        work.launch(list_children, count, [first, width, wide], chunk=128)
         level_first.append(nodes)
-        nodes, blocks = totals.numpy().tolist()  # the only host round trip of a level
+        nodes, blocks = read_ints(totals, 2)  # the only host round trip of a level
     if blocks > MAX_BLOCKS:
         raise ValueError(f"the tree needs {blocks} blocks of {width} triangles; the layout allows {MAX_BLOCKS}")
     bounds = wp.empty(nodes * 6 * width, dtype=float, device=device)
     child = wp.empty(nodes * width, dtype=int, device=device)
     primitive = wp.empty(blocks * width, dtype=int, device=device)
     inputs = [tree, rules.cost.width_bits, wide, bounds, child, primitive]
-    launch(write_nodes, nodes, inputs, device=device, chunk=16)
-    work = [*binary.arrays(), wide.source, wide.pick, wide.first]
-    stats.reserve(triangles.boxes.low, triangles.boxes.high, *work, bounds, child, primitive)
+    work.launch(write_nodes, nodes, inputs, chunk=16)
+    used = [*binary.arrays(), wide.source, wide.pick, wide.first]
+    stats.reserve(triangles.boxes.low, triangles.boxes.high, *used, bounds, child, primitive)
     low, high = wp.vec3(*map(float, triangles.low)), wp.vec3(*map(float, triangles.high))
     return Bvh(bounds, child, primitive, low, high, width, tuple(level_first), stats)

@@ -11,6 +11,9 @@ from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Corner
 
 exact_module(__name__)
 
+CHUNK = 2048
+"""Records that are worth a chunk of their own."""
+
 
 @cache
 def make_kernel(record: Record) -> wp.Kernel:
@@ -83,6 +86,9 @@ def pack_blocks(
         if done:
             wp.copy(blocks.records, earlier.records)
         if done < len(primitive):
-            inputs = [vertices, faces, primitive[done:], width, wp.vec3(*origin), blocks.records[done * record.components :]]
-            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=4096)
+            ids, records = primitive, blocks.records
+            if done:  # views take as long to make as small arrays to fill
+                ids, records = ids[done:], records[done * record.components :]
+            inputs = [vertices, faces, ids, width, wp.vec3(*origin), records]
+            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
     return blocks

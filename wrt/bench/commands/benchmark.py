@@ -25,6 +25,7 @@ COMPARISONS = {
     "builders": ("kdtree_builders_command", "builders_command"),
     "ray-aware": ("ray_aware_command", "ray_aware_command"),
     "layouts": ("kdtree_layouts_command", "layouts_command"),
+    "build-sizes": ("build_sizes_command", "build_sizes_command"),
     "scaling": ("scaling_command", "scaling_command"),
     "scheduling": ("scaling_command", "scheduling_command"),
     "animation": ("animation_command", "animation_command"),
@@ -94,8 +95,8 @@ def bench(
 
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
     bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
-    animation` ways to update moving meshes, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways
-    to divide work among them; each has options of its own.
+    build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench scaling
+    [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to divide work among them; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import print_report

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 
 import click
@@ -19,6 +20,7 @@ from wrt.bench.commands.command_options import (
 )
 from wrt.bench.core.benchmark_results import machine
 from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.embree_library import EMBREES
 from wrt.bench.studies.thread_scaling import JobFigures, measure_scaling, measure_schedules, powers_of_two
 from wrt.kernels.runtime.launch import get_num_threads
 
@@ -27,7 +29,7 @@ from wrt.kernels.runtime.launch import get_num_threads
 @click.argument("model", default="teapot")
 @click.option("--rounds", default=7, show_default=True, type=click.IntRange(1), help="Turns of each number of threads.")
 @click.option("--plot", "plot_file", type=click.Path(dir_okay=False, writable=True, path_type=Path), help="Write a picture.")
-@click.option("--embree/--no-embree", default=True, show_default=True, help="Time Embree too, if its C library is found.")
+@click.option("--embree/--no-embree", default=True, show_default=True, help="Time Embree 3 and 4 too, where found.")
 @threads_option
 @json_option
 def scaling_command(
@@ -43,12 +45,14 @@ def scaling_command(
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)
     mesh, most = load_model(model), threads or get_num_threads()
-    missing = Embree().available() if embree else None
+    peers = [Embree(1, version) for version in EMBREES] if embree else []
+    missing = {peer.name: reason for peer in peers if (reason := peer.available()) is not None}
+    found = [peer.version.number for peer in peers if peer.name not in missing]
     with progress() as on_turn, usage_errors():
-        figures = measure_scaling(mesh, powers_of_two(most), rounds, embree and missing is None, on_turn)
+        figures = measure_scaling(mesh, powers_of_two(most), rounds, found, on_turn)
     print_figures(f"threads: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles", figures)
-    if missing is not None:
-        click.echo(f"{Embree.name}: {missing}")
+    for name, reason in missing.items():
+        click.echo(f"{name}: {reason}")
     write_json(json_file, {"machine": machine("cpu"), "jobs": [asdict(row) for row in figures]})
     if plot_file is not None:
         with usage_errors():
@@ -70,15 +74,19 @@ def scheduling_command(model: str, rounds: int, threads: int | None, json_file: 
 
 
 def print_figures(title: str, figures: Sequence[JobFigures]) -> None:
-    """A table with a line a job, one more for each peer and its ratio to wrt, and a column a contender."""
+    """A table with a line a job and a column a contender; more lines for each peer, its ratio to wrt and the least ratio."""
     from wrt.bench.core.benchmark_report import new_table, times
 
     table = new_table(("job", "engine", "unit"), tuple(figures[0].names))
-    for row in figures:
-        cells = [f"{figure:.1f} ({gain:.2f}x)" for figure, gain in zip(row.figures, row.gains, strict=True)]
-        table.add_row(row.job, row.engine, row.unit, *cells)
-        if row.ratios:
-            table.add_row("", f"{row.engine} / wrt", "time", *map(times, row.ratios))
+    for _, rows in groupby(figures, key=lambda row: row.job):
+        own, *peers = rows
+        for row in (own, *peers):
+            cells = [f"{figure:.1f} ({gain:.2f}x)" for figure, gain in zip(row.figures, row.gains, strict=True)]
+            table.add_row(row.job, row.engine, row.unit, *cells)
+            if row.ratios:
+                table.add_row("", f"{row.engine} / wrt", "time", *map(times, row.ratios))
+        if len(peers) > 1:
+            table.add_row("", "fastest / wrt", "time", *map(times, own.least_ratios))
     console = table_console()
     console.print(f"[bold]{title}[/bold]", highlight=False)
     console.print(table)

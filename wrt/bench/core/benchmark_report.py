@@ -110,9 +110,16 @@ def ray_table(kind: str, questions: Iterable[Question]) -> Table:
                 "-" if row.rays_per_second is None else f"{row.rays_per_second / 1e6:.3g}",
                 spread(row, 1e3),
                 *agreement_cells(row, question),
-                end_section=number == len(rows) - 1,
             )
+        add_fastest_embree(table, question, "", "fastest Embree", "")
+        table.add_section()
     return table
+
+
+def add_fastest_embree(table: Table, question: Question, *before: str) -> None:
+    """A line with the ratio of the fastest version of Embree after other cells, if several versions took part."""
+    if len(question.embree_ratios) > 1:
+        table.add_row(*before, times(min(question.embree_ratios)))
 
 
 def agreement_cells(row: Row, question: Question) -> list[str]:
@@ -143,6 +150,7 @@ def build_table(question: Question) -> Table:
                 *("-" if count is None else f"{count:.0f}" for count in memory),
                 phases(row),
             )
+    add_fastest_embree(table, question, "fastest Embree")
     return table
 
 

@@ -18,6 +18,9 @@ from wrt.bench.core.paired_timing import Timing
 from wrt.kernels.runtime.cores import available_cores
 from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
 
+EMBREE = "Embree "
+"""How names of the contenders that are versions of Embree's C library begin."""
+
 FORMAT = 1
 """Version of the layout of `Report.to_dict`."""
 
@@ -77,6 +80,7 @@ class Question:
         rays: number of them.
         reference: name of the row that ratios refer to.
         rows: one a contender.
+        embree_ratios: of the versions of Embree that took part; wrt is held to the least.
     """
 
     kind: str
@@ -84,6 +88,10 @@ class Question:
     rays: int | None
     reference: str
     rows: list[Row] = field(default_factory=list)
+    embree_ratios: list[float] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.embree_ratios = [row.ratio for row in self.rows if row.name.startswith(EMBREE) and row.ratio is not None]
 
 
 @dataclass

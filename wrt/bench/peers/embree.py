@@ -1,4 +1,4 @@
-"""Embree without anything around it: its C library (version 3; Debian and Ubuntu: libembree3-3), asked in packets of rays.
+"""Embree without anything around it: its C library, versions 3 and 4 (`embree_library` finds them), asked in packets of rays.
 
 Packets have as many rays as Embree traces natively on this CPU: 16 with AVX-512, 8 with AVX, 4 elsewhere. The loop over them is
 a kernel (`embree_packets`) that runs on wrt's thread pool, in chunks of as many rays as wrt's own queries. What is timed is
@@ -19,7 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.bench.core.workloads import Workload
-from wrt.bench.peers.embree_library import Device, Scene, address_of, library, thread_limit
+from wrt.bench.peers.embree_library import EMBREES, Device, Scene, address_of, library, thread_limit
 from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
 from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
 from wrt.execution.traversal_launch import MIN_CHUNK
@@ -33,30 +33,36 @@ NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}
 COHERENT = ("far", "near", "shadow")
 """Workloads whose packets are declared coherent."""
 
-_RAY_FIELDS = "org_x org_y org_z tnear dir_x dir_y dir_z time tfar mask id flags"
-_HIT_FIELDS = "Ng_x Ng_y Ng_z u v primID geomID instID"
-_WHOLE = {"mask", "id", "flags", "primID", "geomID", "instID"}
+_RAY_FIELDS = ("org_x", "org_y", "org_z", "tnear", "dir_x", "dir_y", "dir_z", "time", "tfar", "mask", "id", "flags")
+_WHOLE = {"mask", "id", "flags", "primID", "geomID", "instID", "instPrimID"}
 
 NONE = np.uint32(NO_GEOMETRY)
 
 
 class Embree(Peer):
-    """Embree's C library, version 3."""
+    """Embree's C library.
 
-    name = "Embree"
+    Args:
+        threads: that build and trace.
+        version: 3 or 4.
+    """
+
     package = "ctypes"
 
+    def __init__(self, threads: int = 1, version: int = 3) -> None:
+        super().__init__(threads)
+        self.version = EMBREES[version]
+        self.name = f"Embree {version}"
+
     def available(self) -> str | None:
-        """Why it cannot run here; None if it can."""
-        return None if library() is not None else "not installed; install Embree 3 for your system (Debian: libembree3-3)"
+        """Why it cannot run here, with the way to get it; None if it can."""
+        return None if library(self.version.number) is not None else f"not installed; {self.version.remedy}"
 
     def load(self, mesh: TriangleMesh) -> None:
-        lib = library()
         most = ",max_isa=avx2" if target_name() == "x86-64-v3" else ""
-        self._embree_device = Device(f"threads={self.threads}{most}", self.threads)
-        supports = lib.rtcGetDeviceProperty
-        self.width = next(width for width, asked in NATIVE_WIDTHS.items() if supports(self._embree_device.handle, asked))
-        version = lib.rtcGetDeviceProperty(self._embree_device.handle, 0)
+        self._embree_device = device = Device(self.version.number, f"threads={self.threads}{most}", self.threads)
+        self.width = next(width for width, asked in NATIVE_WIDTHS.items() if device.property(asked))
+        version = device.property(0)
         self.note = f"version {version // 10000}.{version // 100 % 100}, its C library, packets of {self.width}, not robust"
         self.note += ", AVX2" if most else ""
         padded = np.zeros((len(mesh.vertices) + 1, 3), dtype=np.float32)  # Embree reads 16 bytes a vertex
@@ -74,9 +80,9 @@ class Embree(Peer):
         Raises:
             RuntimeError: Embree would build with another number of threads than this peer has.
         """
-        if thread_limit() != self.threads:
+        if thread_limit(self.version.number) != self.threads:
             gc.collect()  # peers that nobody needs
-        if (limit := thread_limit()) != self.threads:
+        if (limit := thread_limit(self.version.number)) != self.threads:
             raise RuntimeError(f"Embree's devices share threads: it would build with {limit}, not {self.threads}")
         self._scene = None  # first: its memory is the next one's
         self._scene = Scene(self._embree_device, *self._mesh)
@@ -101,9 +107,12 @@ class Embree(Peer):
     def _asking(self, function: str, rays: Workload) -> Callable[[], np.ndarray]:
         """A function that calls `rtcIntersect` or `rtcOccluded` and returns the packets."""
         closest, scene, threads = function == "rtcIntersect", self._scene, self.threads
-        packets = ray_packets(rays, self.width, closest)
-        address = address_of(f"{function}{self.width}")
-        inputs = [address, scene.handle, int(rays.name in COHERENT), packets.ctypes.data, self.width, closest, rays.t_max]
+        version, hit_fields = self.version.number, self.version.hit_fields if closest else ()
+        packets = ray_packets(rays, self.width, hit_fields)
+        address = address_of(version, f"{function}{self.width}")
+        flags = self.version.coherent if rays.name in COHERENT else 0
+        fields = len(_RAY_FIELDS) + len(hit_fields)
+        inputs = [address, scene.handle, version, flags, packets.ctypes.data, self.width, fields, closest, rays.t_max]
         launch = PreparedLaunch(trace_packets, inputs, wp.get_device("cpu"))
         chunks = Chunks(MIN_CHUNK // self.width, MAX_CHUNK // self.width)
 
@@ -115,13 +124,13 @@ class Embree(Peer):
         return run
 
 
-def ray_packets(rays: Workload, width: int, hits: bool) -> np.ndarray:
-    """(ceil(N / width),) Embree's RTCRay of that width, or RTCRayHit, aligned as it requires.
+def ray_packets(rays: Workload, width: int, hit_fields: tuple[str, ...]) -> np.ndarray:
+    """(ceil(N / width),) Embree's RTCRay of that width, or with fields of a hit its RTCRayHit, aligned as it requires.
 
     The rays are in order; lanes beyond the last ray repeat it.
     """
-    names = f"{_RAY_FIELDS} {_HIT_FIELDS}" if hits else _RAY_FIELDS
-    layout = np.dtype([(name, np.uint32 if name in _WHOLE else np.float32, width) for name in names.split()])
+    names = (*_RAY_FIELDS, *hit_fields)
+    layout = np.dtype([(name, np.uint32 if name in _WHOLE else np.float32, width) for name in names])
     count = -(-len(rays) // width)
     memory = np.zeros(count * layout.itemsize + 64, dtype=np.uint8)
     skipped = -memory.ctypes.data % 64

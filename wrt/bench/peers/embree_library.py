@@ -1,4 +1,8 @@
-"""Embree's C library, version 3, called through ctypes: what the benchmark needs of it."""
+"""Embree's C libraries, versions 3 and 4, called through ctypes: what the benchmark needs of them.
+
+The two differ in where they are found, in the fields of a hit and in how a query is told that its rays are coherent
+(`EMBREES`); `embree_packets` has the rest. Layouts are those of the public headers.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +11,76 @@ import ctypes.util
 import weakref
 from collections.abc import Callable
 from ctypes import c_char_p, c_int, c_size_t, c_ssize_t, c_uint, c_void_p, cast
+from dataclasses import dataclass
 from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from typing import Any
 
 import numpy as np
 
 
+@dataclass(frozen=True)
+class EmbreeVersion:
+    """What differs between versions of Embree.
+
+    Attributes:
+        number: of the version.
+        find: where its library is: a name or path for the dynamic linker; None if it is not there.
+        remedy: how to get it.
+        hit_fields: fields of a hit, after those of its ray. Version 4 adds the primitive of an instance, `instPrimID`.
+        coherent: the flag which says that rays are coherent.
+    """
+
+    number: int
+    find: Callable[[], str | None]
+    remedy: str
+    hit_fields: tuple[str, ...]
+    coherent: int
+
+
+def library_in_embreex() -> str | None:
+    """Path of the library that the wheel of embreex carries; embreex itself is not imported."""
+    try:
+        files = distribution("embreex").files or []
+    except PackageNotFoundError:
+        return None
+    return next((str(file.locate()) for file in files if "embree4" in file.name), None)
+
+
+HIT_FIELDS = ("Ng_x", "Ng_y", "Ng_z", "u", "v", "primID", "geomID", "instID")
+
+EMBREES: dict[int, EmbreeVersion] = {
+    found.number: found
+    for found in (
+        EmbreeVersion(
+            3,
+            lambda: ctypes.util.find_library("embree3"),
+            "install Embree 3 for your system (Debian 12: libembree3-3)",
+            HIT_FIELDS,
+            1,
+        ),
+        EmbreeVersion(
+            4,
+            lambda: library_in_embreex() or ctypes.util.find_library("embree4"),
+            "pip install embreex, whose wheel has it, or install Embree 4 for your system (Debian: libembree4-4)",
+            (*HIT_FIELDS, "instPrimID"),
+            1 << 16,
+        ),
+    )
+}
+"""Versions of Embree by their numbers."""
+
+
 @cache
-def library() -> Any:
-    """Embree's C library with the types of what is called; None if it is not there."""
-    name = ctypes.util.find_library("embree3")
+def library(version: int) -> Any:
+    """Embree's C library of a version, with the types of what is called; None if it is not there or cannot be loaded."""
+    name = EMBREES[version].find()
     if name is None:
         return None
-    lib = ctypes.CDLL(name)
+    try:
+        lib = ctypes.CDLL(name)
+    except OSError:  # what it needs is missing
+        return None
     handle = c_void_p
     types: dict[str, tuple[Any, tuple[Any, ...]]] = {
         "rtcNewDevice": (handle, (c_char_p,)),
@@ -40,9 +101,9 @@ def library() -> Any:
     return lib
 
 
-def address_of(function: str) -> int:
-    """Address of one of its functions."""
-    return cast(getattr(library(), function), c_void_p).value
+def address_of(version: int, function: str) -> int:
+    """Address of one of a version's functions."""
+    return cast(getattr(library(version), function), c_void_p).value
 
 
 class Owned:
@@ -59,13 +120,19 @@ class Device(Owned):
     """A device of Embree's, which lives as long as its scenes do.
 
     Attributes:
+        version: number of its version.
         threads: that it builds with.
     """
 
-    def __init__(self, settings: str, threads: int) -> None:
-        super().__init__(library().rtcNewDevice(settings.encode()), library().rtcReleaseDevice)
-        self.threads = threads
+    def __init__(self, version: int, settings: str, threads: int) -> None:
+        self.library = library(version)
+        super().__init__(self.library.rtcNewDevice(settings.encode()), self.library.rtcReleaseDevice)
+        self.version, self.threads = version, threads
         _devices.add(self)
+
+    def property(self, number: int) -> int:
+        """`rtcGetDeviceProperty`."""
+        return self.library.rtcGetDeviceProperty(self.handle, number)
 
 
 class Scene(Owned):
@@ -78,7 +145,7 @@ class Scene(Owned):
     """
 
     def __init__(self, device: Device, vertices: np.ndarray, faces: np.ndarray) -> None:
-        lib = library()
+        lib = device.library
         super().__init__(lib.rtcNewScene(device.handle), lib.rtcReleaseScene)
         self.device, self.arrays = device, (vertices, faces)
         triangles = Owned(lib.rtcNewGeometry(device.handle, 0), lib.rtcReleaseGeometry)
@@ -94,6 +161,9 @@ _devices: weakref.WeakSet[Device] = weakref.WeakSet()
 """All devices of the process."""
 
 
-def thread_limit() -> int:
-    """Threads with which any device builds: all of a process share them, as many as the device with the most has."""
-    return max((device.threads for device in _devices), default=0)
+def thread_limit(version: int) -> int:
+    """Threads with which any device of a version builds: they share them, as many as the device with the most has.
+
+    Devices that others make with the same library count too, but are not known here: embreex makes its own, for all cores.
+    """
+    return max((device.threads for device in _devices if device.version == version), default=0)

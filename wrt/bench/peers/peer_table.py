@@ -13,6 +13,7 @@ from wrt.bench.peers.open3d_peer import Open3D
 from wrt.bench.peers.peer import Peer
 from wrt.bench.peers.trimesh_peers import Embreex, Trimesh, TrimeshEmbreex
 from wrt.bench.peers.warp_mesh_peer import WarpMesh
+from wrt.kernels.runtime.cores import available_cores
 from wrt.tables import lookup
 
 PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
@@ -20,29 +21,44 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "plain": lambda threads, device: [plain_engine(threads, device)],
     "engines": all_engines,
     "open3d": lambda threads, device: [Open3D(threads)],
-    "embree": lambda threads, device: [Embree(threads)],
+    "embree": lambda threads, device: [Embree(threads, 3), Embree(threads, 4)],
+    "embree3": lambda threads, device: [Embree(threads, 3)],
+    "embree4": lambda threads, device: [Embree(threads, 4)],
     "embreex": lambda threads, device: [Embreex()],
     "warp_mesh": lambda threads, device: [WarpMesh(device=device)],
     "trimesh": lambda threads, device: [Trimesh()],
     "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
 }
 """Contenders by the name that the command line knows; "plain" is wrt with a triangle test that leaks, "engines" are its
-traversals, each by itself."""
+traversals, each by itself; "embree" is both versions of Embree."""
 
 
 def make_peers(names: Iterable[str], threads: int, device: str) -> tuple[list[Peer], dict[str, str]]:
-    """The peers that can run here, wrt first whether named or not, and the reasons of those that cannot.
+    """The peers that can run here, each once and wrt first whether named or not, and the reasons of those that cannot.
 
     Raises:
         ValueError: unknown name.
     """
-    peers: list[Peer] = []
+    peers: dict[str, Peer] = {}
     missing: dict[str, str] = {}
     for name in dict.fromkeys(["wrt", *names]):
         for peer in lookup(PEERS, name, "peer")(threads, device):
-            reason = peer.available()
+            if peer.name in peers or peer.name in missing:
+                continue
+            reason = peer.available() or embreex_conflict(peer, peers.values(), threads)
             if reason is None:
-                peers.append(peer)
+                peers[peer.name] = peer
             else:
                 missing[peer.name] = reason
-    return peers, missing
+    return list(peers.values()), missing
+
+
+def embreex_conflict(peer: Peer, others: Iterable[Peer], threads: int) -> str | None:
+    """Why a binding of Embree 4 cannot take part beside Embree 4 itself; None if it can.
+
+    Its devices build with all cores, and devices of one library share threads: Embree 4 would build with all cores too.
+    """
+    beside = any(isinstance(other, Embree) and other.version.number == 4 for other in others)
+    if peer.package != "embreex" or not beside or threads >= available_cores():
+        return None
+    return f"builds with all cores, as Embree 4 then would, not with {threads}; ask for it without embree and embree4"

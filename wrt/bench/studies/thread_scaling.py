@@ -1,8 +1,8 @@
 """How queries and builds gain from threads on the CPU, how Embree does beside them, and how the pool's schedules compare.
 
 For a job, contenders are the numbers of threads (or the schedules), which take turns; ratios are those of the same round. Of
-some jobs, Embree does the same beside wrt, with the same rays, on the same pool of threads, or builds of the same mesh with
-threads of its own: with each number of threads it takes its turn after wrt.
+some jobs, versions of Embree do the same beside wrt, with the same rays, on the same pool of threads, or builds of the same
+mesh with threads of their own: with each number of threads they take their turns after wrt.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ class Job:
         unit: "Mrays/s" or "ms".
         amount: rays; 0 for a build.
         prepare: makes what is run, for a number of threads.
-        peer: makes what Embree runs; None if it is not asked.
+        peers: by the name of each version of Embree that is asked: makes what it runs.
     """
 
     name: str
     unit: str
     amount: int
     prepare: Prepare
-    peer: Prepare | None = None
+    peers: dict[str, Prepare] = field(default_factory=dict)
 
     def figure(self, seconds: float) -> float:
         """The time of one run in the job's unit."""
@@ -76,8 +76,9 @@ class JobFigures:
         names: of the contenders: numbers of threads, or schedules.
         figures: of each, by the median time.
         gains: of each, the first contender's time / its own, median of the rounds.
-        engine: "wrt" or "Embree".
+        engine: "wrt", "Embree 3" or "Embree 4".
         ratios: of a peer with each number of threads, its time / wrt's, median of the rounds: above one, wrt is faster.
+        least_ratios: of wrt with each number of threads: the ratio of the fastest peer; empty if none was asked.
     """
 
     job: str
@@ -87,17 +88,18 @@ class JobFigures:
     gains: list[float]
     engine: str = "wrt"
     ratios: list[float] = field(default_factory=list)
+    least_ratios: list[float] = field(default_factory=list)
 
 
 class EmbreeTurns:
-    """Embree with changing numbers of threads.
+    """A version of Embree with changing numbers of threads.
 
     One scene answers rays with any number of threads, since these are wrt's. Builds need a device with so many threads, and no
     other device beside it: that is made when the number changes, in the untimed call before the timed one.
     """
 
-    def __init__(self, mesh: TriangleMesh) -> None:
-        self._mesh = mesh
+    def __init__(self, mesh: TriangleMesh, version: int) -> None:
+        self._mesh, self._version = mesh, version
         self._peer: Embree | None = None
 
     def rays(self, workload: Workload) -> Prepare:
@@ -105,7 +107,7 @@ class EmbreeTurns:
 
         def prepare(threads: int) -> Callable[[], Any]:
             if self._peer is None:
-                self._peer = Embree(1)
+                self._peer = Embree(1, self._version)
                 self._peer.build(self._mesh)
             return self._peer.asked_by(threads).closest(workload).run
 
@@ -117,17 +119,17 @@ class EmbreeTurns:
         def run() -> None:
             if self._peer is None or self._peer.threads != threads:
                 self._peer = None  # before the next one is made
-                self._peer = Embree(threads)
+                self._peer = Embree(threads, self._version)
                 self._peer.load(self._mesh)
             self._peer.commit()
 
         return run
 
 
-def make_jobs(mesh: TriangleMesh, with_embree: bool = False) -> list[Job]:
-    """The jobs on a mesh; those on Embree's workloads only if it takes part."""
+def make_jobs(mesh: TriangleMesh, embrees: Sequence[int] = ()) -> list[Job]:
+    """The jobs on a mesh; those on Embree's workloads only if one of its versions takes part."""
     engines: dict[int, Engine] = {}
-    embree = EmbreeTurns(mesh) if with_embree else None
+    turns = {Embree(1, version).name: EmbreeTurns(mesh, version) for version in embrees}
 
     def engine_for(threads: int) -> Engine:
         if threads not in engines:
@@ -142,13 +144,15 @@ def make_jobs(mesh: TriangleMesh, with_embree: bool = False) -> list[Job]:
         def prepare(threads: int) -> Callable[[], Any]:
             return engine_for(threads).closest(workload).run
 
-        return Job(f"{workload.name} {len(workload):,}", "Mrays/s", len(workload), prepare, embree.rays(workload))
+        peers = {name: embree.rays(workload) for name, embree in turns.items()}
+        return Job(f"{workload.name} {len(workload):,}", "Mrays/s", len(workload), prepare, peers)
 
     def build_job(kind: str) -> Job:
         def prepare(threads: int) -> Callable[[], Any]:
             return lambda: Scene(mesh, kind, device="cpu", num_threads=threads)
 
-        return Job(f"build {kind}", "ms", 0, prepare, embree.build if embree and kind == "bvh" else None)
+        peers = {name: embree.build for name, embree in turns.items()} if kind == "bvh" else {}
+        return Job(f"build {kind}", "ms", 0, prepare, peers)
 
     rng, (low, high) = np.random.default_rng(0), mesh.bounds
     views = {size: PinholeCamera.framing(mesh, size, size, up=(0, 0, 1)).rays() for size in VIEWS}  # the records' rays
@@ -156,7 +160,7 @@ def make_jobs(mesh: TriangleMesh, with_embree: bool = False) -> list[Job]:
     for count in RANDOM:
         origins = rng.uniform(low, high, (count, 3)).astype(np.float32)
         jobs.append(rays_job(f"random {count:,}", count, origins, rng.normal(size=(count, 3)).astype(np.float32)))
-    if embree is not None:
+    if turns:
         jobs += [compared_job(workload) for workload in WorkloadMaker(mesh, size=COMPARED_SIZE).make(COMPARED)]
     return jobs + [build_job(kind) for kind in BUILDS]
 
@@ -165,24 +169,24 @@ def measure_scaling(
     mesh: TriangleMesh,
     threads: Sequence[int],
     rounds: int,
-    with_embree: bool = False,
+    embrees: Sequence[int] = (),
     on_turn: OnTurn = lambda name: None,
 ) -> list[JobFigures]:
-    """Times every job with each number of threads, Embree after wrt."""
+    """Times every job with each number of threads, versions of Embree after wrt."""
     figures = []
-    for job in make_jobs(mesh, with_embree):
+    for job in make_jobs(mesh, embrees):
         names = [f"{count} thread{'s' * (count > 1)}" for count in threads]
         contenders = []
         for name, count in zip(names, threads, strict=True):
             contenders.append(Contender(name, job.prepare(count)))
-            if job.peer is not None:
-                contenders.append(Contender(f"{Embree.name}, {name}", job.peer(count)))
+            contenders += [Contender(f"{peer}, {name}", prepare(count)) for peer, prepare in job.peers.items()]
         timings = run_turns(job, contenders, rounds, on_turn)
         figures.append(own := figures_of(job, {name: timings[name] for name in names}))
-        if job.peer is not None:
-            beside = {name: timings[f"{Embree.name}, {name}"] for name in names}
-            figures.append(figures_of(job, beside, Embree.name))
-            figures[-1].ratios = [beside[name].ratio_to(timings[name]) for name in own.names]
+        for peer in job.peers:
+            beside = {name: timings[f"{peer}, {name}"] for name in names}
+            figures.append(figures_of(job, beside, peer))
+            figures[-1].ratios = [beside[name].ratio_to(timings[name]) for name in names]
+            own.least_ratios = [*map(min, own.least_ratios or figures[-1].ratios, figures[-1].ratios)]
     return figures
 
 
@@ -206,7 +210,7 @@ def measure_schedules(mesh: TriangleMesh, threads: int, rounds: int, on_turn: On
 
 def run_turns(job: Job, contenders: Sequence[Contender], rounds: int, on_turn: OnTurn) -> dict[str, Timing]:
     """Times a job's contenders in turn. Where Embree builds, every turn begins with an untimed call (`EmbreeTurns`)."""
-    settle = float("inf") if job.peer is not None and not job.amount else SETTLE
+    settle = float("inf") if job.peers and not job.amount else SETTLE
     timings = take_turns(contenders, rounds, settle=settle, on_turn=lambda name: on_turn(f"{job.name}, {name}"))
     for name, timing in timings.items():
         if timing.error is not None:
