@@ -69,6 +69,7 @@ _HOME = {
     "save_image": "wrt.imaging.image_files",
     "scenes": "wrt",
     "set_num_threads": "wrt.kernels.runtime.launch",
+    "show_compiling": "wrt.kernels.compilation.compile_progress",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -12,6 +12,8 @@ table.
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import warp as wp
+
 from wrt.builders.bvh import binned_bvh as binned
 from wrt.builders.bvh import sweep_bvh as sweep
 from wrt.builders.bvh.bvh_config import BvhConfig
@@ -27,21 +29,29 @@ class BvhBuilder:
         name: key in `BVH_BUILDERS`.
         paper: authors, title, year.
         build: (boxes, config) -> tree.
+        kernels: (config, triangles) -> one kernel of each module that a build needs, for compiling them beforehand.
     """
 
     name: str
     paper: str
     build: Callable[[TriangleBoxes, BvhConfig], Bvh]
+    kernels: Callable[[BvhConfig, int], list[wp.Kernel]]
 
 
 BVH_BUILDERS: dict[str, BvhBuilder] = {
     builder.name: builder
     for builder in (
-        BvhBuilder("binned", "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)", binned.build),
+        BvhBuilder(
+            "binned",
+            "Wald: On fast construction of SAH-based bounding volume hierarchies (2007)",
+            binned.build,
+            binned.kernels,
+        ),
         BvhBuilder(
             "sweep",
             "Wald, Boulos, Shirley: Ray tracing deformable scenes using dynamic bounding volume hierarchies (2007)",
             sweep.build,
+            sweep.kernels,
         ),
     )
 }

@@ -79,6 +79,19 @@ def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
         return BinnedBuilder(triangles, config, work=work).build()
 
 
+def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -> list[wp.Kernel]:
+    """One kernel of each module that a build of so many triangles needs."""
+    levels = [make_search_planes(heuristic)] if triangles > largest_task(triangles) else []
+    moving = [find_insertion_positions] if config.reinsertion else []
+    return [level_phase.make_references, *levels, make_build_subtrees(heuristic), *moving, *collapse_kernels(heuristic)]
+
+
+def largest_task(triangles: int) -> int:
+    """Most triangles of a node that one thread makes a subtree of; larger nodes are split by all threads."""
+    threads = get_num_threads()
+    return max(MIN_LARGE, triangles // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles
+
+
 class BinnedBuilder:
     """The state of one build.
 
@@ -112,7 +125,7 @@ class BinnedBuilder:
         self.tree = work.make("tree", count, lambda size: empty_tree(size, self.device))
         threads = get_num_threads()
         self.chunk = max(MIN_CHUNK, -(-count // (CHUNKS_PER_THREAD * threads)))
-        self.large = max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
+        self.large = largest_task(count)
         self.references = work.empty("references", 16 * count, float)
         """Two buffers of references."""
         self.top: wp.array | None = None
@@ -135,8 +148,7 @@ class BinnedBuilder:
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""
-        moving = [find_insertion_positions] if self.config.reinsertion else []
-        return [level_phase.bin_chunks, self.search_planes, self.subtree_kernel, *moving, *collapse_kernels(self.heuristic)]
+        return kernels(self.config, self.triangles.count, self.heuristic)
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""

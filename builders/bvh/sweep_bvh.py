@@ -27,6 +27,7 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.phases.bin_heuristic import SURFACE
 from wrt.builders.bvh.phases.binary_tree import (
     LEAF,
     BinaryTree,
@@ -37,7 +38,7 @@ from wrt.builders.bvh.phases.binary_tree import (
     must_split_at_median,
     split_cost,
 )
-from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse
+from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_kernels
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
 from wrt.builders.bvh.phases.sweep_lists import (
@@ -197,10 +198,16 @@ def build_by_sweep(
     subtrees[number] = wp.vec2i(begin, next_pair)
 
 
+def kernels(config: BvhConfig, triangles: int) -> list[wp.Kernel]:
+    """One kernel of each module that a build needs, of any number of triangles."""
+    moving = [find_insertion_positions] if config.reinsertion else []
+    return [emit_keys, bound_chunks, build_by_sweep, *moving, *collapse_kernels(SURFACE)]
+
+
 def build(triangles: TriangleBoxes, config: BvhConfig) -> Bvh:
     """Builds the tree on the device that holds the boxes."""
     device, count, rules = triangles.boxes.low.device, triangles.count, config.struct()
-    load([emit_keys, bound_chunks, build_by_sweep, find_insertion_positions], device)
+    load(kernels(config, count), device)  # compilation is not a phase of the build
     phase, threads = Phases(device), get_num_threads()
     large = max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
     tree = empty_tree(count, device)

@@ -21,7 +21,7 @@ References:
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -30,10 +30,11 @@ from typing import Any, TypeVar
 
 import warp as wp
 
+from wrt.kernels.compilation import module_compiler
+from wrt.kernels.compilation.cores import available_cores
+from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.cores import available_cores
-from wrt.kernels.runtime.kernel_cache import init_warp, load_module
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 
 Config = TypeVar("Config")
@@ -308,17 +309,28 @@ def load_changed(kernel: wp.Kernel, device: wp.Device) -> None:
 
     A kernel with `Any` parameters gains one for each new type.
     """
-    with _lock:
-        load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
+    module_compiler.load_modules([kernel.module], device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
 def load(kernels: Sequence[wp.Kernel], device: wp.Device) -> None:
-    """Compiles and loads the modules of kernels, once, however many threads call this at the same time."""
+    """Compiles the modules of kernels side by side and loads them, once, however many threads call this at the same time."""
     for kernel in kernels:
         if (kernel, device.alias) not in _loaded:
-            with _lock:
-                load_module(kernel.module, device, 1 if device.is_cpu else CUDA_BLOCK)
-                _loaded.add((kernel, device.alias))
+            break
+    else:
+        return
+    module_compiler.load_modules([kernel.module for kernel in kernels], device, 1 if device.is_cpu else CUDA_BLOCK)
+    _loaded.update((kernel, device.alias) for kernel in kernels)
+
+
+def expect(kernels: Iterable[wp.Kernel], device: wp.Device) -> None:
+    """Begins to compile the modules of kernels that will be needed soon, and does not wait for them.
+
+    Costs nothing for kernels that are loaded, and little for those that the kernel cache has.
+    """
+    wanted = [kernel.module for kernel in kernels if (kernel, device.alias) not in _loaded]
+    if wanted:
+        module_compiler.expect(wanted, device, 1 if device.is_cpu else CUDA_BLOCK)
 
 
 def specialise(factory: Callable[[Config], wp.Kernel], config: Config) -> wp.Kernel:

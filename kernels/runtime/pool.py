@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.kernels.compilation.cores import available_cores
+from wrt.kernels.compilation.module_compiler import load_modules
 from wrt.kernels.runtime import board as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.cores import available_cores
-from wrt.kernels.runtime.kernel_cache import load_module
 from wrt.kernels.runtime.schedules import Schedule
 
 SPIN_SECONDS = 0.001
@@ -283,7 +283,7 @@ def the_pool() -> Pool:
     if _pool is None:
         with _pool_lock:
             if _pool is None:
-                load_module(layout.serve.module, wp.get_device("cpu"), 1)
+                load_modules([layout.serve.module], wp.get_device("cpu"), 1)
                 pool = Pool()
                 atexit.register(pool.close)  # registered after Warp's handler, so called before it
                 _pool = pool

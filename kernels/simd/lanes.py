@@ -10,7 +10,7 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.target import lane_width
+from wrt.kernels.compilation.target import lane_width
 
 FOR_LANES = """
 #ifndef WRT_FOR_LANES

@@ -113,8 +113,9 @@ def test_startup_runs_fresh_processes(monkeypatch):
 
     monkeypatch.setattr(startup, "run_process", fake)
     question = startup.ask_startup([], 1, "cpu", 2)
-    assert [row.name for row in question.rows] == ["import warp", "import wrt", "wrt, first hit", startup.EMPTY_CACHE]
-    assert calls == [False] * 9 + [True], "three warm-ups, two rounds of three, one empty cache"
+    warm = ["import warp", "import wrt", "wrt, first hit", startup.PICTURE]
+    assert [row.name for row in question.rows] == [*warm, startup.EMPTY_CACHE, startup.PICTURE_EMPTY_CACHE]
+    assert calls == [False] * 12 + [True] * 2, "four warm-ups, two rounds of four, two empty caches"
     assert all(row.details["phases"] == {"import": 0.5} for row in question.rows)
 
 

@@ -298,34 +298,9 @@ def test_kernels_that_cannot_be_kept(tmp_path):
     assert not folder.exists()
 
 
-def test_compiling_is_announced_at_a_terminal(monkeypatch, capfd, tmp_path):
-    """Before the first module that the kernel cache does not have, once, and only where somebody reads along."""
-    from wrt.kernels.runtime import kernel_cache as cache
-
-    class Module:
-        def get_module_identifier(self, block_dim):
-            return "wp_some_kernels_1234567"
-
-        def load(self, device, block_dim):
-            (tmp_path / "wp_some_kernels_1234567").mkdir(exist_ok=True)
-
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    cache.announce_compilation.cache_clear()
-    cache.load_module(Module(), None, 1)
-    assert capfd.readouterr().err == "", "no terminal"
-    (tmp_path / "wp_some_kernels_1234567").rmdir()
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True)
-    cache.load_module(Module(), None, 1)
-    assert "wrt: compiling kernels" in capfd.readouterr().err
-    cache.load_module(Module(), None, 1)
-    (tmp_path / "wp_some_kernels_1234567").rmdir()
-    cache.load_module(Module(), None, 1)
-    assert capfd.readouterr().err == "", "once"
-
-
 def test_a_kernel_cache_that_runs_full(monkeypatch, capfd):
     """Compiling fails with whatever the system says; then a folder of the process's own is taken, and it works."""
-    from wrt.kernels.runtime import kernel_cache as cache
+    from wrt.kernels.compilation import kernel_cache as cache
 
     class Module:
         modified = False

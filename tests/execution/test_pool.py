@@ -17,9 +17,9 @@ import warp as wp
 from test_threads import from_threads, queries
 
 import wrt
+from wrt.kernels.compilation.cores import available_cores, cpu_quota
 from wrt.kernels.runtime import launch as launching
 from wrt.kernels.runtime import pool as pools
-from wrt.kernels.runtime.cores import available_cores, cpu_quota
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, launch, use_schedule, use_threads
 from wrt.kernels.runtime.schedules import SCHEDULES
 

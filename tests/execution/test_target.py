@@ -12,7 +12,7 @@ import warp as wp
 from click.testing import CliRunner
 
 from wrt.cli import main
-from wrt.kernels.runtime import target
+from wrt.kernels.compilation import target
 from wrt.kernels.simd.lanes import native_width
 
 pytestmark = pytest.mark.width
@@ -40,7 +40,7 @@ def show(bits: wp.array(dtype=int)):
 
 kernels = [wp.kernel(show, module="unique", enable_backward=False)]  # hashed here, with the flags of now
 if len(sys.argv) > 1:
-    from wrt.kernels.runtime.target import choose
+    from wrt.kernels.compilation.target import choose
     choose(sys.argv[1])
 from wrt.kernels.simd.lanes import native_width
 wp.config.log_level = wp.LOG_ERROR

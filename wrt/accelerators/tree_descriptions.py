@@ -157,3 +157,9 @@ class Bvh:
         from wrt.builders.bvh import BVH_BUILDERS
 
         return BVH_BUILDERS[self.builder].build(triangles, self.config(width))
+
+    def kernels(self, triangles: int, width: int) -> list[wp.Kernel]:
+        """One kernel of each module that a build of so many triangles needs; width: as in `config`."""
+        from wrt.builders.bvh import BVH_BUILDERS
+
+        return BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)

@@ -5,6 +5,7 @@
     wrt info bunny.ply              the mesh and its tree
     wrt verify bunny.ply            hits against brute force in float64
     wrt list                        every builder, traversal, triangle test and built-in scene
+    wrt warm                        compiles the kernels of the default paths ahead
     wrt bench bunny.ply             against other ray tracers
 
 An error is one line on stderr. Exit status: 0 for success, 1 for a failure, 2 for wrong usage, 130 for Ctrl-C. Commands are
@@ -81,6 +82,7 @@ for command in (
     LazyCommand("info", "wrt.cli.figures", "info", "Shows statistics of a mesh and of its tree."),
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),
+    LazyCommand("warm", "wrt.cli.warm", "warm", "Compiles the kernels of the default paths ahead."),
     LazyCommand("bench", "wrt.bench.commands.benchmark", "bench", "Compares wrt with other ray tracers, on the same rays."),
 ):
     main.add_command(command)

@@ -6,7 +6,7 @@ import ast
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +51,7 @@ class UpDirection(Vector):
 
 
 def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
-    from wrt.kernels.runtime.target import choose
+    from wrt.kernels.compilation.target import choose
 
     try:
         choose(**{{"target": "target", "lanes": "width"}[param.name]: value})
@@ -60,7 +60,7 @@ def _set_target(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 
 
 def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options for the target of CPU kernels (`wrt.kernels.runtime.target`); set while arguments are parsed, before Warp
+    """Options for the target of CPU kernels (`wrt.kernels.compilation.target`); set while arguments are parsed, before Warp
     starts."""
     shared = {"expose_value": False, "is_eager": True, "callback": _set_target}
     name = "native, x86-64-v3 (AVX2) or x86-64-v4 (AVX-512). [WRT_TARGET, or native]"
@@ -125,6 +125,20 @@ def _scene_options(pairs: tuple[str, ...], level: int | None) -> dict[str, Any]:
     return options
 
 
+def expect_build(given: Mapping[str, Any]) -> None:
+    """Begins to compile what builds a scene, while its mesh is being read."""
+    import numpy as np
+    import warp as wp
+
+    from wrt.accelerators.accelerator import resolve_accelerator
+    from wrt.execution.expected_kernels import MANY_TRIANGLES, build_kernels
+    from wrt.kernels.runtime.launch import expect, use_threads
+
+    with use_threads(given["threads"]), suppress(ValueError):  # `make_scene` says what is wrong with a name
+        accelerator, device = resolve_accelerator(given["accelerator"]), wp.get_device(given["device"])
+        expect(build_kernels(accelerator, device, np.float32, 2 * MANY_TRIANGLES), wp.get_device("cpu"))
+
+
 def make_scene(geometry: Any, given: Mapping[str, Any], triangle_test: str = "auto") -> Scene:
     """The scene, with the requested accelerator, device and number of threads."""
     from wrt.accelerators.accelerator import resolve_accelerator
@@ -179,9 +193,12 @@ def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
     from rich.console import Console
     from rich.progress import Progress
 
+    from wrt.kernels.compilation import compile_progress
+
     with Progress(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        with compile_progress.report_to(lambda text: bar.update(task, description=title if text is None else text)):
+            yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 @contextmanager
@@ -192,5 +209,10 @@ def busy(title: str) -> Iterator[None]:
         return
     from rich.console import Console
 
-    with Console(stderr=True).status(title):
+    from wrt.kernels.compilation import compile_progress
+
+    with (
+        Console(stderr=True).status(title) as status,
+        compile_progress.report_to(lambda text: status.update(title if text is None else text)),
+    ):
         yield

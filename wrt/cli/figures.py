@@ -25,7 +25,7 @@ def info(as_json: bool, **given: Any) -> None:
     start_warp(given["device"])
     mesh, _ = load_mesh(given)
     scene = make_scene(mesh, given)
-    result = {"model": mesh.summary(), **scene.statistics().to_dict(), "CPU": _cpu()}
+    result = {"model": mesh.summary(), **scene.statistics().to_dict(), "CPU": _cpu(), "kernels": _kernels()}
     if as_json:
         click.echo(json.dumps(result, indent=1))
         return
@@ -34,13 +34,24 @@ def info(as_json: bool, **given: Any) -> None:
 
 def _cpu() -> dict[str, Any]:
     """This CPU, and the target of its kernels."""
+    from wrt.kernels.compilation.cores import available_cores
+    from wrt.kernels.compilation.target import cpu_name, lane_width, simd_bits, target_name
     from wrt.kernels.runtime import pool
-    from wrt.kernels.runtime.cores import available_cores
-    from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
 
     helpers = "native" if pool.is_available() else "Python (native ones need Linux)"
     found = {"name": cpu_name(), "threads": available_cores(), "helper threads": helpers}
     return {**found, "target": target_name(), "SIMD bits": simd_bits(), "lanes": lane_width()}
+
+
+def _kernels() -> dict[str, Any]:
+    """Where compiled kernels are."""
+    import warp
+
+    from wrt.kernels.compilation import kernel_cache, shipped_kernels
+
+    modules, size = kernel_cache.folder_size()
+    shipped = ", ".join(shipped_kernels.targets()) or "none that fit"
+    return {"cache": str(warp.config.kernel_cache_dir), "modules": modules, "bytes": size, "shipped": shipped}
 
 
 @click.command("list")

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.cli.arguments import UpDirection, Vector, check_name, load_mesh, make_scene, model_options, progress, start_warp
+from wrt.cli.arguments import (
+    UpDirection,
+    Vector,
+    check_name,
+    expect_build,
+    load_mesh,
+    make_scene,
+    model_options,
+    progress,
+    start_warp,
+)
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import PinholeCamera
@@ -58,6 +68,7 @@ def render(output: Path, ground: bool, **given: Any) -> None:
     except ValueError as error:
         raise click.BadParameter(str(error), param_hint="--output") from None
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
+    expect_build(given)
     mesh, builtin = load_mesh(given)
     up = given["up"] or (builtin.up if builtin else default_up(mesh))
     if ground and builtin:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import warp as wp
 
-from wrt.execution.area_trees import trace_by_area
 from wrt.execution.batch import trace_batch
 from wrt.execution.prepared import PreparedQuery
 from wrt.kernels.runtime.launch import use_threads
@@ -110,6 +109,8 @@ def trace_chosen(
     plan, rays = chosen.carried_out, buffers.batch
     rays.columns = buffers.columns if plan.reorder == "tiles" else 0
     if scene.area_trees is not None and plan.accelerator != "none" and kind in (CLOSEST, ANY):
+        from wrt.execution.area_trees import trace_by_area
+
         return trace_by_area(scene, plan, rays, kind, counters)
     return trace_batch(scene, plan, rays, kind, counters)
 

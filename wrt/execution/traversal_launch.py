@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from wrt.execution.triangle_records import records_of
+from wrt.execution.triangle_records import record_kernel, records_of
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
-from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, get_num_threads, kept, launch, specialise
+from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, expect, get_num_threads, kept, launch, specialise
 from wrt.planning.plan import Plan, kernel_factory, stack_levels, traversal_config, traversal_of, walked_tree
 
 if TYPE_CHECKING:
@@ -64,7 +64,9 @@ def kernel_and_inputs(
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
         tree = walked_tree(plan, scene).struct()
-    return specialise(kernel_factory(plan, scene), config), [tree, records_of(scene, plan, rays), rays, hits, counters]
+    kernel = specialise(kernel_factory(plan, scene), config)
+    expect([kernel, record_kernel(plan)], scene.device)
+    return kernel, [tree, records_of(scene, plan, rays), rays, hits, counters]
 
 
 def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -> tuple[int, int, Chunks]:

@@ -18,10 +18,12 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import warp as wp
 
+from wrt.execution.expected_kernels import picture_rays, query_kernels
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import expect, launch, use_threads
 from wrt.kernels.shading import ambient, film, normals, surface
+from wrt.kernels.shading.pixel_rays import pinhole_directions
 from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
@@ -107,13 +109,16 @@ def render(
         query={"traversal": traversal, "triangle_test": triangle_test},
     )
     pixels = camera.width * camera.height
+    tiles = -(-pixels // TILE_PIXELS)
+    tile = -(-pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
     with use_threads(scene.num_threads):
+        expect(_kernels(scene, camera, tile, settings, smooth), scene.device)
         look = _appearance(scene, albedo, crease_angle if smooth else None)
         picture = wp.zeros((camera.height, camera.width), dtype=wp.vec3, device=scene.device)
         for sample in range(samples):
             offset = pixel_offset(sample, samples, seed)
-            for first in range(0, pixels, TILE_PIXELS):
-                count = min(TILE_PIXELS, pixels - first)
+            for first in range(0, pixels, tile):
+                count = min(tile, pixels - first)
                 rays = camera.rays_on(scene.device, first, count, offset)
                 _Tile(scene, look, settings, first, count).expose(rays, sample, picture)
                 if progress is not None:
@@ -121,6 +126,21 @@ def render(
         image = wp.empty_like(picture)
         launch(film.develop, pixels, [picture, samples, image], device=scene.device, chunk=4096)
     return image.numpy()
+
+
+def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
+    """One kernel of each module that a picture needs."""
+    shared = isinstance(camera, PinholeCamera)
+    rays = picture_rays(tile, 0 if shared else 1, settings.shadows, settings.ambient_samples > 0)
+    shading = shading_kernels(smooth, settings.ambient_samples > 0)
+    return [*query_kernels(scene.state, rays, **settings.query), *shading]
+
+
+def shading_kernels(smooth: bool, ambient_rays: bool) -> list[wp.Kernel]:
+    """One kernel of each module that makes a picture of hits."""
+    kernels = [pinhole_directions, surface.find_surface, film.develop]
+    kernels += [normals.face_normals_and_angles] if smooth else []
+    return kernels + ([ambient.ambient_directions] if ambient_rays else [])
 
 
 def default_light(camera: Camera) -> np.ndarray:

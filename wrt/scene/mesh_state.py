@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import warp as wp
+
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution.area_trees import build_area_trees
-from wrt.kernels.runtime.launch import use_threads
+from wrt.execution.expected_kernels import build_kernels
+from wrt.kernels.runtime.launch import expect, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
@@ -70,6 +72,9 @@ def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str
     Raises:
         ValueError, MemoryError, OSError: as `wrt.Scene`.
     """
+    if cache is None:
+        triangles = sum(mesh.triangle_count for mesh in meshes)
+        expect(build_kernels(settings.accelerator, settings.device, meshes[0].vertices.dtype, triangles), wp.get_device("cpu"))
     with memory_for_tree(meshes):
         placed = place_meshes(meshes, settings.device)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
@@ -85,6 +90,8 @@ def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str
     )
     if not isinstance(settings.accelerator, RayAwareBvh):
         return state
+    from wrt.execution.area_trees import build_area_trees
+
     return replace(state, area_trees=build_area_trees(state, boxes))
 
 

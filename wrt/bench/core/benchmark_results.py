@@ -15,8 +15,8 @@ import warp as wp
 
 from wrt.bench.core.agreement import Agreement
 from wrt.bench.core.paired_timing import Timing
-from wrt.kernels.runtime.cores import available_cores
-from wrt.kernels.runtime.target import cpu_name, lane_width, simd_bits, target_name
+from wrt.kernels.compilation.cores import available_cores
+from wrt.kernels.compilation.target import cpu_name, lane_width, simd_bits, target_name
 
 EMBREE = "Embree "
 """How names of the contenders that are versions of Embree's C library begin."""

@@ -5,7 +5,7 @@ a kernel (`embree_packets`) that runs on wrt's thread pool, in chunks of as many
 what a C++ program does that keeps its rays in packets: set the ends of the rays and the ids of their hits back, trace, leave
 the hits in the packets. Scenes are built by Embree's own threads, as many as the peer has, and for speed: not with Embree's
 "robust" flag, which costs it 5 to 20 %. Views and shadows are declared coherent. Where wrt is compiled for CPUs with AVX2
-(`wrt.kernels.runtime.target`), Embree runs its code for them too.
+(`wrt.kernels.compilation.target`), Embree runs its code for them too.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from wrt.bench.peers.embree_library import EMBREES, Device, Scene, address_of, l
 from wrt.bench.peers.embree_packets import NO_GEOMETRY, trace_packets
 from wrt.bench.peers.peer import Answer, Peer, Query, spread_rays
 from wrt.execution.traversal_launch import MIN_CHUNK
+from wrt.kernels.compilation.target import target_name
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, use_threads
-from wrt.kernels.runtime.target import target_name
 from wrt.meshes.mesh import TriangleMesh
 
 NATIVE_WIDTHS = {16: 34, 8: 33, 4: 32}

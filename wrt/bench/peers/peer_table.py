@@ -13,7 +13,7 @@ from wrt.bench.peers.open3d_peer import Open3D
 from wrt.bench.peers.peer import Peer
 from wrt.bench.peers.trimesh_peers import Embreex, Trimesh, TrimeshEmbreex
 from wrt.bench.peers.warp_mesh_peer import WarpMesh
-from wrt.kernels.runtime.cores import available_cores
+from wrt.kernels.compilation.cores import available_cores
 from wrt.tables import lookup
 
 PEERS: dict[str, Callable[[int, str], list[Peer]]] = {

@@ -3,6 +3,7 @@
 Each contender is a process of its own: `import warp` alone, `import wrt` with what a scene needs, wrt with a warm kernel
 cache, wrt with an empty one (so that the kernels of the default path are compiled) and Open3D. Timed is the process from
 start to end; the phases inside are what the process itself measured. All ask one ray of a mesh of two thousand triangles.
+wrt also makes a picture of it, of the size that `wrt render` makes, with a warm cache and with an empty one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ BUDGET = 20.0
 
 REFERENCE = "import warp"
 EMPTY_CACHE = "wrt, first hit, empty kernel cache"
+PICTURE, PICTURE_EMPTY_CACHE = "wrt, picture", "wrt, picture, empty kernel cache"
 
 HEAD = """
 import json, sys, time
@@ -74,6 +76,14 @@ assert scene.intersect(origin, direction).primitive_id.size == 1
 mark("first query")
 """
 
+DRAW_WRT = """
+scene = wrt.Scene(wrt.TriangleMesh(vertices, faces), device=device, num_threads=threads)
+mark("scene")
+camera = wrt.PinholeCamera.framing(scene, 800, 600, fov=35.0)
+assert wrt.render(scene, camera, samples=4).shape == (600, 800, 3)
+mark("picture")
+"""
+
 USE_OPEN3D = """
 import open3d
 mark("import")
@@ -92,21 +102,23 @@ def ask_startup(
     rounds: int,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> Question:
-    """Times fresh processes; ratios refer to `import warp`. The process with an empty cache gets one round."""
+    """Times fresh processes; ratios refer to `import warp`. Processes with an empty cache get one round."""
     first_hit = IMPORT_WRT + GRID + USE_WRT
-    scripts = {REFERENCE: IMPORT_WARP, "import wrt": IMPORT_WRT, "wrt, first hit": first_hit}
+    picture = IMPORT_WRT + GRID + DRAW_WRT
+    scripts = {REFERENCE: IMPORT_WARP, "import wrt": IMPORT_WRT, "wrt, first hit": first_hit, PICTURE: picture}
+    cold = {EMPTY_CACHE: first_hit, PICTURE_EMPTY_CACHE: picture}
     if any(isinstance(peer, Open3D) for peer in peers):
         scripts["Open3D, first hit"] = GRID + USE_OPEN3D
-    phases: dict[str, list[dict[str, float]]] = {name: [] for name in (*scripts, EMPTY_CACHE)}
+    phases: dict[str, list[dict[str, float]]] = {name: [] for name in (*scripts, *cold)}
 
     def contender(name: str, script: str) -> Contender:
         def run() -> None:
-            phases[name].append(run_process(script, device, threads, empty_cache=name == EMPTY_CACHE))
+            phases[name].append(run_process(script, device, threads, empty_cache=name in cold))
 
-        return Contender(name, run, warm_up=lambda: name == EMPTY_CACHE or run_process(script, device, threads))
+        return Contender(name, run, warm_up=lambda: name in cold or run_process(script, device, threads))
 
     timings = take_turns([contender(*item) for item in scripts.items()], rounds, budget=BUDGET, on_turn=on_turn)
-    timings |= take_turns([contender(EMPTY_CACHE, first_hit)], 1, on_turn=on_turn)
+    timings |= take_turns([contender(*item) for item in cold.items()], 1, on_turn=on_turn)
     rows = []
     for name in timings:
         row = Row(name, threads, device, details={"phases": median_phases(phases[name])})

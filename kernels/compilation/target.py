@@ -174,7 +174,7 @@ def apply_environment() -> None:
     lane_width()
     name = target_name()
     if os.environ.get(TARGET_VARIABLE):
-        wp.config.cpu_compiler_flags = " ".join([*target_flags(name), *_without_target(wp.config.cpu_compiler_flags or "")])
+        wp.config.cpu_compiler_flags = " ".join([*target_flags(name), *split_flags(wp.config.cpu_compiler_flags or "")[1]])
     elif wp.config.cpu_compiler_flags is None and prefers_half_registers():
         wp.config.cpu_compiler_flags = " ".join(target_flags(name))
 
@@ -190,9 +190,9 @@ def prefers_half_registers() -> bool:
     return "avx512f" in cpu_features() and cpu_information("vendor_id") == "GenuineIntel"
 
 
-def _without_target(flags: str) -> list[str]:
-    """Compiler flags without those that select the target."""
+def split_flags(flags: str) -> tuple[list[str], list[str]]:
+    """Compiler flags that select the target, and all others."""
     words = flags.split()
     named = {i + offset for i, word in enumerate(words) if word == "-target-cpu" for offset in (0, 1)}
-    about = ("-march=", "-mprefer-vector-width=")
-    return [word for i, word in enumerate(words) if i not in named and not word.startswith(about)]
+    named |= {i for i, word in enumerate(words) if word.startswith(("-march=", "-mprefer-vector-width="))}
+    return [word for i, word in enumerate(words) if i in named], [word for i, word in enumerate(words) if i not in named]

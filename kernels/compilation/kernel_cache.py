@@ -4,7 +4,7 @@ Warp keeps compiled kernels in a folder of the user or in the folder that WARP_C
 full disk it fails with the system's error about some file. This module finds the cause, warns on stderr, and continues with a
 temporary folder, which the process removes at exit.
 
-The first call of a query compiles its kernels, which takes seconds. A user at a terminal is told so beforehand.
+Several processes can share the folder: Warp compiles into a folder of its own and renames it into place.
 """
 
 import atexit
@@ -12,7 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
-from functools import cache
+from pathlib import Path
 
 import warp as wp
 
@@ -34,8 +34,6 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
 
     If the kernel cache is not writable, it switches to a temporary folder.
     """
-    if sys.stderr is not None and sys.stderr.isatty() and not is_compiled(module, block_dim):
-        announce_compilation()
     try:
         module.load(device, block_dim=block_dim)
     except Exception:
@@ -47,20 +45,29 @@ def load_module(module: wp.Module, device: wp.Device, block_dim: int) -> None:
         module.load(device, block_dim=block_dim)
 
 
-def is_compiled(module: wp.Module, block_dim: int) -> bool:
+def cached_files(module: wp.Module, device: wp.Device, block_dim: int) -> tuple[Path, Path]:
+    """Where the kernel cache has, or would have, the code of a module and the data about it."""
+    folder = Path(wp.config.kernel_cache_dir, module.get_module_identifier(block_dim))
+    code = module._get_compile_output_name(device, block_dim=block_dim)
+    return folder / code, folder / module._get_meta_name(block_dim=block_dim)
+
+
+def is_compiled(module: wp.Module, device: wp.Device, block_dim: int) -> bool:
     """Whether the kernel cache has a module."""
-    return os.path.isdir(os.path.join(wp.config.kernel_cache_dir, module.get_module_identifier(block_dim)))
+    return all(path.exists() for path in cached_files(module, device, block_dim))
 
 
-@cache
-def announce_compilation() -> None:
-    """Says on stderr, once per process, that kernels are being compiled."""
-    print(
-        "wrt: compiling kernels for this machine, which takes some seconds each; later runs take them from "
-        f"'{wp.config.kernel_cache_dir}'.",
-        file=sys.stderr,
-        flush=True,
-    )
+def folder_size() -> tuple[int, int]:
+    """Modules in the kernel cache, and bytes of all its files."""
+    modules = size = 0
+    for folder, _, files in os.walk(wp.config.kernel_cache_dir):
+        modules += any(name.endswith(".meta") for name in files)
+        for name in files:
+            try:
+                size += os.path.getsize(os.path.join(folder, name))
+            except OSError:  # another process has just renamed it
+                continue
+    return modules, size
 
 
 def find_fault(folder: str) -> OSError | None:

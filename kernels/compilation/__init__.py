@@ -1,0 +1,1 @@
+"""Compiling kernels: for which CPU, side by side, with progress, kept in a cache or shipped."""

@@ -1,0 +1,112 @@
+"""What a user sees of compiling: progress on stderr, at a terminal, and nothing where all kernels are cached.
+
+    wrt: compiling kernels for this CPU, once: 7 of 20
+
+Kernels are counted as calls come to need them, so the second number can grow. `show_compiling` and the variable
+WRT_SHOW_COMPILING choose otherwise; stdout is never written to.
+"""
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+VARIABLE = "WRT_SHOW_COMPILING"
+
+TITLE = "compiling kernels for this CPU, once"
+
+_lock = threading.RLock()
+_show: bool | None = None
+_sink: Callable[[str | None], None] | None = None
+_asked = _done = 0
+
+
+def show_compiling(show: bool | None = None) -> None:
+    """Sets whether progress is shown on stderr while kernels are compiled.
+
+    Args:
+        show: True: always; False: never; None: what the variable WRT_SHOW_COMPILING says (1 or 0), or else only if stderr is a
+            terminal.
+
+    Raises:
+        TypeError: `show` is not a bool or None.
+    """
+    global _show
+    if show is not None and not isinstance(show, bool):
+        raise TypeError(f"show must be True, False or None, not {type(show).__name__}")
+    _show = show
+
+
+def is_shown() -> bool:
+    """Whether progress is shown.
+
+    Raises:
+        ValueError: WRT_SHOW_COMPILING is neither 0 nor 1.
+    """
+    if _show is not None:
+        return _show
+    text = os.environ.get(VARIABLE, "").strip()
+    if text not in ("", "0", "1"):
+        raise ValueError(f"{VARIABLE} is {text!r}; set it to 0 (never show progress) or 1 (always)")
+    return text == "1" if text else sys.stderr is not None and sys.stderr.isatty()
+
+
+@contextmanager
+def report_to(sink: Callable[[str | None], None]) -> Iterator[None]:
+    """Gives progress to a function inside the `with` block, in place of stderr: a line of text, or None when all is compiled.
+
+    The function is called from the threads that compile.
+    """
+    global _sink
+    before, _sink = _sink, sink
+    try:
+        yield
+    finally:
+        _sink = before
+
+
+def add(count: int) -> None:
+    """Tells of kernels that are to be compiled."""
+    global _asked
+    with _lock:
+        begins = _done == _asked
+        _asked += count
+        _report(begins)
+
+
+def finish(count: int = 1) -> None:
+    """Tells of kernels that are compiled, or that no longer need to be."""
+    global _done
+    with _lock:
+        _done += count
+        _report(False)
+
+
+def counts() -> tuple[int, int]:
+    """Kernels that this process has compiled, and those that it was to compile until now."""
+    with _lock:
+        return _done, _asked
+
+
+def _report(begins: bool) -> None:
+    ends = _done >= _asked
+    text = f"{TITLE}: {_done} of {_asked}"
+    if not is_shown():
+        return
+    if _sink is not None:
+        _sink(None if ends else text)
+    elif sys.stderr.isatty():
+        print(f"\rwrt: {text}", end="\n" if ends else "", file=sys.stderr, flush=True)
+    elif begins or ends:  # lines of a file
+        print(f"wrt: {text}", file=sys.stderr, flush=True)
+
+
+def _forget() -> None:
+    """A forked child counts anew, and has no thread that could hold the lock."""
+    global _lock, _asked, _done
+    _lock, _asked, _done = threading.RLock(), 0, 0
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)

@@ -1,0 +1,120 @@
+"""`wrt warm`: compiles the kernels of the default paths ahead, into the kernel cache or into a folder to ship.
+
+Meant for container images, continuous integration and clusters, whose first call would otherwise compile. Several processes may
+use one kernel cache at the same time.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from wrt.cli.arguments import busy, start_warp, target_options
+
+if TYPE_CHECKING:
+    import warp as wp
+
+    from wrt.scene.scene import Scene
+
+STACK_DEPTHS = (8, 16)
+"""Depths of trees whose kernels are compiled. With 8 children a node, trees of 200,000 triangles are 7 deep."""
+
+RAY_COUNTS = (1 << 12, 1 << 14, 1 << 16, 1 << 20)
+"""Numbers of rays whose kernels are compiled: they decide on the length of streams, and on what packets are culled by."""
+
+GRID = 128
+"""Squares along a side of the mesh that is built: its triangles are divided among threads."""
+
+
+@click.command()
+@target_options
+@click.option("--jobs", type=click.IntRange(1, 64), help="Modules that are compiled at a time. [all cores]")
+@click.option("--export", type=click.Path(path_type=Path, file_okay=False), help="Folder to copy the kernels to.")
+def warm(jobs: int | None, export: Path | None) -> None:
+    """Compiles the kernels of the default paths ahead: builds, closest hits and occlusion of few and many rays, pictures.
+
+    What the kernel cache has already is left alone. With --export, kernels for --target (x86-64-v3 or x86-64-v4) are also
+    copied to a folder, which wrt uses in place of compiling (WRT_COMPILED_KERNELS).
+    """
+    from wrt.kernels.compilation import compile_progress, kernel_cache, module_compiler, shipped_kernels
+    from wrt.kernels.compilation.target import target_name
+
+    if export is not None and target_name() == "native":
+        raise click.BadParameter("needs --target x86-64-v3 or x86-64-v4", param_hint="--export")
+    if jobs is not None:
+        os.environ[module_compiler.VARIABLE] = str(jobs)
+    if export is not None:
+        os.environ[shipped_kernels.VARIABLE] = os.devnull  # they are compiled, not copied from where they were shipped to
+    start_warp("cpu")
+    import warp as wp
+
+    from wrt.kernels.runtime.launch import load
+
+    start = time.perf_counter()
+    with busy("compiling kernels"):
+        kernels = default_kernels()
+        load(kernels, wp.get_device("cpu"))
+    seconds, compiled = time.perf_counter() - start, compile_progress.counts()[0]
+    modules = len({kernel.module for kernel in kernels})
+    found = f"{modules - compiled} were there or shipped" if compiled < modules else "none was there"
+    click.echo(f"{modules} modules of kernels for {target_name()}: {compiled} compiled in {seconds:.1f} s, {found}")
+    click.echo(f"kernel cache: {wp.config.kernel_cache_dir}, {kernel_cache.folder_size()[1] / 1e6:.1f} MB")
+    if export is not None:
+        count = shipped_kernels.export(kernels, export)
+        click.echo(f"{count} modules exported to {export / target_name()}")
+
+
+def default_kernels() -> list[wp.Kernel]:
+    """One kernel of each module that the default paths on the CPU need: builds, closest hits and occlusion, pictures."""
+    import numpy as np
+    import warp as wp
+
+    from wrt.accelerators.tree_descriptions import Bvh
+    from wrt.execution.expected_kernels import build_kernels
+    from wrt.imaging.rendering import shading_kernels
+    from wrt.kernels.query.hit_attributes import hit_positions
+
+    device = wp.get_device("cpu")
+    triangles = 2 * GRID * GRID
+    kernels = [*shading_kernels(smooth=True, ambient_rays=True), hit_positions]
+    for dtype in (np.float32, np.float64):
+        kernels += build_kernels(Bvh(), device, dtype, triangles)
+    return [*dict.fromkeys([*kernels, *_tracing_kernels(_grid())])]
+
+
+def _grid() -> Scene:
+    """A wavy sheet."""
+    import numpy as np
+
+    from wrt.meshes.mesh import TriangleMesh
+    from wrt.scene.scene import Scene
+
+    x, y = np.meshgrid(np.linspace(0, 1, GRID + 1), np.linspace(0, 1, GRID + 1), indexing="ij")
+    vertices = np.stack([x, y, 0.1 * np.sin(9 * x) * np.cos(7 * y)], axis=-1).reshape(-1, 3)
+    corner = (np.arange(GRID)[:, None] * (GRID + 1) + np.arange(GRID)).ravel()
+    above = corner + GRID + 1
+    faces = np.concatenate([np.stack([corner, above, above + 1], 1), np.stack([corner, above + 1, corner + 1], 1)])
+    return Scene(TriangleMesh(vertices, faces), device="cpu")
+
+
+def _tracing_kernels(scene: Scene) -> list[wp.Kernel]:
+    """The kernels that trace few and many rays, as it were through trees of several depths."""
+    from dataclasses import replace
+
+    from wrt.execution.expected_kernels import FEW, ExpectedRays, query_kernels
+    from wrt.state.query_kinds import ANY, CLOSEST
+
+    rays = [*FEW]
+    for count in RAY_COUNTS:
+        for kind in (CLOSEST, ANY):
+            rays += [ExpectedRays(kind, count, origin_stride=stride) for stride in (0, 1)]
+            rays.append(ExpectedRays(kind, count, coherent=False))
+    found = []
+    for depth in STACK_DEPTHS:
+        tree = replace(scene.state.built_tree, level_first=tuple(range(depth + 1)))
+        found += query_kernels(replace(scene.state, built_tree=tree), rays)
+    return found

@@ -1,0 +1,113 @@
+"""The kernels that a scene, a query or a picture is going to need, so that they are compiled side by side beforehand.
+
+The plan of a query is chosen from what is known of its rays, without the rays. A wrong guess costs the time to compile a kernel
+that is not used, or one more wait.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.triangle_records import record_kernel
+from wrt.kernels.layout.mesh_placement import make_shift
+from wrt.kernels.layout.ray_batch import center_float64_points
+from wrt.kernels.query.coherence_detection import measure_coherence
+from wrt.kernels.runtime import board
+from wrt.kernels.runtime.launch import get_num_threads, specialise
+from wrt.kernels.simd.lanes import native_width
+from wrt.planning.plan import kernel_factory, plan_for_query, traversal_config
+from wrt.planning.planner import choose_plan
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS
+
+if TYPE_CHECKING:
+    from wrt.accelerators.accelerator import Accelerator
+    from wrt.state.scene_state import SceneState
+
+MANY_TRIANGLES = 4096
+"""Triangles from which a build is divided among threads."""
+
+
+@dataclass(frozen=True)
+class ExpectedRays:
+    """What a plan depends on, of rays that are still to be made; attributes as of `wrt.rays.ray_buffers.RayBuffers`.
+
+    Attributes:
+        kind: "closest", "any" or "count".
+        origin_stride: 0 if all rays start at one point, else 1.
+    """
+
+    kind: str
+    count: int
+    coherent: bool = True
+    scattered: bool = False
+    origin_stride: int = 1
+    columns: int = 0
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Leading shape of the results."""
+        return (self.count,)
+
+    @property
+    def arrays_or_batch(self) -> ExpectedRays:
+        """As of `RayBuffers`."""
+        return self
+
+
+FEW = (ExpectedRays(CLOSEST, FEW_RAYS), ExpectedRays(ANY, FEW_RAYS))
+"""Few rays, which go one by one."""
+
+
+def picture_rays(pixels: int, origin_stride: int, shadows: bool, ambient: bool) -> list[ExpectedRays]:
+    """The rays of so many pixels: of the camera, to the light, and to the sky."""
+    found = [ExpectedRays(CLOSEST, pixels, origin_stride=origin_stride)]
+    found += [ExpectedRays(ANY, pixels)] if shadows else []
+    return found + ([ExpectedRays(ANY, pixels, coherent=False)] if ambient else [])
+
+
+def build_kernels(accelerator: Accelerator, device: wp.Device, dtype: type, triangles: int) -> list[wp.Kernel]:
+    """The kernels that build a scene: none if the tree is not a BVH, whose builders alone can tell.
+
+    Args:
+        accelerator: the description of the tree.
+        device: the scene's.
+        dtype: of the vertices.
+        triangles: how many there are.
+    """
+    from wrt.accelerators.tree_descriptions import Bvh
+    from wrt.builders.triangle_boxes import compute_boxes
+
+    if not isinstance(accelerator, Bvh):
+        return []
+    shift = specialise(make_shift, wp.vec3 if dtype == np.float32 else wp.vec3d)
+    helpers = [board.serve] if triangles >= MANY_TRIANGLES and get_num_threads() > 1 else []
+    return [shift, compute_boxes, *helpers, *accelerator.kernels(triangles, native_width(device))]
+
+
+def query_kernels(
+    scene: SceneState, rays: Iterable[ExpectedRays], traversal: str = AUTO, triangle_test: str = AUTO
+) -> list[wp.Kernel]:
+    """The kernels that trace rays through a scene of meshes with a complete tree; none for other scenes.
+
+    Args:
+        scene: the state, with its tree.
+        rays: what is known of them.
+        traversal, triangle_test: as of `wrt.Scene.intersect`.
+
+    Raises:
+        ValueError: as of `wrt.Scene.intersect`.
+    """
+    if scene.instances or scene.lazy_tree is not None or scene.area_trees is not None:
+        return []
+    found = []
+    for expected in rays:
+        plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)
+        kernel = specialise(kernel_factory(plan, scene), traversal_config(plan, scene, expected.kind, False))
+        found += [kernel, record_kernel(plan)]
+        found += [measure_coherence] if expected.count > FEW_RAYS else []
+    return [*dict.fromkeys(found), center_float64_points]
