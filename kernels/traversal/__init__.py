@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from wrt.kernels.traversal import brute_force as brute
+from wrt.kernels.traversal.interleaved import interleaved_bvh
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
 from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel
@@ -35,6 +36,7 @@ from wrt.kernels.traversal.stream import stream_kernel as stream
 from wrt.kernels.traversal.traversal_config import ALL, ANY, CLOSEST, COUNT, NEAREST_QUERIES, QUERIES, TraversalConfig
 from wrt.kernels.traversal.traversal_scores import (
     Score,
+    score_interleaved,
     score_lockstep,
     score_packet,
     score_single,
@@ -211,6 +213,18 @@ TRAVERSALS: dict[str, Traversal] = {
             queries={"bvh": QUERIES},
             two_level={"bvh": (CLOSEST, ANY, COUNT)},
             score=score_stream,
+        ),
+        Traversal(
+            "interleaved",
+            "single rays that take turns, after Barringer, Akenine-Möller: Dynamic ray stream traversal (2014), "
+            "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
+            {"bvh": interleaved_bvh.make_kernel},
+            stream.rays_per_item,
+            streams=True,
+            counters=stream.StreamCounters,
+            queries={"bvh": QUERIES},
+            orders=(AS_GIVEN,),
+            score=score_interleaved,
         ),
         Traversal(
             "wide_stream",

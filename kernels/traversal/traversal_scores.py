@@ -28,11 +28,30 @@ RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 (notebooks/records/2026-11-21-instances.md).
 """
 
+
+class LeastTriangles(NamedTuple):
+    """Triangles of the scene from which interleaved walks are faster than streams.
+
+    Attributes:
+        incoherent: for incoherent rays.
+        coherent: for coherent rays that are too sparse for packets.
+    """
+
+    incoherent: float
+    coherent: float
+
+
+INTERLEAVED = {8: LeastTriangles(0, 0), 16: LeastTriangles(100_000, float("inf"))}
+"""`LeastTriangles` for CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
+(notebooks/records/2026-11-22-interleaved-rays.md). Fewer lanes are taken for 8; they have not been measured.
+"""
+
 COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 
-SINGLE_RAYS, BY_PLANES, STREAMS, PACKETS = 1.0, 2.0, 3.0, 4.0
+SINGLE_RAYS, BY_PLANES, STREAMS, INTERLEAVED_RAYS, PACKETS = 1.0, 2.0, 3.0, 3.5, 4.0
 """Scores: of single rays; of packets and lockstep lanes on the planes of a kd-tree; of streams on the boxes of a BVH or of the
-wide form of a kd-tree; of packets on such boxes. A traversal that may be slower than one with a lower score declines.
+wide form of a kd-tree; of interleaved walks of a BVH; of packets on boxes. A traversal that may be slower than one with a lower
+score declines.
 """
 
 
@@ -44,6 +63,7 @@ class Situation(NamedTuple):
         cull_backfaces: whether rays hit only the front of triangles.
         is_cuda: whether the query runs on CUDA.
         tree: kind of the scene's trees, "bvh" or "kdtree".
+        lanes: children of a node of the tree: on the CPU, usually the lanes of its registers.
         triangles: number of triangles, in all instances.
         instances: number of instances; 0 in scenes of one level.
         own_spaces: whether each tree of the scene has its own coordinate space.
@@ -58,6 +78,7 @@ class Situation(NamedTuple):
     cull_backfaces: bool
     is_cuda: bool
     tree: str
+    lanes: int
     triangles: int
     instances: int
     own_spaces: bool
@@ -160,4 +181,18 @@ def score_box_stream(situation: Situation) -> tuple[float, str] | None:
         return None
     if situation.tests_each_hit:
         return STREAMS, f"{situation.kinds_of_hits} of many rays"
-    return STREAMS, f"{COHERENT_REASON}, but triangles are small" if situation.coherent else INCOHERENT_REASON
+    return STREAMS, reason_for_streams(situation)
+
+
+def score_interleaved(situation: Situation) -> tuple[float, str] | None:
+    """Interleaved walks suit rays that streams suit, if there are enough triangles for the rays to part."""
+    if situation.prefers_single or situation.tests_each_hit or situation.instances or situation.tree != "bvh":
+        return None
+    least = INTERLEAVED[16 if situation.lanes >= 16 else 8]
+    enough = situation.triangles >= (least.coherent if situation.coherent else least.incoherent)
+    return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None
+
+
+def reason_for_streams(situation: Situation) -> str:
+    """Why rays are not traced in packets."""
+    return f"{COHERENT_REASON}, but triangles are small" if situation.coherent else INCOHERENT_REASON

@@ -27,8 +27,8 @@ SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are i
 SINGLE_RAYS = "two levels, one ray at a time"
 
 
-def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float) -> SimpleNamespace:
-    """The facts about a scene that a choice depends on; `wide`: its wide form exists."""
+def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float, width: int = 16) -> SimpleNamespace:
+    """The facts about a scene that a choice depends on; `wide`: its wide form exists; `width`: children of a node."""
     return SimpleNamespace(
         device=SimpleNamespace(is_cuda=cuda, is_cpu=not cuda),
         only_single=kind == "spaces",
@@ -36,6 +36,7 @@ def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float
         accelerator=SimpleNamespace(kind="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh"),
         lazy_tree=object() if kind == "lazy" else None,
         triangle_count=triangles,
+        width=width,
         cache=SimpleNamespace(wide=object() if wide else None, missed_savings=savings),
     )
 
@@ -46,7 +47,16 @@ def make_rays(count: int, coherent: bool, shared: bool) -> SimpleNamespace:
 
 
 def expected(
-    kind: str, triangles: int, wide: bool, savings: float, count: int, coherent: bool, shared: bool, query: str, culls: bool
+    kind: str,
+    triangles: int,
+    wide: bool,
+    savings: float,
+    count: int,
+    coherent: bool,
+    shared: bool,
+    query: str,
+    culls: bool,
+    width: int,
 ) -> tuple[str, str]:
     """The choice on the CPU, case by case."""
     if kind == "spaces":
@@ -71,6 +81,8 @@ def expected(
     if kind != "bvh" and not is_wide:
         return ("packet", SIMILAR) if coherent else ("lockstep", DISSIMILAR)
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
+    if kind == "bvh" and (width < 16 or (not coherent and triangles >= 100_000)):
+        stream = "interleaved"
     if not coherent:
         return stream, DISSIMILAR
     return (packet, SIMILAR) if 8 * count >= triangles else (stream, f"{SIMILAR}, but triangles are small")
@@ -81,17 +93,17 @@ def test_choices_on_the_cpu(kind):
     """Every combination of facts, which no scene of a test's size would reach."""
     chosen = set()
     for facts in product(
-        TRIANGLES, (False, True), (0.0, 990_000.0), RAYS, (False, True), (False, True), QUERIES, (False, True)
+        TRIANGLES, (False, True), (0.0, 990_000.0), RAYS, (False, True), (False, True), QUERIES, (False, True), (4, 8, 16)
     ):
-        triangles, wide, savings, count, coherent, shared, query, culls = facts
-        scene = make_scene(kind, triangles, False, wide, savings)
+        triangles, wide, savings, count, coherent, shared, query, culls, width = facts
+        scene = make_scene(kind, triangles, False, wide, savings, width)
         choice = choose_traversal(scene, make_rays(count, coherent, shared), query, culls)
         assert choice == expected(kind, *facts), facts
         chosen.add(choice)
     assert (
         len(chosen)
         == {
-            "bvh": 6,
+            "bvh": 8,
             "kdtree": 8,
             "lazy": 5,
             "instances bvh": 5,

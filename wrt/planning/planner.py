@@ -173,6 +173,7 @@ def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces
         cull_backfaces=cull_backfaces,
         is_cuda=scene.device.is_cuda,
         tree=scene.accelerator.kind,
+        lanes=scene.width,
         triangles=scene.triangle_count,
         instances=len(scene.instances),
         own_spaces=scene.only_single,

@@ -82,9 +82,7 @@ def kept_lanes(mask: int) -> int:
 KEPT_LANES = ", ".join(f"{kept_lanes(mask):#x}ull" for mask in range(256))
 """The table of `kept_lanes`, as C++."""
 
-LISTS = f"""{FOR_LANES}
-    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;
-{lane_bits("L")}{BITS}#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
+APPEND = f"""#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
     auto wrt_append = [](int* to, const int* from, unsigned mask) {{
         wrt_ints v;
         __builtin_memcpy(&v, from, sizeof(v));
@@ -116,8 +114,13 @@ LISTS = f"""{FOR_LANES}
     }};
 #endif
 """
-"""Head of a list snippet. `wrt_bits(flags)`: one bit for each of L flags that is not 0. `wrt_append(to, from, mask)`: appends
-the numbers selected by the mask, in order; returns how many."""
+"""C++ of `wrt_append(to, from, mask)`: appends those of L numbers that the mask selects, in order, and returns how many. L is a
+constant of the snippet: a multiple of 8, and 16 with AVX-512. It writes L numbers."""
+
+LISTS = f"""{FOR_LANES}
+    constexpr int L = {LIST_LANES}, RAY_BITS = {RAY_BITS}, RAY = (1 << RAY_BITS) - 1;
+{lane_bits("L")}{BITS}{APPEND}"""
+"""Head of a list snippet. `wrt_bits(flags)`: one bit for each of L flags that is not 0. `wrt_append`: see `APPEND`."""
 
 
 _APPEND_CANDIDATES = """

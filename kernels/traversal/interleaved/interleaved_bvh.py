@@ -1,0 +1,88 @@
+"""Interleaved walks of a wide BVH: each ray visits its own nodes in its own order, and dozens of rays take turns.
+
+**Problem.** A single ray (`wrt.kernels.traversal.single.single_bvh`) waits at each node: for the boxes, which are in no near
+cache, for a long chain of operations, and for branches that depend on their result and are predicted wrongly. A stream
+(`wrt.kernels.traversal.stream.stream_bvh`) does not wait, but its rays visit the children of a node in one order, and
+incoherent rays part after a few levels; lists of one or two rays are then all cost.
+
+**Idea.** Rays keep their own stacks, as single rays do, but a pass of a loop moves each of them by one node. The rays are
+independent, so the processor works on several at a time; the boxes of a ray's next node are fetched while the others have
+their turn (Wald et al. 2007 and Barringer and Akenine-Möller 2014 have the same two aims). There is no branch on what a ray
+meets, but for skipping children behind a hit: children are sorted by a network
+(`wrt.kernels.traversal.interleaved.child_order`), and rays that reach a leaf, or the end, are listed by stores
+(`wrt.kernels.traversal.interleaved.ray_slots`). When all are before leaves, the pairs (ray, leaf) are tested as those of a
+stream are (`wrt.kernels.traversal.stream.stream_pairs`). Rays that are done make room for the next ones.
+
+**Order.** For closest hits a ray visits the nearest child first and skips children that lie behind its best hit. Other
+queries visit children in the order of their lanes, without keys and without sorting.
+
+**Limits.** Coherent rays visit the same nodes, which packets and streams load once for many of them. Rays that visit one or
+two nodes take most of their time to be loaded and to begin. The slots of a thread are tens of kilobytes; this does not suit
+CUDA, where it compiles but has not been measured. Figures: notebooks/records/2026-11-22-interleaved-rays.md.
+
+References:
+    I. Wald, C. P. Gribble, S. Boulos, A. Kensler: SIMD ray stream tracing - SIMD ray traversal with generalized ray packets
+        and on-the-fly re-ordering. Technical report UUSCI-2007-012, University of Utah, 2007.
+    R. Barringer, T. Akenine-Möller: Dynamic ray stream traversal. ACM Transactions on Graphics 33(4), 2014.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.bvh_nodes import WideNodes
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.traversal.interleaved.ray_slots import slot_words, walk_to_leaves
+from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_load import load_stream
+from wrt.kernels.traversal.stream.stream_pairs import Pairs, pair_tester
+from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+exact_module(__name__)
+
+LOADED = 1024
+"""Rays that are loaded at a time, at most: more leave the near caches before they are traced, fewer leave slots idle at the end
+(notebooks/records/2026-11-22-interleaved-rays.md)."""
+
+
+@cache
+def make_kernel(config: TraversalConfig) -> wp.Kernel:
+    """The kernel for one specialisation."""
+    StreamRay = stream_ray(config.triangle_test)
+    load, store, test_pairs = load_stream(config.triangle_test), store_stream(config), pair_tester(config)
+    walk, room = walk_to_leaves(config), slot_words(config)
+    counting, size = config.counters, min(config.stream.rays, LOADED)
+
+    def interleaved_bvh(
+        first: int,
+        tree: WideNodes,
+        triangles: TriangleBlocks,
+        rays: RayBatch,
+        hits: HitBatch,
+        counters: StreamCounterRows,
+    ):
+        stream = wp.zeros(shape=(size,), dtype=StreamRay)
+        memory = wp.zeros(shape=(room,), dtype=int)
+        pairs = Pairs()
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
+        while begin < end:
+            count = wp.min(wp.static(size), end - begin)
+            work = StreamCounters()
+            load(rays, begin, count, tree.low, tree.high, stream)
+            started = int(0)
+            waiting = int(0)
+            visited = int(0)
+            paired = int(1)
+            while paired > 0:
+                paired = walk(tree, triangles.records, stream, count, memory, started, waiting, visited, pairs)
+                test_pairs(triangles, stream, pairs, paired, hits, begin, work)
+            store(stream, begin, count, hits)
+            if wp.static(counting):
+                work.nodes = visited
+                counters.rows[begin] = work
+            begin += wp.static(size)
+
+    return specialised_kernel(interleaved_bvh)
