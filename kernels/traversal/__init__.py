@@ -77,6 +77,8 @@ class Traversal:
         two_level: for each tree kind, the queries that it answers through instances.
         two_level_on_cuda: whether it does so on CUDA too.
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
+        least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs more
+            than it balances.
         score: how well it suits a query; None if "auto" never chooses it.
     """
 
@@ -94,6 +96,7 @@ class Traversal:
     two_level: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     two_level_on_cuda: bool = False
     own_spaces: bool = False
+    least_rays_per_item: int | None = None
     score: Score | None = None
 
     def supports(self, query: str, tree: str) -> bool:
@@ -224,6 +227,7 @@ TRAVERSALS: dict[str, Traversal] = {
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
             orders=(AS_GIVEN,),
+            least_rays_per_item=256,
             score=score_interleaved,
         ),
         Traversal(

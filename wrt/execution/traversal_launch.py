@@ -30,6 +30,9 @@ STREAMS_IN_A_ROW = 16
 ITEMS_PER_THREAD = 32
 """Items of streams that a thread has at least, if rays are many: enough to balance the load."""
 
+MIN_ITEMS_PER_THREAD = 6
+"""Items that a thread has at least, if they can be cut: with fewer, threads wait for the last one."""
+
 RAYS, HITS = 3, 4
 """Which of a traversal kernel's arguments they are, the number of the first item counted."""
 
@@ -78,6 +81,9 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
     if traversal.streams:
         grain *= streams_in_a_row(count, grain, scene.device)
+    if traversal.least_rays_per_item is not None and scene.device.is_cpu:
+        share = count // (MIN_ITEMS_PER_THREAD * get_num_threads()) // 64 * 64  # whole groups of slots
+        grain = min(grain, max(share, traversal.least_rays_per_item))
     chunks_per_thread = ITEMS_PER_THREAD if traversal.streams else CHUNKS_PER_THREAD
     return grain, -(-count // grain), Chunks(max(1, MIN_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
