@@ -31,6 +31,7 @@ if not (Path(__file__).parent / "kernels").is_dir():
 
 _HOME = {
     "AllHits": "wrt.query.all_hits",
+    "AreaLightVisibility": "wrt.shadows.area_light_visibility",
     "Blocks": "wrt.query.blocks",
     "Bvh": "wrt.accelerators.tree_descriptions",
     "CircularCapCaster": "wrt.known_rays.ray_casters",
@@ -41,6 +42,7 @@ _HOME = {
     "Instance": "wrt.meshes.instance",
     "InstancedScene": "wrt.scene.instanced_scene",
     "KdTree": "wrt.accelerators.tree_descriptions",
+    "LightBuffer": "wrt.shadows.light_buffer",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
     "Plan": "wrt.planning.plan",

@@ -77,8 +77,8 @@ class Traversal:
         two_level: for each tree kind, the queries that it answers through instances.
         two_level_on_cuda: whether it does so on CUDA too.
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
-        least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs more
-            than it balances.
+        least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs
+            more than it balances.
         score: how well it suits a query; None if "auto" never chooses it.
     """
 

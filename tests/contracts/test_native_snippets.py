@@ -16,6 +16,7 @@ import warp as wp
 from device_modules import ROOT, device_modules
 from native_names import free_names
 
+from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.study.bare_triangle_tests import make_frusta
 from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
@@ -23,6 +24,8 @@ from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.shadows.light_buffer_lanes import make_lane_kernel
+from wrt.kernels.traversal.shadows.multi_frusta import make_kernel as make_multi_frusta
 from wrt.kernels.traversal.traversal_config import QUERIES, PacketConfig, StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.instance_packets import make_kernel as make_instance_packets
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -51,6 +54,9 @@ def make_all_kernels() -> list[wp.Kernel]:
         kernels += [make_frusta(form, WIDTH, WIDTH), make_exit_kernel(form)]
     kernels.append(single["bvh"](TraversalConfig("woop", WIDTH, stack=StackConfig(24, 64))))
     kernels.append(make_instance_packets(config, 8))
+    kernels += [make_rasteriser(stage, False, True, False) for stage in (COVER, COUNT, FILL)]
+    kernels.append(make_lane_kernel("woop"))
+    kernels += [make_multi_frusta(TraversalConfig(name, WIDTH), each) for name in ("woop", "wald") for each in (False, True)]
     return kernels
 
 

@@ -25,6 +25,7 @@ from wrt.builders.kdtree.scan import exact_planes
 from wrt.builders.kdtree.scan.reference_levels import make_decide
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.builders.kdtree.scan.scan_method import scanning
+from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
@@ -34,6 +35,7 @@ from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
 from wrt.kernels.traversal.traversal_config import (
     NEAREST_QUERIES,
     QUERIES,
@@ -124,6 +126,28 @@ BVH_KERNELS = {
 @pytest.mark.parametrize("name", BVH_KERNELS)
 def test_bvh_builder(name, tmp_path):
     assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
+
+
+@pytest.mark.parametrize("stage", [COVER, COUNT, FILL])
+def test_light_buffer_builder(stage, tmp_path):
+    assert ".entry" in compile_to_ptx(make_rasteriser(stage, False, True, stage == FILL).module, tmp_path)
+    assert ".entry" in compile_to_ptx(make_rasteriser(stage, True, False, stage == FILL).module, tmp_path / "by_box")
+
+
+SHADOW_KERNELS = {
+    "light_buffer": lambda: light_buffer_query.make_kernel(TraversalConfig("woop", 2, "any")),
+    "light_buffer, fronts": lambda: light_buffer_query.make_kernel(TraversalConfig("wald", 2, "any", cull_backfaces=True)),
+    "light_buffer in lanes": lambda: light_buffer_lanes.make_lane_kernel("woop"),
+    "multi_frusta": lambda: multi_frusta.make_kernel(TraversalConfig("woop", 2, "any"), True),
+    "multi_frusta, wald": lambda: multi_frusta.make_kernel(TraversalConfig("wald", 2, "any"), False),
+}
+
+
+@pytest.mark.parametrize("name", SHADOW_KERNELS)
+def test_shadows(name, tmp_path):
+    text = compile_to_ptx(SHADOW_KERNELS[name]().module, tmp_path)
+    assert ".entry" in text
+    assert not FUSIBLE.search(text)
 
 
 ANSWERS = [

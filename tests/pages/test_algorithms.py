@@ -23,6 +23,7 @@ from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import ORDERS, TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
+from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.planner import DEFAULT_TEST
 
@@ -39,6 +40,7 @@ TABLES: dict[str, Iterable[str]] = {
     "Axes to split": AXIS_CHOICES,
     "Finding the area of a ray": TOP_LEVELS,
     "Traversals": TRAVERSALS,
+    "Shadow rays": SHADOW_TRAVERSALS,
     "Packet cullings": CULLINGS,
     "Mailboxes": MAILBOXES,
     "Orders of rays": ORDERS,
@@ -112,7 +114,7 @@ def test_public_algorithms_have_a_row(name):
     assert re.search(rf"^\| .*`wrt\.{name}\b.*\|.*\d{{4}}.*\|$", PAGE, re.MULTILINE)
 
 
-@pytest.mark.parametrize("table", [BVH_BUILDERS, KDTREE_BUILDERS, TRAVERSALS, CULLINGS, TRIANGLE_TESTS])
+@pytest.mark.parametrize("table", [BVH_BUILDERS, KDTREE_BUILDERS, TRAVERSALS, SHADOW_TRAVERSALS, CULLINGS, TRIANGLE_TESTS])
 def test_years_are_those_of_the_entries(table):
     """Each row, or the one that it refers to, names a year of its entry's paper."""
     rows, above = {}, ""

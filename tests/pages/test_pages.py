@@ -105,6 +105,16 @@ def check_sun_hours(names):
     np.testing.assert_array_equal(names["matrix"], names["matrix"].T)
 
 
+def check_shadows(names):
+    """The point light and the area light leave some points in light and some in shadow, and see the same points."""
+    assert 0.05 < names["dark"].mean() < 0.95
+    assert names["fraction"].shape == names["dark"].shape
+    assert names["fraction"].min() == 0.0
+    assert names["fraction"].max() == 1.0
+    assert 0.0 < ((names["fraction"] > 0.0) & (names["fraction"] < 1.0)).mean() < 0.5
+    np.testing.assert_array_equal(names["fraction"][:100], np.float32(1.0) - names["hidden"].mean(axis=1, dtype=np.float32))
+
+
 def check_moving(names):
     assert set(names["met"].instance_id) >= {-1, 0, 1, 100}
     assert names["shade"].mean() <= names["forest"].occluded(names["origins"], names["directions"]).mean() < 1
@@ -158,6 +168,7 @@ CHECKS = {
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
+    "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
     "guides/moving.md": check_moving,
     "guides/large_batches.md": check_large_batches,

@@ -27,7 +27,8 @@ KEYWORDS = frozenset(
 SUPPLIED = frozenset(
     re.findall(
         r"\w+",
-        "INFINITY NAN memcpy fabsf __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __attribute__ ext_vector_type noinline",
+        "INFINITY NAN memcpy fabsf __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
+        "atomicAdd atomicMin sqrt __attribute__ ext_vector_type noinline",
     )
 )
 """What the compilers or Warp's headers supply; names that begin with `__builtin_` or `__atomic_` count too."""

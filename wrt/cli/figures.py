@@ -79,6 +79,7 @@ def _all_tables() -> dict[str, list[dict[str, Any]]]:
     from wrt.kernels.traversal import TRAVERSALS
     from wrt.kernels.traversal.mailbox import MAILBOXES
     from wrt.kernels.traversal.packet import CULLINGS
+    from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
     from wrt.kernels.triangle import TRIANGLE_TESTS
     from wrt.scenes import BUILTIN_SCENES
 
@@ -87,6 +88,7 @@ def _all_tables() -> dict[str, list[dict[str, Any]]]:
         "BVH builders": _rows(BVH_BUILDERS, ("name", "paper")),
         "kd-tree builders": _rows(KDTREE_BUILDERS, ("name", "paper")),
         "traversals": _rows(TRAVERSALS, ("name", "trees", "paper")),
+        "traversals for shadow rays": _rows(SHADOW_TRAVERSALS, ("name", "light", "paper")),
         "packet cullings": _rows(CULLINGS, ("name", "paper")),
         "mailboxes": _rows(MAILBOXES, ("name", "paper")),
         "triangle tests": _rows(TRIANGLE_TESTS, tests),

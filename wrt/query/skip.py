@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -27,6 +27,16 @@ if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
     from wrt.rays.rays import Rays
     from wrt.state.scene_state import SceneState
+
+
+class SceneTriangles(NamedTuple):
+    """A value of `skip` from inside: a triangle for each ray, numbered through all meshes, -1 for none.
+
+    Attributes:
+        numbers: (N,) int32 on the scene's device.
+    """
+
+    numbers: wp.array
 
 
 def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
@@ -83,7 +93,9 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
         ValueError: hits of another scene, integers in a scene of several meshes or out of range, a shape that does not
             broadcast, or an array on another device.
     """
-    if isinstance(skip, Hits):
+    if isinstance(skip, SceneTriangles):
+        values, shape = skip.numbers, skip.numbers.shape
+    elif isinstance(skip, Hits):
         if not skip.is_of(scene):
             raise ValueError("skip holds hits of another scene; pass hits of this scene")
         values, shape = skip.batch.primitive, skip.shape

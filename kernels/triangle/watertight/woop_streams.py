@@ -60,7 +60,7 @@ CANDIDATE_LANES = f"""{PRECISE_AREAS}
             area[0][i] = a; area[1][i] = b; area[2][i] = c;
             hits[i] = (((a >= 0.0f) & (b >= 0.0f) & (c >= 0.0f)) | ((a <= 0.0f) & (b <= 0.0f) & (c <= 0.0f))) ? -1 : 0;
             const float size = (WRT_ABS(x2 * y1) + WRT_ABS(x0 * y2)) + WRT_ABS(x1 * y0);
-            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f) | ({IS_THIN})) ? -1 : 0;
+            edges[i] = ((a == 0.0f) | (b == 0.0f) | (c == 0.0f) | ((hits[i] != 0) & ({IS_THIN}))) ? -1 : 0;
         }}
         for (unsigned left = wrt_bits(edges); left; left &= left - 1u) {{
             const int i = wrt_lowest_bit(left);

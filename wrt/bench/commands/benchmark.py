@@ -28,6 +28,7 @@ COMPARISONS = {
     "build-sizes": ("build_sizes_command", "build_sizes_command"),
     "scaling": ("scaling_command", "scaling_command"),
     "scheduling": ("scaling_command", "scheduling_command"),
+    "shadows": ("shadows_command", "shadows_command"),
     "animation": ("animation_command", "animation_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""

@@ -69,22 +69,32 @@ SHORTEN = """
 """C++ that updates `bounds.t_max` after rays have found hits. ANY_HIT: whether the query is any-hit."""
 
 
-@cache
-def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
-    """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays and `bounds.t_max`.
+def block_constants(layout: PacketLayout, any_hit: bool) -> str:
+    """C++ for the head of a function that contains `block_code`, after the constants of the layout."""
+    passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
+    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}"
 
-    In any-hit queries a ray with a hit gets t = -inf.
-    """
+
+def block_code(layout: PacketLayout) -> str:
+    """C++ of `test_block`: its variables have the names of that function's parameters and of the packet's components."""
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {form.passes};\n"
     pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
     pieces["WRT_SHORTEN"] = SHORTEN
     pieces["WRT_BOX"] = vertex_box("corner", "0")
     body = _BLOCK
     for name, piece in pieces.items():
         body = body.replace(name, piece)
+    return SHARED_ORIGIN + body
 
-    @wp.func_native(layout.head + constants + SHARED_ORIGIN + BITS + body)
+
+@cache
+def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
+    """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays and `bounds.t_max`.
+
+    In any-hit queries a ray with a hit gets t = -inf.
+    """
+
+    @wp.func_native(layout.head + block_constants(layout, any_hit) + block_code(layout))
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),

@@ -1,0 +1,1 @@
+"""Structures around lights: the light buffer."""

@@ -1,0 +1,1 @@
+"""Shadows of point lights and area lights."""
