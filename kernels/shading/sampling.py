@@ -40,7 +40,6 @@ OWEN_1 = wp.constant(wp.uint32(0x6C50B47C))
 OWEN_2 = wp.constant(wp.uint32(0xB82F1E52))
 OWEN_3 = wp.constant(wp.uint32(0xC7AFE638))
 OWEN_4 = wp.constant(wp.uint32(0x8D22F6E6))
-HIGHEST_BIT = wp.constant(wp.uint32(0x80000000))
 
 
 @wp.func
@@ -74,16 +73,17 @@ def owen_scramble_reversed(x: wp.uint32, seed: wp.uint32):
 
 @wp.func
 def sobol_second(index: wp.uint32):
-    """Second coordinate of the Sobol sequence, as a 32-bit fraction (the first is `reverse_bits(index)`)."""
-    column = HIGHEST_BIT
-    rest = wp.uint32(index)
-    total = wp.uint32(0)
-    while rest != wp.uint32(0):
-        if (rest & wp.uint32(1)) != wp.uint32(0):
-            total = total ^ column
-        rest = rest >> wp.uint32(1)
-        column = column ^ (column >> wp.uint32(1))
-    return total
+    """Second coordinate of the Sobol sequence, as a 32-bit fraction (the first is `reverse_bits(index)`).
+
+    The bits of its matrix are Pascal's triangle modulo 2. That is Sierpinski's triangle: three of the four quarters are equal
+    and one is empty, and so are their quarters in turn. So the product takes one step for each halving.
+    """
+    r = reverse_bits(index)
+    r = r ^ (r << wp.uint32(16))
+    r = r ^ ((r & wp.uint32(0x00FF00FF)) << wp.uint32(8))
+    r = r ^ ((r & wp.uint32(0x0F0F0F0F)) << wp.uint32(4))
+    r = r ^ ((r & wp.uint32(0x33333333)) << wp.uint32(2))
+    return r ^ ((r & wp.uint32(0x55555555)) << wp.uint32(1))
 
 
 @wp.func

@@ -132,12 +132,11 @@ def test_bad_configurations(make):
 
 
 @wp.kernel(enable_backward=False, module_options={"fuse_fp": False}, module="unique")
-def ask_for_chunks(
+def check_chunks(
     cost: SplitCost,
     high: wp.array(dtype=wp.vec3),
     share: wp.array(dtype=wp.vec3),
     counts: wp.array2d(dtype=int),
-    least_known_cost: wp.array2d(dtype=float),
     answers: wp.array2d(dtype=bool),
 ):
     """Item: a node from (0, 0, 0) to `high`, a plane of it, and a chunk around that: share[0] .. share[2] of the axis.
@@ -148,12 +147,9 @@ def ask_for_chunks(
     at = share[i] * high[i][axis]
     along = axis_frame(cost, axis, wp.vec3(), high[i], counts[i, 0])
     plane = plane_cost(cost, along, at[1], counts[i, 1], counts[i, 2])
-    for other in range(3):
-        least_known_cost[other, i] = plane
-    answers[i, 0] = may_contain_best(cost, along, at[0], at[2], counts[i, 3], counts[i, 4], i, least_known_cost)
-    answers[i, 1] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, least_known_cost)
-    least_known_cost[axis, i] = plane * 0.999
-    answers[i, 2] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], i, least_known_cost)
+    answers[i, 0] = may_contain_best(cost, along, at[0], at[2], counts[i, 3], counts[i, 4], plane)
+    answers[i, 1] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], plane)
+    answers[i, 2] = may_contain_best(cost, along, at[1], at[1], counts[i, 1], counts[i, 2], plane * 0.999)
 
 
 @pytest.mark.parametrize("mailbox", [False, True])
@@ -168,9 +164,8 @@ def test_chunks_without_hope_are_those_that_cost_more(mailbox):
     counts = np.stack([total, left, right, left - fewer[0] * left, right - fewer[1] * right], axis=1).astype(np.int32)
     cost = SurfaceAreaCost(width=16, mailbox=mailbox).struct()
     answers = wp.empty((count, 3), dtype=bool, device="cpu")
-    least_known_cost = wp.empty((3, count), dtype=float, device="cpu")
     inputs = [wp.array(a, dtype=wp.vec3, device="cpu") for a in (high, share)] + [wp.array(counts, dtype=int, device="cpu")]
-    wp.launch(ask_for_chunks, count, [cost, *inputs, least_known_cost, answers], device="cpu")
+    wp.launch(check_chunks, count, [cost, *inputs, answers], device="cpu")
     around, alone, dearer = answers.numpy().T
     assert around.all()
     assert alone.all()

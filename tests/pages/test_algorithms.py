@@ -18,7 +18,9 @@ from wrt.builders.convert.node_layouts import LAYOUTS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.kdtree_config import AXES
 from wrt.builders.tree import TERMINATIONS
+from wrt.imaging.integrators.render_settings import INTEGRATORS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
+from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import ORDERS, TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
@@ -47,6 +49,8 @@ TABLES: dict[str, Iterable[str]] = {
     "Triangle tests": TRIANGLE_TESTS,
     "As published": PUBLISHED,
     "Schedules": SCHEDULES,
+    "Integrators": INTEGRATORS,
+    "Samplers": SAMPLERS,
 }
 """Heading of a section -> the table that it lists. A new table needs a section and a line here."""
 
@@ -57,6 +61,8 @@ DEFAULTS = {
     "Axes of medians": wrt.KdTree().axis,
     "Triangle tests": DEFAULT_TEST,
     "Schedules": DEFAULT_SCHEDULE,
+    "Integrators": "path",
+    "Samplers": wrt.RenderSettings().sampler,
 }
 
 WORTH_A_ROW = ("ProjectedBvh", "RayAwareBvh", "FuzzyScene", "GroupedScene", "Instance", "InstancedScene", "UpdatePolicy")

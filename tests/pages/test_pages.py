@@ -163,6 +163,16 @@ def check_auto(names):
     assert names["same"].plan.culling == "interval"
 
 
+def check_rendering(names):
+    pictures = [names[key] for key in ("image", "lamplit", "preview", "toned", "blurred", "moving")]
+    assert all(picture.shape == (120, 160, 3) and 0.02 < picture.mean() < 0.98 for picture in pictures)
+    assert 0.0 < names["last"] < names["first"]
+    assert (names["depth"] < np.inf).mean() > 0.3
+    hit = names["hits"].is_hit
+    np.testing.assert_allclose(names["heights"][hit], names["hits"].position[hit][:, 2], atol=1e-3)
+    np.testing.assert_allclose(np.linalg.norm(names["normals"][hit], axis=1), 1.0, atol=1e-5)
+
+
 CHECKS = {
     "start.md": check_start,
     "guides/queries.md": check_queries,
@@ -176,6 +186,7 @@ CHECKS = {
     "guides/gradients.md": check_gradients,
     "guides/exact.md": check_exact,
     "guides/known_rays.md": check_known_rays,
+    "guides/rendering.md": check_rendering,
     "guides/gpu.md": lambda names: np.testing.assert_array_equal(names["found"].t.numpy(), names["hits"].t.ravel()),
     "concepts/auto.md": check_auto,
 }

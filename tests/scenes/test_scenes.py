@@ -18,6 +18,7 @@ SMALL = {
     "random_triangles": {"count": 10},
     "teapot_in_stadium": {"level": 1, "rows": 1, "segments": 8},
     "atrium": {"bays": (1, 1), "storeys": 1, "detail": 1},
+    "cornell_box": {"cells": 1},
     "wood": {"trees": 1, "leaves": 0},
 }
 LARGER = {
@@ -25,6 +26,7 @@ LARGER = {
     "random_triangles": {"count": 11},
     "teapot_in_stadium": {"level": 1, "rows": 2, "segments": 8},
     "atrium": {"bays": (2, 1), "storeys": 1, "detail": 1},
+    "cornell_box": {"cells": 2},
     "wood": {"trees": 2, "leaves": 0},
 }
 
@@ -227,6 +229,19 @@ def test_sizes_grow(name):
     small, larger = scenes.build(name, **SMALL[name]), scenes.build(name, **LARGER[name])
     assert small.triangle_count < larger.triangle_count < scenes.build(name).triangle_count
     assert np.isfinite(larger.vertices).all()
+
+
+def test_blocks_of_the_cornell_box_face_outward():
+    """So that they may be made of glass; the walls face the room, and the lamp hangs under the ceiling."""
+    box, room = scenes.build("cornell_box", cells=1), scenes.build("cornell_box", cells=1, blocks=False)
+    blocks = TriangleMesh(box.vertices, box.faces[room.triangle_count :])
+    assert signed_volume(blocks) == pytest.approx(1.65 * 2.68 + 3.30 * 2.74, rel=0.02)  # height x base, about
+    assert signed_volume(room) < 0.0
+    assert box.triangle_count == 36
+    emits = [box.materials.materials[number].emits for number in box.materials.of_face]
+    lamp = corners_of(box)[emits]
+    np.testing.assert_allclose(lamp[..., 2], 5.483)
+    assert box.face_normals[emits][:, 2].max() == -1.0
 
 
 @pytest.mark.parametrize("name", ["random_triangles", "wood"])

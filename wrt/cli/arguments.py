@@ -91,8 +91,8 @@ def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
     return command
 
 
-def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | None]:
-    """The mesh of MODEL, or that of the built-in scene and its entry in the table."""
+def load_mesh(given: Mapping[str, Any], materials: bool = False) -> tuple[TriangleMesh, BuiltinScene | None]:
+    """The mesh of MODEL, with its materials if asked to, or that of the built-in scene and its entry in the table."""
     from wrt.meshes.mesh import TriangleMesh
     from wrt.scenes import BUILTIN_SCENES, build
 
@@ -101,7 +101,7 @@ def load_mesh(given: Mapping[str, Any]) -> tuple[TriangleMesh, BuiltinScene | No
         if given["scene"] is not None or options:
             raise click.UsageError("--scene, --level and --option choose a built-in scene: leave them out, or leave MODEL out")
         with busy(f"reading {given['model']}"):
-            return TriangleMesh.load(given["model"]), None
+            return TriangleMesh.load(given["model"], materials=materials), None
     name = given["scene"] or DEFAULT_SCENE
     if name not in BUILTIN_SCENES:
         raise click.BadParameter(f"{name!r} is unknown; choose from {', '.join(BUILTIN_SCENES)}", param_hint="--scene")
@@ -199,6 +199,40 @@ def progress(title: str) -> Iterator[Callable[[int, int], None] | None]:
         task = bar.add_task(title, total=None)
         with compile_progress.report_to(lambda text: bar.update(task, description=title if text is None else text)):
             yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def sample_progress(title: str, rendering: Any) -> Iterator[Callable[[int, int], None] | None]:
+    """A progress bar on stderr, if that is a terminal, with the noise of the picture so far and the time left.
+
+    The noise is the mean standard error of the pixels over their mean brightness.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[samples]}"),
+        TextColumn("{task.fields[noise]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(title, total=None, samples="", noise="")
+        shown = 0
+
+        def show(done: int, total: int) -> None:
+            nonlocal shown
+            fields = {"samples": f"{rendering.done}/{rendering.samples} samples"}
+            if rendering.done >= 2 and rendering.done >= 1.25 * shown:
+                shown, brightness = rendering.done, float(rendering.linear.mean())
+                fields["noise"] = f"noise {float(rendering.noise.mean()) / max(brightness, 1e-30):.1%}"
+            bar.update(task, completed=done, total=total, **fields)
+
+        yield show
 
 
 @contextmanager

@@ -18,6 +18,7 @@ from wrt.cli.arguments import (
     make_scene,
     model_options,
     progress,
+    sample_progress,
     start_warp,
 )
 
@@ -27,16 +28,34 @@ if TYPE_CHECKING:
     from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
 
+OPTIONS_OF_OTHERS = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius", "sky")
+"""Options that the integrator "ambient" does not have."""
+
 GROUND_SIZE = 32.0
 """Side of the ground under a model, in diagonals of the model's bounding box."""
 
 
 @click.command()
 @model_options
-@click.option("-o", "--output", required=True, type=click.Path(path_type=Path), help="Image to write: .png, .jpg, .npy ...")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=Path), help="Image to write: .png, .jpg, .npy, .exr ..."
+)
 @click.option("--width", default=800, show_default=True, type=click.IntRange(1), help="Pixels.")
 @click.option("--height", default=600, show_default=True, type=click.IntRange(1), help="Pixels.")
-@click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays per pixel.")
+@click.option(
+    "--integrator",
+    default="ambient",
+    show_default=True,
+    type=click.Choice(["ambient", "whitted", "distribution", "path"]),
+    help="ambient: one colour; the others: materials and lights.",
+)
+@click.option("--samples", type=click.IntRange(1), help="Camera rays per pixel.  [ambient 4, whitted 1, others 16]")
+@click.option("--depth", type=click.IntRange(1), help="Most rays in a row; not for ambient.  [8]")
+@click.option("--sampler", help="regular, random, jittered, halton or sobol; not for ambient.  [sobol]")
+@click.option("--exposure", type=click.FloatRange(0), help="Factor of the linear picture; not for ambient.  [1]")
+@click.option("--tone-mapping", help="srgb, reinhard, aces or linear; not for ambient.  [srgb]")
+@click.option("--lens-radius", type=click.FloatRange(0), help="Of a thin lens, focused at --look-at; not for ambient.  [0]")
+@click.option("--sky", type=click.FloatRange(0), help="Radiance of a grey sky; not for ambient.")
 @click.option(
     "--ambient-samples", default=16, show_default=True, type=click.IntRange(0), help="Ambient rays per camera ray; 0: none."
 )
@@ -57,10 +76,13 @@ GROUND_SIZE = 32.0
 @click.option("--traversal", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the sample pattern.")
 def render(output: Path, ground: bool, **given: Any) -> None:
-    """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image."""
+    """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image.
+
+    With an integrator other than ambient, Ctrl-C ends the rendering and keeps the samples that it has; .exr and .npy files hold
+    linear values.
+    """
     start_warp(given["device"])
-    from wrt.imaging.image_files import check_path, save_image
-    from wrt.imaging.rendering import render as render_image
+    from wrt.imaging.image_files import check_path
     from wrt.meshes.up_axis import default_up
 
     try:
@@ -69,30 +91,99 @@ def render(output: Path, ground: bool, **given: Any) -> None:
         raise click.BadParameter(str(error), param_hint="--output") from None
     query = {name: check_name(name, given[name]) for name in ("triangle_test", "traversal")}
     expect_build(given)
-    mesh, builtin = load_mesh(given)
+    mesh, builtin = load_mesh(given, materials=given["integrator"] != "ambient")
     up = given["up"] or (builtin.up if builtin else default_up(mesh))
     if ground and builtin:
         raise click.UsageError("--ground needs a MODEL; built-in scenes have their own ground")
     scene = make_scene([mesh, _ground(mesh, up)] if ground else mesh, given)
     camera = _camera(mesh, builtin, up, given)
     start = time.perf_counter()
-    with progress(f"rendering {mesh.name}") as on_progress:
+    light = given["light"] or (builtin.light if builtin else None)
+    make = _ambient if given["integrator"] == "ambient" else _by_integrator
+    made = make(scene, camera, output, light, mesh.name, given, query)
+    seconds = time.perf_counter() - start
+    click.echo(f"{output}: {camera.width} x {camera.height}, {scene.triangle_count:,} triangles, {made}{seconds:.1f} s")
+
+
+def _ambient(
+    scene: Scene,
+    camera: PinholeCamera,
+    output: Path,
+    light: Any,
+    name: str | None,
+    given: Mapping[str, Any],
+    query: Mapping[str, str],
+) -> str:
+    """Renders and writes a picture by ambient occlusion."""
+    from wrt.imaging.image_files import save_image
+    from wrt.imaging.rendering import render as render_image
+
+    for option in OPTIONS_OF_OTHERS:
+        if given[option] is not None:
+            raise click.UsageError(f"--{option.replace('_', '-')} needs --integrator whitted, distribution or path")
+    with progress(f"rendering {name}") as on_progress:
         image = render_image(
             scene,
             camera,
-            samples=given["samples"],
+            samples=given["samples"] or 4,
             ambient_samples=given["ambient_samples"],
             ambient_distance=given["ambient_distance"] or _ambient_distance(scene, camera),
-            light=given["light"] or (builtin.light if builtin else None),
+            light=light,
             shadows=given["shadows"],
             smooth=given["smooth"],
             seed=given["seed"],
             progress=on_progress,
             **query,
         )
-    seconds = time.perf_counter() - start
     save_image(output, image)
-    click.echo(f"{output}: {camera.width} x {camera.height}, {scene.triangle_count:,} triangles, {seconds:.1f} s")
+    return ""
+
+
+def _by_integrator(
+    scene: Scene,
+    camera: PinholeCamera,
+    output: Path,
+    light: Any,
+    name: str | None,
+    given: Mapping[str, Any],
+    query: Mapping[str, str],
+) -> str:
+    """Renders and writes a picture by another integrator; the number of samples, in words."""
+    from wrt.imaging.integrators.rendering_job import Rendering
+
+    wanted = ("samples", "depth", "sampler", "exposure", "tone_mapping", "lens_radius", "smooth", "seed")
+    options = {option: given[option] for option in wanted if given[option] is not None}
+    try:
+        lights = _lights(scene, camera, light, given["sky"])
+        rendering = Rendering(scene, camera, integrator=given["integrator"], lights=lights, **options, **query)
+    except ValueError as error:
+        raise click.UsageError(str(error)) from None
+    try:
+        with sample_progress(f"rendering {name}", rendering) as on_progress:
+            rendering.advance(progress=on_progress)
+    except KeyboardInterrupt:
+        if rendering.done == 0:
+            raise
+        click.echo(f"interrupted: the picture has {rendering.done} of {rendering.samples} samples", err=True)
+    rendering.save(output)
+    return f"{rendering.done} samples, "
+
+
+def _lights(scene: Scene, camera: PinholeCamera, light: Any, sky: float | None) -> list[Any] | None:
+    """Lights by the options; None for those of `wrt.Rendering`."""
+    import numpy as np
+
+    from wrt.imaging.lights.lamps import PointLight
+    from wrt.imaging.lights.sky_image import Sky
+
+    emits = any(mesh.materials and any(one.emits for one in mesh.materials.materials) for mesh in scene.meshes)
+    if sky is None and (emits or light is None):
+        return None
+    lights: list[Any] = [] if sky is None else [Sky(sky)]
+    if light is not None and not emits:
+        distance = float(np.linalg.norm(np.asarray(light) - camera.look_at))
+        lights.append(PointLight(light, 3.0 * distance**2))
+    return lights
 
 
 def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, ...], given: Mapping[str, Any]) -> PinholeCamera:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-__all__ = ["check_path", "save_image", "to_bytes"]
+__all__ = ["check_path", "save_exr", "save_image", "to_bytes"]
 
 _WITHOUT_ALPHA = (".jpg", ".jpeg", ".jpe", ".jfif", ".bmp", ".ppm")
 
@@ -16,7 +17,8 @@ def save_image(path: str | Path, image: Any) -> None:
     """Writes an image in the format given by the file's extension.
 
     Args:
-        path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is.
+        path: ".png", ".jpg" or any other extension that Pillow writes; ".npy" for the array as it is; ".exr" for floats as they
+            are, 32 bits each, which should be linear (`wrt.Rendering.linear`): this needs the package OpenEXR (`wrt[exr]`).
         image: (H, W) grey, (H, W, 3) RGB or (H, W, 4) RGBA; uint8, or floats for display (sRGB, as returned by
             `wrt.render`) in [0, 1], which are clipped and rounded to 8 bits. Integers and booleans, such as ids, can only
             be saved as ".npy".
@@ -33,6 +35,11 @@ def save_image(path: str | Path, image: Any) -> None:
         with open(path, "wb") as file:  # given a path, NumPy would add the extension to one in capitals
             np.save(file, array)
         return
+    if suffix == ".exr":
+        channels = {1: "Y", 3: "RGB", 4: "RGBA"}[1 if array.ndim == 2 else array.shape[2]]
+        pixels = (array.astype(np.float32) / (255 if array.dtype == np.uint8 else 1)).astype(np.float32)
+        save_exr(path, {name: pixels.reshape(*array.shape[:2], -1)[..., i] for i, name in enumerate(channels)})
+        return
     from PIL import Image
 
     if suffix in _WITHOUT_ALPHA and array.ndim == 3 and array.shape[2] == 4:
@@ -44,11 +51,33 @@ def save_image(path: str | Path, image: Any) -> None:
         raise ValueError(f"cannot write '{path}' ({error}); use .png") from error
 
 
+def save_exr(path: str | Path, channels: dict[str, np.ndarray]) -> None:
+    """Writes an OpenEXR file, compressed without loss.
+
+    Args:
+        path: of the file.
+        channels: (H, W) float32 or uint32 by name, such as "R" or "normal.X".
+
+    Raises:
+        ValueError: the package OpenEXR is missing.
+        FileNotFoundError: the folder does not exist.
+    """
+    path = check_path(path)
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {name: np.ascontiguousarray(values) for name, values in channels.items()}) as file:
+        file.write(str(path))
+
+
 def check_path(path: str | Path) -> Path:
     """Returns the path if an image can be written there; errors as in `save_image`."""
     path = Path(path)
     suffix = path.suffix.lower()
-    if suffix != ".npy":
+    if suffix == ".exr":
+        if find_spec("OpenEXR") is None:
+            raise ValueError(f"cannot write '{path}': the package OpenEXR is missing; install it with pip install 'wrt[exr]'")
+    elif suffix != ".npy":
         from PIL import Image
 
         if suffix not in {extension for extension, name in Image.registered_extensions().items() if name in Image.SAVE}:

@@ -1,8 +1,8 @@
 """Triangle meshes, from which every scene is made; checked once, by the constructor.
 
-A mesh is an indexed face set: an array of points and an array of vertex index triples, without materials or texture
-coordinates. The constructor checks all geometry, so that builders and kernels can rely on finite points, valid indices and
-at least one triangle. Degenerate triangles (zero area) and duplicates are allowed, since real models have many;
+A mesh is an indexed face set: an array of points and an array of vertex index triples, with or without materials. The
+constructor checks all geometry, so that builders and kernels can rely on finite points, valid indices and at least one
+triangle. Degenerate triangles (zero area) and duplicates are allowed, since real models have many;
 `TriangleMesh.summary` counts them.
 
 The arrays are never reordered: triangle i of the arrays (or of the file) is `primitive_id` i in every answer. They are
@@ -21,16 +21,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.materials.material import Material
+from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
+from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
 from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
     import trimesh
 
 __all__ = ["TriangleMesh"]
-
-# An angle below four rounding steps of float64 cannot be told from zero: the triangle counts as degenerate.
-_SINE_OF_DEGENERATE = 4.0 * np.finfo(np.float64).eps
 
 
 class TriangleMesh:
@@ -60,16 +60,22 @@ class TriangleMesh:
         self._faces = checked_faces(faces, len(self._vertices))
         self.name = name
         self._up = checked_up(up)
+        self._materials: MeshMaterials | None = None
 
     # -- input and output --------------------------------------------------------------------------------------------------
 
     @classmethod
-    def load(cls, path: str | Path) -> TriangleMesh:
+    def load(cls, path: str | Path, *, materials: bool | None = None) -> TriangleMesh:
         """Reads a file in any format that trimesh knows (.ply .obj .stl .glb .off ...).
 
         Nothing is merged or reordered: primitive ids are the file's triangle order. Files with a scene graph are
         flattened as in `from_trimesh`, in the order of their nodes. Polygons are triangulated by trimesh. Axes and
         units stay as they are in the file. `up` is y for glTF, OBJ, OFF and PLY files, and None for all others.
+
+        Args:
+            path: of the file.
+            materials: whether to read materials, texture coordinates and colours; None: of all formats except OBJ. Of an OBJ
+                file, trimesh then groups triangles by material and splits vertices, and primitive ids follow its order.
 
         Raises:
             FileNotFoundError: there is no such file.
@@ -85,7 +91,7 @@ class TriangleMesh:
         if suffix not in known:
             raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
         try:
-            if suffix == "obj":
+            if suffix == "obj" and not materials:
                 source = io.BytesIO(_positions_only(path.read_bytes()))
                 loaded = trimesh.load(source, file_type="obj", process=False)
             else:
@@ -98,15 +104,17 @@ class TriangleMesh:
         if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
             raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
         try:
-            mesh = cls.from_trimesh(loaded, name=path.stem)
+            mesh = cls.from_trimesh(loaded, name=path.stem, materials=materials is not False)
         except ValueError as error:
             raise ValueError(f"'{path}': {error}") from error
         mesh._up = up_of_format(suffix)
         return mesh
 
     @classmethod
-    def from_trimesh(cls, source: trimesh.Trimesh | trimesh.Scene, *, name: str | None = None) -> TriangleMesh:
-        """Converts a trimesh mesh, or a trimesh scene flattened into world coordinates.
+    def from_trimesh(
+        cls, source: trimesh.Trimesh | trimesh.Scene, *, name: str | None = None, materials: bool = True
+    ) -> TriangleMesh:
+        """Converts a trimesh mesh, or a trimesh scene flattened into world coordinates, with its materials if asked to.
 
         Every node of the scene's graph that holds a mesh is transformed and appended, instances included. Point clouds and
         paths are left out.
@@ -118,7 +126,12 @@ class TriangleMesh:
         import trimesh
 
         if isinstance(source, trimesh.Trimesh):
-            return cls(source.vertices, source.faces, name=name)
+            mesh = cls(source.vertices, source.faces, name=name)
+            if materials:
+                from wrt.materials.trimesh_materials import read_materials
+
+                mesh._materials = read_materials(source)
+            return mesh
         if not isinstance(source, trimesh.Scene):
             raise TypeError(
                 f"expected a trimesh.Trimesh or trimesh.Scene, got {type(source).__name__}; "
@@ -129,7 +142,7 @@ class TriangleMesh:
             matrix, geometry_name = source.graph[node]
             geometry = source.geometry[geometry_name]
             if isinstance(geometry, trimesh.Trimesh) and len(geometry.faces):
-                parts.append(cls(geometry.vertices, geometry.faces).transformed(matrix))
+                parts.append(cls.from_trimesh(geometry, materials=materials).transformed(matrix))
         if not parts:
             raise ValueError("no triangles in it: a mesh needs at least one (point clouds and paths do not count)")
         return cls.concatenate(parts, name=name)
@@ -170,6 +183,11 @@ class TriangleMesh:
         return self._up
 
     @property
+    def materials(self) -> MeshMaterials | None:
+        """Materials of the triangles (`with_materials`); None if there are none."""
+        return self._materials
+
+    @property
     def vertex_count(self) -> int:
         """V, including vertices that no triangle uses."""
         return len(self._vertices)
@@ -206,12 +224,12 @@ class TriangleMesh:
     @property
     def face_normals(self) -> np.ndarray:
         """(F, 3) float64 unit normals, right-handed; zero for degenerate triangles. Computed on every call."""
-        return _normals_and_areas(self._vertices, self._faces)[0]
+        return normals_and_areas(self._vertices, self._faces)[0]
 
     @property
     def surface_area(self) -> float:
         """Sum of the triangle areas, in squared units of the vertices."""
-        return float(_normals_and_areas(self._vertices, self._faces)[1].sum())
+        return float(normals_and_areas(self._vertices, self._faces)[1].sum())
 
     def summary(self) -> dict[str, Any]:
         """Counts and measures of the mesh as plain Python values.
@@ -223,7 +241,7 @@ class TriangleMesh:
             positions, not indices: vertices that coincide exactly count as one, and triangles that thereby collapse to a
             line or a point are ignored by `is_closed`.
         """
-        normals, areas = _normals_and_areas(self._vertices, self._faces)
+        normals, areas = normals_and_areas(self._vertices, self._faces)
         corners = self._sorted_corners
         order = np.lexsort(corners.T)
         repeats = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
@@ -251,11 +269,12 @@ class TriangleMesh:
     @property
     def _sorted_corners(self) -> np.ndarray:
         """(F, 3) int64, the corners of each triangle in ascending order; coincident vertices count as the first of them."""
-        return np.sort(_first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
+        return np.sort(first_of_equal_points(self._vertices)[self._faces], axis=1).astype(np.int64)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles hold the constructor's arguments, so that unpickled meshes are checked and read-only."""
-        return partial(TriangleMesh, name=self.name, up=self._up), (self._vertices, self._faces)
+        made = partial(TriangleMesh, name=self.name, up=self._up), (self._vertices, self._faces)
+        return made if self._materials is None else (*made, {"_materials": self._materials})
 
     def __repr__(self) -> str:
         label = f"'{self.name}', " if self.name else ""
@@ -291,7 +310,32 @@ class TriangleMesh:
         mirrored = np.linalg.det(matrix[:3, :3]) < 0.0
         faces = self._faces[:, [0, 2, 1]] if mirrored else self._faces
         up = mapped_up(self._up, matrix[:3, :3])
-        return TriangleMesh(moved.astype(self._vertices.dtype, copy=False), faces, name=self.name, up=up)
+        result = TriangleMesh(moved.astype(self._vertices.dtype, copy=False), faces, name=self.name, up=up)
+        result._materials = self._materials.mirrored() if mirrored and self._materials is not None else self._materials
+        return result
+
+    def with_materials(
+        self, materials: Material | Iterable[Material], of_face: Any = None, *, uv: Any = None, colors: Any = None
+    ) -> TriangleMesh:
+        """The same mesh with materials. They are kept by `transformed`, `concatenate`, `welded` and pickles, but not by files.
+
+        Args:
+            materials: a `wrt.Material` for all triangles, or several.
+            of_face: (F,) the material of each triangle, as its place in `materials`; None: all have the first one.
+            uv: (V, 2) or (F, 3, 2) texture coordinates of vertices or corners.
+            colors: (V, 3) or (F, 3, 3) linear colours of vertices or corners, which multiply the material's.
+
+        Raises:
+            TypeError, ValueError: wrong types, shapes or values.
+        """
+        made = make_mesh_materials(self._faces, self.vertex_count, materials, of_face, uv, colors)
+        return self._like(self._vertices, self._faces, made)
+
+    def _like(self, vertices: np.ndarray, faces: np.ndarray, materials: MeshMaterials | None) -> TriangleMesh:
+        """A mesh of the same name and upward direction."""
+        mesh = TriangleMesh(vertices, faces, name=self.name, up=self._up)
+        mesh._materials = materials
+        return mesh
 
     @staticmethod
     def concatenate(meshes: Iterable[TriangleMesh], *, name: str | None = None) -> TriangleMesh:
@@ -308,51 +352,16 @@ class TriangleMesh:
         starts = np.cumsum([0] + [mesh.vertex_count for mesh in meshes[:-1]])
         vertices = np.concatenate([mesh.vertices for mesh in meshes])
         faces = np.concatenate([mesh.faces + np.int64(start) for mesh, start in zip(meshes, starts, strict=True)])
-        return TriangleMesh(vertices, faces, name=name, up=common_up(meshes))
+        joined = TriangleMesh(vertices, faces, name=name, up=common_up(meshes))
+        parts = [mesh.materials for mesh in meshes]
+        joined._materials = joined_materials(parts, [mesh.triangle_count for mesh in meshes], Material())
+        return joined
 
     def welded(self) -> TriangleMesh:
         """Merges vertices that coincide exactly and drops unused ones; triangles and their order stay the same."""
-        faces = _first_of_equal_points(self._vertices)[self._faces]
+        faces = first_of_equal_points(self._vertices)[self._faces]
         kept, faces = np.unique(faces, return_inverse=True)
-        return TriangleMesh(self._vertices[kept], faces.reshape(-1, 3), name=self.name, up=self._up)
-
-
-# -- checks and measures -----------------------------------------------------------------------------------------------
-
-
-def extremes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest value of each column of an (N, 3) array. By column, NumPy takes a twentieth of the time."""
-    columns = points.T
-    return np.array([column.min() for column in columns]), np.array([column.max() for column in columns])
-
-
-def _normals_and_areas(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals (F, 3), zero where degenerate, and areas (F,).
-
-    Both edges are first scaled to about unit length, so that products neither underflow nor overflow.
-    """
-    corner = vertices[faces[:, 0]].astype(np.float64)
-    edge1 = vertices[faces[:, 1]] - corner
-    edge2 = vertices[faces[:, 2]] - corner
-    scale1 = np.abs(edge1).max(axis=1)
-    scale2 = np.abs(edge2).max(axis=1)
-    edge1 /= np.where(scale1 > 0.0, scale1, 1.0)[:, None]
-    edge2 /= np.where(scale2 > 0.0, scale2, 1.0)[:, None]
-    normals = np.cross(edge1, edge2)
-    lengths = np.linalg.norm(normals, axis=1)
-    lengths[lengths <= _SINE_OF_DEGENERATE] = 0.0  # both edges have lengths from 1 to sqrt(3), or zero
-    normals *= np.where(lengths > 0.0, 1.0 / np.where(lengths > 0.0, lengths, 1.0), 0.0)[:, None]
-    return normals, 0.5 * lengths * scale1 * scale2
-
-
-def _first_of_equal_points(points: np.ndarray) -> np.ndarray:
-    """(V,) for every point, the smallest index of a point with exactly the same coordinates (-0.0 equals 0.0)."""
-    order = np.lexsort(points.T)  # stable: equal points stay in the order of their indices
-    ranked = points[order]
-    starts = np.concatenate([[True], (ranked[1:] != ranked[:-1]).any(axis=1)])
-    first = np.empty(len(points), dtype=np.int64)
-    first[order] = order[starts][np.cumsum(starts) - 1]
-    return first
+        return self._like(self._vertices[kept], faces.reshape(-1, 3), self._materials)
 
 
 def _positions_only(text: bytes) -> bytes:

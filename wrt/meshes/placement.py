@@ -191,6 +191,7 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
             f"vertices has {len(points)} points, but the mesh has {mesh.vertex_count}; for other triangles, make a new scene"
         )
     moved = TriangleMesh(points, mesh.faces, name=mesh.name, up=mesh.up)
+    moved._materials = mesh.materials
     moved.__dict__["referenced"] = mesh.referenced  # the same triangles use the same vertices
     return moved
 

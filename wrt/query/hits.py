@@ -53,6 +53,7 @@ class Hits:
         """What the traversal stored, flat and on the device; triangles are numbered through all meshes of the scene."""
         self.plan = plan
         self._mesh = scene.device_mesh
+        self._meshes = scene.meshes
         self._scenes = {scene.mark}
         self._counters = counters
         self._form = form
@@ -177,6 +178,74 @@ class Hits:
         with use_threads(self._num_threads):
             launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
         return shaped(out, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float64))
+
+    def smooth_normal(self, crease_angle: float = 60.0) -> Any:
+        """(..., 3) float32: normals interpolated between the vertices of smooth surfaces, as `wrt.render` shades by them.
+
+        Unit vectors on the side of `normal`; 0 for a miss. A vertex normal is the mean of the triangles around it, weighted by
+        their angles (Thuermer and Wuethrich 1998).
+
+        Args:
+            crease_angle: edges between triangles whose planes differ by more stay sharp; in degrees, in (0, 90).
+
+        Raises:
+            ValueError: an angle out of range, or hits from a pickle.
+        """
+        from wrt.kernels.query.hit_interpolation import smooth_normals_at_hits
+        from wrt.query.interpolation import corner_normals_of
+
+        if not 0.0 < crease_angle < 90.0:
+            raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees")
+        out = self._empty(wp.vec3)
+        with use_threads(self._num_threads):
+            corners = corner_normals_of(self._meshes, float(crease_angle), self._device)
+        self._launch(smooth_normals_at_hits, self._mesh, self.batch.primitive, self.batch.uv, corners, out)
+        return self._out(out)
+
+    def interpolate(self, vertex_values: Any) -> Any:
+        """Values of vertices, interpolated within the triangles.
+
+            heat = hits.interpolate(temperature)        # temperature: (V,), heat: (...)
+
+        Args:
+            vertex_values: (V, ...) numbers, a row for each vertex of the mesh; for a scene of several meshes, or of instances,
+                a sequence with one array for each of `scene.meshes`.
+
+        Returns:
+            (..., ...) float32, the leading shape of the rays and then that of a row; NaN for a miss. A NumPy array, or a Warp
+            array if the rays were.
+
+        Raises:
+            TypeError: not real numbers.
+            ValueError: another number of arrays or rows, or hits from a pickle.
+        """
+        from wrt.query.interpolation import corner_table
+
+        values, corners = corner_table(self._meshes, vertex_values)
+        return self._interpolated(values, corners)
+
+    def uv_at(self) -> Any:
+        """(..., 2) float32: texture coordinates (`wrt.TriangleMesh.with_materials`); NaN for a miss.
+
+        Raises:
+            ValueError: no mesh of the scene has any, or hits from a pickle.
+        """
+        from wrt.query.interpolation import corner_coordinates
+
+        values = corner_coordinates(self._meshes).reshape(-1, 2)
+        return self._interpolated(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
+
+    def _interpolated(self, values: np.ndarray, corners: np.ndarray) -> Any:
+        """Rows of values at the hits; `corners` are the rows of each triangle."""
+        from wrt.kernels.query.hit_interpolation import interpolate_at_hits
+
+        row = values.shape[1:]
+        table = wp.array(values.reshape(len(values), -1), dtype=float, device=self._device)
+        rows = wp.array(corners, dtype=wp.vec3i, device=self._device)
+        out = wp.empty((self.batch.count, table.shape[1]), dtype=float, device=self._device)
+        self._launch(interpolate_at_hits, self._mesh, self.batch.primitive, self.batch.uv, rows, table, out)
+        shape = (*self.shape, *row)
+        return out.reshape(shape or (1,)) if self._form.is_warp else out.numpy().reshape(shape)
 
     @property
     def has_counters(self) -> bool:

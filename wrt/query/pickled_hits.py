@@ -97,6 +97,18 @@ class PickledHits(Hits):
             "hits from a pickle do not hold the triangles that spawn needs; call spawn before pickling, or intersect again"
         )
 
+    @property
+    def _meshes(self) -> NoReturn:
+        """Not available, and so neither are the attributes that are interpolated.
+
+        Raises:
+            ValueError: always; the message names the alternative.
+        """
+        raise ValueError(
+            "hits from a pickle do not hold the triangles between whose vertices values are interpolated; call smooth_normal, "
+            "interpolate or uv_at before pickling, or intersect again"
+        )
+
     def same_geometry(self, scene: Any) -> bool:
         """False: without the triangles, only identifiers are compared."""
         return False

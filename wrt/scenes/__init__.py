@@ -19,6 +19,7 @@ from typing import Any
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 from wrt.scenes.colonnade import atrium
+from wrt.scenes.cornell_box import cornell_box
 from wrt.scenes.newell_teapot import teapot
 from wrt.scenes.stadium import teapot_in_stadium
 from wrt.scenes.trees import wood
@@ -30,6 +31,7 @@ __all__ = [
     "BuiltinScene",
     "atrium",
     "build",
+    "cornell_box",
     "random_triangles",
     "teapot",
     "teapot_in_stadium",
@@ -113,6 +115,16 @@ _SCENES = (
         fov=68.0,
         light=(-9.0, -13.0, 28.0),
         options=MappingProxyType({"bays": (6, 3), "storeys": 2, "detail": 4}),
+    ),
+    BuiltinScene(
+        name="cornell_box",
+        description="the Cornell box, with its materials and lamp",
+        function=cornell_box,
+        position=(0.0, -8.0, 2.73),
+        look_at=(0.0, 2.8, 2.73),
+        fov=39.3,
+        light=(0.0, 2.8, 5.3),
+        options=MappingProxyType({"blocks": True, "cells": 6}),
     ),
     BuiltinScene(
         name="wood",

@@ -65,7 +65,7 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHi
     from wrt.state.device_hits import DeviceHits
 
     plan = make_plan(scene.state, rays, "single", "auto")
-    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(pairs=True))
+    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(paired_nodes=True))
     hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
     inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits.struct(), counters]

@@ -1,0 +1,1 @@
+"""How surfaces scatter light: Fresnel's equations, the GGX distribution, materials, and nested dielectrics."""

@@ -1,0 +1,152 @@
+"""Materials as arrays, and what a material is at a point: its colour and roughness may come from images and vertex colours."""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.bsdf.ggx import SMALLEST_ALPHA
+
+exact_module(__name__)
+
+DIFFUSE = wp.constant(0)
+MIRROR = wp.constant(1)
+DIELECTRIC = wp.constant(2)
+GLOSSY = wp.constant(3)
+
+
+@wp.struct
+class Materials:
+    """M materials, and the material of each triangle. Geometry shared by instances counts once."""
+
+    of_face: wp.array(dtype=int)
+    """(F,) or (1,) material of each triangle."""
+    of_face_stride: int
+    kind: wp.array(dtype=int)
+    """(M,) `DIFFUSE`, `MIRROR`, `DIELECTRIC` or `GLOSSY`."""
+    color: wp.array(dtype=wp.vec3)
+    """(M,) linear: share of light that is scattered."""
+    shape: wp.array(dtype=wp.vec4)
+    """(M,) roughness, metallic, index of refraction, translucency."""
+    emission: wp.array(dtype=wp.vec3)
+    """(M,) emitted radiance."""
+    two_sided: wp.array(dtype=int)
+    """(M,) whether the back emits, too."""
+    absorption: wp.array(dtype=wp.vec3)
+    """(M,) per unit of length, inside dielectrics."""
+    priority: wp.array(dtype=int)
+    """(M,) of nested dielectrics."""
+    color_texture: wp.array(dtype=int)
+    """(M,) -1 for none."""
+    surface_texture: wp.array(dtype=int)
+    """(M,) roughness in green and metallic in blue; -1 for none."""
+    has_uv: bool
+    corner_uv: wp.array(dtype=wp.vec2)
+    """(3 F,) texture coordinates, if `has_uv`."""
+    has_color: bool
+    corner_color: wp.array(dtype=wp.vec3)
+    """(3 F,) linear, if `has_color`; multiplied with the colour."""
+    texture_first: wp.array(dtype=int)
+    """(T,) first texel of each image."""
+    texture_size: wp.array(dtype=wp.vec2i)
+    """(T,) width and height."""
+    texels: wp.array(dtype=wp.uint32)
+    """8 bits each of red, green, blue; row 0 is at the top, v = 1."""
+    linear: wp.array(dtype=float)
+    """(512,) values of the 256 levels: linear data, then sRGB."""
+
+
+@wp.struct
+class Look:
+    """A material at a point."""
+
+    number: int
+    kind: int
+    color: wp.vec3
+    alpha: float
+    """0 for a smooth surface."""
+    metallic: float
+    index: float
+    translucency: float
+    ratio: float
+    """Of a dielectric: index of refraction on the side of the ray, divided by that beyond."""
+    schlick: bool
+
+
+@wp.func
+def texel(materials: Materials, place: int, decode: int):
+    """A texel, linear."""
+    word = materials.texels[place]
+    return wp.vec3(
+        materials.linear[decode + int(word & wp.uint32(255))],
+        materials.linear[decode + int((word >> wp.uint32(8)) & wp.uint32(255))],
+        materials.linear[decode + int((word >> wp.uint32(16)) & wp.uint32(255))],
+    )
+
+
+@wp.func
+def texture_at(materials: Materials, texture: int, uv: wp.vec2, decode: int):
+    """An image at texture coordinates, with bilinear interpolation. u grows to the right, v upward."""
+    size = materials.texture_size[texture]
+    x = (uv[0] - wp.floor(uv[0])) * float(size[0]) - 0.5
+    y = (1.0 - (uv[1] - wp.floor(uv[1]))) * float(size[1]) - 0.5
+    left = wp.clamp(int(wp.floor(x)), -1, size[0] - 1)
+    top = wp.clamp(int(wp.floor(y)), -1, size[1] - 1)
+    across = x - float(left)
+    down = y - float(top)
+    right = wp.where(left + 1 < size[0], left + 1, 0)
+    bottom = wp.where(top + 1 < size[1], top + 1, 0)
+    first = materials.texture_first[texture]
+    upper_row = first + wp.where(top < 0, size[1] - 1, top) * size[0]
+    lower_row = first + bottom * size[0]
+    left = wp.where(left < 0, size[0] - 1, left)
+    upper = (1.0 - across) * texel(materials, upper_row + left, decode) + across * texel(materials, upper_row + right, decode)
+    lower = (1.0 - across) * texel(materials, lower_row + left, decode) + across * texel(materials, lower_row + right, decode)
+    return (1.0 - down) * upper + down * lower
+
+
+@wp.func
+def corner_uv_at(materials: Materials, face: int, weights: wp.vec3):
+    """Texture coordinates at a point of a triangle."""
+    return (
+        weights[0] * materials.corner_uv[3 * face]
+        + weights[1] * materials.corner_uv[3 * face + 1]
+        + weights[2] * materials.corner_uv[3 * face + 2]
+    )
+
+
+@wp.func
+def look_at(materials: Materials, face: int, weights: wp.vec3):
+    """The material at a point of a triangle."""
+    number = materials.of_face[face * materials.of_face_stride]
+    shape = materials.shape[number]
+    look = Look()
+    look.number = number
+    look.kind = materials.kind[number]
+    look.color = materials.color[number]
+    roughness = shape[0]
+    look.metallic = shape[1]
+    look.index = shape[2]
+    look.translucency = shape[3]
+    if materials.has_color:
+        look.color = wp.cw_mul(
+            look.color,
+            weights[0] * materials.corner_color[3 * face]
+            + weights[1] * materials.corner_color[3 * face + 1]
+            + weights[2] * materials.corner_color[3 * face + 2],
+        )
+    if materials.has_uv:
+        texture = materials.color_texture[number]
+        surface = materials.surface_texture[number]
+        if texture >= 0 or surface >= 0:
+            uv = corner_uv_at(materials, face, weights)
+            if texture >= 0:
+                look.color = wp.cw_mul(look.color, texture_at(materials, texture, uv, 256))
+            if surface >= 0:
+                found = texture_at(materials, surface, uv, 0)
+                roughness = roughness * found[1]
+                look.metallic = look.metallic * found[2]
+    look.alpha = roughness * roughness
+    if look.alpha < SMALLEST_ALPHA:
+        look.alpha = 0.0
+    if look.kind == GLOSSY:
+        look.alpha = wp.max(look.alpha, SMALLEST_ALPHA)
+    return look

@@ -1,0 +1,1 @@
+"""Light sources: their tables on the device, and points and directions sampled on them."""

@@ -1,0 +1,12 @@
+"""Rays by generations: camera rays, one step from a generation to the next, and the queues in between.
+
+    pixel_samples.py  random numbers of a pixel's samples, one dimension an effect
+    camera_rays.py    pixels -> rays, through a filter and a lens
+    path_step.py      one step of path tracing
+    tree_step.py      one step of Whitted's and of distribution ray tracing
+    ray_queue.py      the rays of a generation, and their compaction: count, scan, fill
+    picture.py        radiance of samples -> the film, its noise, and layers
+
+**Contract.** A step is a kernel over the rays of a generation. What it writes depends on its own ray alone; random numbers
+follow from pixel, sample and dimension. So neither threads nor the size of a wave show in a picture.
+"""

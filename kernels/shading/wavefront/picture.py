@@ -1,0 +1,147 @@
+"""From samples to pictures: the film, its noise, layers of the first hits, and tone mapping.
+
+The film holds, for each pixel, the sum of its samples' radiance, and of the squares of their luminance. The mean's standard
+error follows from both.
+
+References:
+    E. Reinhard, M. Stark, P. Shirley, J. Ferwerda: Photographic tone reproduction for digital images. SIGGRAPH 2002.
+    K. Narkowicz: ACES filmic tone mapping curve. 2016 (a fit to the curve of the Academy).
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.bsdf.scattering import luminance
+from wrt.kernels.shading.film import display
+from wrt.kernels.shading.shading_point import shading_point
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
+from wrt.kernels.shading.wavefront.scene_light import LitScene, point_look
+
+exact_module(__name__)
+
+TONE_MAPPINGS = ("linear", "srgb", "reinhard", "aces")
+LINEAR, SRGB, REINHARD, ACES = (wp.constant(number) for number in range(4))
+
+
+@wp.kernel
+def develop_wave(
+    first: int,
+    wave: Wave,
+    samples: int,
+    limit: float,
+    radiance: wp.array(dtype=wp.vec3),
+    film: wp.array(dtype=wp.vec3),
+    squares: wp.array(dtype=float),
+):
+    """Adds the samples of a wave to their pixel, in order. Item: a pixel of the wave. `limit` bounds a sample's largest
+    component."""
+    i = first + wp.tid()
+    pixel = wave.first_pixel + i
+    total = film[pixel]
+    square = squares[pixel]
+    for sample in range(samples):
+        value = radiance[sample * wave.pixels + i]
+        most = wp.max(value[0], wp.max(value[1], value[2]))
+        if most > limit:
+            value = value * (limit / most)
+        total += value
+        brightness = luminance(value)
+        square += brightness * brightness
+    film[pixel] = total
+    squares[pixel] = square
+
+
+@wp.kernel
+def mean_of_samples(first: int, film: wp.array(dtype=wp.vec3), samples: int, mean: wp.array(dtype=wp.vec3)):
+    """Writes the mean of a pixel's samples. Item: a pixel."""
+    i = first + wp.tid()
+    mean[i] = film[i] / float(samples)
+
+
+@wp.kernel
+def standard_errors(
+    first: int, film: wp.array(dtype=wp.vec3), squares: wp.array(dtype=float), samples: int, errors: wp.array(dtype=float)
+):
+    """Writes the standard error of the luminance of a pixel's mean. Item: a pixel."""
+    i = first + wp.tid()
+    count = float(samples)
+    mean = luminance(film[i]) / count
+    variance = wp.max(0.0, squares[i] / count - mean * mean)
+    errors[i] = wp.sqrt(variance / wp.max(count - 1.0, 1.0))
+
+
+@wp.func
+def toned(x: float, mapping: int):
+    """A linear value for display in sRGB."""
+    result = x
+    if mapping == SRGB:
+        result = display(x)
+    if mapping == REINHARD:
+        result = display(x / (1.0 + x))
+    if mapping == ACES:
+        result = display(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14))
+    return result
+
+
+@wp.kernel
+def map_tones(first: int, mean: wp.array(dtype=wp.vec3), exposure: float, mapping: int, image: wp.array(dtype=wp.vec3)):
+    """Writes a pixel's colour for display. Item: a pixel."""
+    i = first + wp.tid()
+    value = exposure * mean[i]
+    image[i] = wp.vec3(toned(value[0], mapping), toned(value[1], mapping), toned(value[2], mapping))
+
+
+@wp.struct
+class Layers:
+    """What the first sample of each pixel sees."""
+
+    depth: wp.array(dtype=float)
+    """(P,) distances along the rays; inf for a miss."""
+    normal: wp.array(dtype=wp.vec3)
+    albedo: wp.array(dtype=wp.vec3)
+    primitive_id: wp.array(dtype=int)
+    geometry_id: wp.array(dtype=int)
+    instance_id: wp.array(dtype=int)
+    material_id: wp.array(dtype=int)
+
+
+@wp.func
+def geometry_in(mesh: SceneMesh, instance: int):
+    """Index of the geometry of an instance, or the same number in a scene without instances."""
+    geometry = int(instance)
+    if mesh.placements.shape[0] > 0:
+        geometry = mesh.placements[instance].geometry
+    return geometry
+
+
+@wp.kernel
+def write_layers(first: int, scene: LitScene, first_pixel: int, queue: RayQueue, hits: HitBatch, layers: Layers):
+    """Writes what a camera ray sees. Item: a pixel of the wave, whose ray has the same number."""
+    i = first + wp.tid()
+    pixel = first_pixel + i
+    primitive = hits.primitive[i]
+    normal = wp.vec3()
+    albedo = wp.vec3()
+    instance = int(-1)
+    geometry = int(-1)
+    local = int(-1)
+    material = int(-1)
+    if primitive >= 0:
+        point = shading_point(scene.shaded, primitive, hits.uv[i], queue.direction[i])
+        look = point_look(scene, point)
+        normal = point.normal
+        albedo = look.color
+        mesh = scene.shaded.mesh
+        instance = geometry_of(mesh, primitive)
+        geometry = geometry_in(mesh, instance)
+        local = primitive - mesh.geometry_first[instance]
+        material = look.number
+    layers.depth[pixel] = hits.t[i]
+    layers.normal[pixel] = normal
+    layers.albedo[pixel] = albedo
+    layers.primitive_id[pixel] = local
+    layers.geometry_id[pixel] = geometry
+    layers.instance_id[pixel] = instance
+    layers.material_id[pixel] = material

@@ -1,0 +1,95 @@
+"""The rays of a generation, and their compaction.
+
+A step writes the rays that follow from ray i at the places i * branches .. i * branches + branches - 1 of a second queue, and
+whether each goes on. Then the places are summed (count, scan), and the rays that go on are moved together (fill). Their order
+stays, so the rays of a sample stay neighbours.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+
+@wp.struct
+class RayQueue:
+    """Rays with what they carry."""
+
+    origin: wp.array(dtype=wp.vec3)
+    """Relative to the scene's centre."""
+    direction: wp.array(dtype=wp.vec3)
+    """Unit vectors."""
+    weight: wp.array(dtype=wp.vec3)
+    """Share of the radiance along the ray that reaches the sample."""
+    density: wp.array(dtype=float)
+    """Density with which the direction was sampled, per solid angle; 0 if there was only this one."""
+    slot: wp.array(dtype=int)
+    """Number of the sample in its wave."""
+    media: wp.array(dtype=wp.uint64)
+    """The media that contain the ray: `wrt.kernels.shading.bsdf.interior`."""
+
+
+@wp.struct
+class Wave:
+    """The samples that are traced together: of `pixels` pixels, sample after sample."""
+
+    first_pixel: int
+    pixels: int
+    first_sample: int
+
+
+@wp.struct
+class Gathered:
+    """Light that the rays of a generation collect."""
+
+    emitted: wp.array(dtype=wp.vec3)
+    """(N,) weighted radiance that needs no further ray."""
+    lit: wp.array(dtype=wp.vec3)
+    """(N,) weighted radiance, if the shadow ray is not blocked."""
+    shadow_origin: wp.array(dtype=wp.vec3)
+    shadow_direction: wp.array(dtype=wp.vec3)
+    """(N,) vectors to the light, at t = 1; 0 where there is none."""
+    radiance: wp.array(dtype=wp.vec3)
+    """(slots,) sums of the samples."""
+
+
+@wp.kernel
+def fill(first: int, scratch: RayQueue, goes_on: wp.array(dtype=int), places: wp.array(dtype=int), queue: RayQueue):
+    """Moves a ray that goes on to its place. Item: a place of the scratch queue; `places` are inclusive sums."""
+    i = first + wp.tid()
+    if goes_on[i] != 0:
+        to = places[i] - 1
+        queue.origin[to] = scratch.origin[i]
+        queue.direction[to] = scratch.direction[i]
+        queue.weight[to] = scratch.weight[i]
+        queue.density[to] = scratch.density[i]
+        queue.slot[to] = scratch.slot[i]
+        queue.media[to] = scratch.media[i]
+
+
+@wp.kernel
+def gather(
+    first: int, count: int, slot: wp.array(dtype=int), with_emitted: bool, blocked: wp.array(dtype=wp.bool), rays: Gathered
+):
+    """Adds the light of a generation to its samples. Item: a ray; the first one of a sample adds for all of them, in order."""
+    i = first + wp.tid()
+    own = slot[i]
+    is_first = True
+    if i > 0:
+        is_first = slot[i - 1] != own
+    if is_first:
+        total = rays.radiance[own]
+        j = int(i)
+        goes_on = bool(True)
+        while goes_on:
+            if with_emitted:
+                total += rays.emitted[j]
+            if blocked.shape[0] > 0:  # noqa: SIM102 - in a kernel, `and` evaluates both sides
+                if not blocked[j]:
+                    total += rays.lit[j]
+            j += 1
+            goes_on = False
+            if j < count:
+                goes_on = slot[j] == own
+        rays.radiance[own] = total

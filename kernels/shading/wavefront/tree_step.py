@@ -1,0 +1,301 @@
+"""One step of Whitted's ray tracing, and of distribution ray tracing: each hit is lit by all lamps, and sends out a reflected
+and a refracted ray.
+
+**Whitted (1980).** Mirrors and boundaries of dielectrics send rays on, weighted by Fresnel's equations; all other surfaces are
+lit by the lamps and by a constant ambient light. Lamps with an area are asked at their middle, so shadows are hard. Glossy
+surfaces reflect to the mirror direction.
+
+**Distribution (Cook, Porter and Carpenter 1984).** The same tree, but each sample of a pixel has its own place on each lamp
+(penumbrae) and its own direction in the lobe of a glossy or rough surface (gloss, translucency), as it has its own place in
+the pixel, on the lens and in time. Light that is scattered diffusely twice is not followed, which path tracing does.
+
+**Adaptive depth.** A ray ends when its weight falls below a threshold (Hall and Greenberg 1983). With Russian roulette, such a
+ray goes on with the probability weight / threshold and then has the weight of the threshold, which keeps the mean.
+
+References:
+    T. Whitted: An improved illumination model for shaded display. Communications of the ACM 23(6), 1980.
+    R. A. Hall, D. P. Greenberg: A testbed for realistic image synthesis. IEEE Computer Graphics and Applications 3(8), 1983.
+    R. L. Cook, T. Porter, L. Carpenter: Distributed ray tracing. SIGGRAPH 1984.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, is_finite
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.bsdf.fresnel import dielectric_share, mirrored, refracted, schlick_color
+from wrt.kernels.shading.bsdf.ggx import masking, masking_and_shadowing, visible_facet
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, GLOSSY, MIRROR, Look
+from wrt.kernels.shading.bsdf.scattering import facet_color, is_single, largest
+from wrt.kernels.shading.emitters.light_table import TRIANGLES
+from wrt.kernels.shading.sampling import MIX_1
+from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
+from wrt.kernels.shading.wavefront.path_step import kept_above
+from wrt.kernels.shading.wavefront.pixel_samples import (
+    FIRST_BOUNCE,
+    PER_BOUNCE,
+    PixelSamples,
+    pixel_hash,
+    pixel_point,
+    single_number,
+)
+from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
+from wrt.kernels.shading.wavefront.scene_light import (
+    Boundary,
+    LitScene,
+    absorbed,
+    arriving_light,
+    boundary_of,
+    crossed_lights,
+    point_look,
+    sky_light,
+    surface_light,
+)
+
+exact_module(__name__)
+
+LAMP_DIMENSIONS = wp.constant(0x4000)
+"""First dimension of the places on the second and further lamps."""
+
+
+@wp.struct
+class TreeStep:
+    """The step of a generation."""
+
+    generation: int
+    """0 for camera rays."""
+    is_last: bool
+    """Whether no further rays are sent."""
+    distributed: bool
+    """Whether samples have their own places on lamps and directions in lobes."""
+    threshold: float
+    """Weight below which rays end."""
+    roulette: bool
+    ambient: wp.vec3
+    """Radiance of the constant ambient light."""
+
+
+@wp.struct
+class Child:
+    """A ray that a hit sends out."""
+
+    direction: wp.vec3
+    weight: wp.vec3
+    is_transmitted: bool
+
+
+@wp.func
+def queue_branch(slot: wp.array(dtype=int), i: int):
+    """Number of a ray among those of its sample in the queue."""
+    branch = int(0)
+    own = slot[i]
+    is_same = bool(i > 0)
+    while is_same:
+        is_same = slot[i - branch - 1] == own
+        if is_same:
+            branch += 1
+            if i - branch == 0:
+                is_same = False
+    return branch
+
+
+@wp.func
+def lamp_place(step: TreeStep, scene: LitScene, source: PixelSamples, pixel: wp.uint32, sample: int, branch: int, entry: int):
+    """The point in [0, 1)^2 at which a lamp is asked: its middle, if samples do not have their own."""
+    place = wp.vec2(0.5, 0.5)
+    if step.distributed or scene.lights.kind[entry] >= TRIANGLES:
+        dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
+        if entry > 0:
+            dimension = LAMP_DIMENSIONS + 64 * step.generation + entry
+        own = pixel + wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
+        place = pixel_point(source, own, sample, dimension)
+    return place
+
+
+@wp.func
+def reflected_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
+    """The reflected ray of a mirror, a boundary or a glossy surface; its weight is 0 for others."""
+    child = Child()
+    facet = point.normal
+    is_rough = step.distributed and look.alpha > 0.0 and look.kind != MIRROR
+    if is_rough:
+        facet = visible_facet(out, point.normal, look.alpha, place)
+    cosine = wp.abs(wp.dot(out, facet))
+    child.direction = mirrored(out, facet)
+    if look.kind == MIRROR:
+        child.weight = look.color
+    if look.kind == DIELECTRIC:
+        child.weight = dielectric_share(cosine, look.ratio, look.schlick) * look.color
+    if look.kind == GLOSSY:
+        child.weight = schlick_color(facet_color(look), cosine)
+    if is_rough:
+        rise = wp.dot(child.direction, point.normal)
+        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), look.alpha)
+        share = shadowed / masking(wp.dot(out, point.normal), look.alpha)
+        child.weight = wp.where(rise > 0.0, share, 0.0) * child.weight
+    return child
+
+
+@wp.func
+def refracted_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
+    """The refracted ray of a dielectric."""
+    child = Child()
+    child.is_transmitted = True
+    facet = point.normal
+    is_rough = step.distributed and look.alpha > 0.0
+    if is_rough:
+        facet = visible_facet(out, point.normal, look.alpha, place)
+    share = 1.0 - dielectric_share(wp.abs(wp.dot(out, facet)), look.ratio, look.schlick)
+    child.direction = refracted(out, facet, look.ratio)
+    child.weight = share * look.ratio * look.ratio * look.color
+    if is_rough:
+        rise = wp.dot(child.direction, point.normal)
+        shadowed = masking_and_shadowing(rise, wp.dot(out, point.normal), look.alpha)
+        facing = shadowed / masking(wp.dot(out, point.normal), look.alpha)
+        child.weight = wp.where(rise < 0.0, facing, 0.0) * child.weight
+    return child
+
+
+@wp.func
+def send(
+    step: TreeStep,
+    child: Child,
+    weight: wp.vec3,
+    point: ShadingPoint,
+    boundary: Boundary,
+    media: wp.uint64,
+    slot: int,
+    chance: float,
+    at: int,
+    following: RayQueue,
+):
+    """Writes a ray to its place; 1 if it goes on. `chance` is a random number for roulette."""
+    share = wp.cw_mul(weight, child.weight)
+    most = largest(share)
+    alive = int(0)
+    if most > 0.0 and is_finite(share) and wp.length_sq(child.direction) > 0.5:
+        alive = 1
+        if most < step.threshold:
+            alive = 0
+            if step.roulette and chance * step.threshold < most:
+                alive = 1
+                share = share * (step.threshold / most)
+        following.direction[at] = kept_above(child.direction, point.face_normal, child.is_transmitted)
+        following.weight[at] = share
+        following.density[at] = 0.0
+        following.media[at] = wp.where(child.is_transmitted, boundary.media_beyond, media)
+        following.origin[at] = leaving_origin(point, child.is_transmitted)
+        following.slot[at] = slot
+    return alive
+
+
+@wp.kernel
+def tree_step(
+    first: int,
+    count: int,
+    group: int,
+    step: TreeStep,
+    scene: LitScene,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    hits: HitBatch,
+    rays: Gathered,
+    following: RayQueue,
+    goes_on: wp.array(dtype=int),
+):
+    """Writes the light of rays that needs no shadow ray, and the rays that follow. Item: a group of rays, of `count` in all."""
+    begin = (first + wp.tid()) * group
+    for i in range(begin, wp.min(begin + group, count)):
+        direction = queue.direction[i]
+        weight = queue.weight[i]
+        media = queue.media[i]
+        slot = queue.slot[i]
+        primitive = hits.primitive[i]
+        t = hits.t[i]
+        if media != wp.uint64(0) and primitive >= 0:
+            weight = absorbed(scene, weight, media, t)
+        emitted = crossed_lights(scene, weight, 0.0, queue.origin[i], direction, t)
+        reflects = int(0)
+        refracts = int(0)
+        if primitive < 0:
+            emitted += sky_light(scene, weight, 0.0, direction)
+        else:
+            point = shading_point(scene.shaded, primitive, hits.uv[i], direction)
+            look = point_look(scene, point)
+            cosine = wp.abs(wp.dot(point.face_normal, direction))
+            emitted += surface_light(scene, look.number, weight, 0.0, point, cosine, t)
+            boundary = boundary_of(scene, look, media, point.is_front)
+            look.ratio = boundary.ratio
+            if not is_single(look) and look.kind != DIELECTRIC:
+                emitted += wp.cw_mul(wp.cw_mul(weight, (1.0 - look.metallic) * look.color), step.ambient)
+            if not step.is_last:
+                branch = queue_branch(queue.slot, i)
+                pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels) + wp.uint32(branch) * MIX_1
+                sample = wave.first_sample + slot / wave.pixels
+                place = wp.vec2()
+                if step.distributed and look.alpha > 0.0:
+                    place = pixel_point(source, pixel, sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
+                if not boundary.is_real:
+                    passing = Child()
+                    passing.direction = direction
+                    passing.weight = wp.vec3(1.0, 1.0, 1.0)
+                    passing.is_transmitted = True
+                    refracts = send(step, passing, weight, point, boundary, media, slot, 0.0, 2 * i + 1, following)
+                else:
+                    if look.kind == MIRROR or look.kind == GLOSSY or look.kind == DIELECTRIC:
+                        chance = single_number(pixel, sample, 3 * step.generation)
+                        child = reflected_child(step, look, point, -direction, place)
+                        reflects = send(step, child, weight, point, boundary, media, slot, chance, 2 * i, following)
+                    if look.kind == DIELECTRIC:
+                        chance = single_number(pixel, sample, 3 * step.generation + 1)
+                        child = refracted_child(step, look, point, -direction, place)
+                        refracts = send(step, child, weight, point, boundary, media, slot, chance, 2 * i + 1, following)
+        goes_on[2 * i] = reflects
+        goes_on[2 * i + 1] = refracts
+        rays.emitted[i] = emitted
+
+
+@wp.kernel
+def ask_lamp(
+    first: int,
+    count: int,
+    group: int,
+    step: TreeStep,
+    entry: int,
+    scene: LitScene,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    hits: HitBatch,
+    rays: Gathered,
+):
+    """Writes the light that a lamp gives at hits, and the shadow rays. Item: a group of rays, of `count` in all."""
+    begin = (first + wp.tid()) * group
+    for i in range(begin, wp.min(begin + group, count)):
+        lit = wp.vec3()
+        shadow_origin = wp.vec3()
+        shadow_direction = wp.vec3()
+        primitive = hits.primitive[i]
+        if primitive >= 0:
+            direction = queue.direction[i]
+            media = queue.media[i]
+            weight = queue.weight[i]
+            point = shading_point(scene.shaded, primitive, hits.uv[i], direction)
+            look = point_look(scene, point)
+            if not is_single(look):
+                slot = queue.slot[i]
+                boundary = boundary_of(scene, look, media, point.is_front)
+                look.ratio = boundary.ratio
+                if media != wp.uint64(0):
+                    weight = absorbed(scene, weight, media, hits.t[i])
+                if boundary.is_real:
+                    pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels)
+                    sample = wave.first_sample + slot / wave.pixels
+                    place = lamp_place(step, scene, source, pixel, sample, queue_branch(queue.slot, i), entry)
+                    found = arriving_light(scene, point, look, -direction, entry, place, 1.0, False)
+                    lit = wp.cw_mul(weight, found.radiance)
+                    shadow_origin = found.origin
+                    shadow_direction = found.segment
+        rays.lit[i] = lit
+        rays.shadow_origin[i] = shadow_origin
+        rays.shadow_direction[i] = shadow_direction

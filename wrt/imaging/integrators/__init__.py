@@ -1,0 +1,1 @@
+"""Integrators: from a scene with materials and lights to a picture, by waves of rays."""

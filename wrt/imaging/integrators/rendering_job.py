@@ -1,0 +1,326 @@
+"""A picture in the making: samples are added until there are enough, or until the caller stops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_whole
+from wrt.imaging.image_files import save_exr, save_image
+from wrt.imaging.integrators.device_materials import device_materials, scene_materials, shaded_mesh
+from wrt.imaging.integrators.ray_tracer import RayTracer
+from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, RenderSettings
+from wrt.imaging.integrators.scene_motion import Motion
+from wrt.imaging.integrators.wavefront import Wave, pixel_samples
+from wrt.imaging.lights.device_lights import check_lights, device_lights
+from wrt.imaging.lights.sky_image import Sky
+from wrt.imaging.rendering import Camera, default_light
+from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.shading.wavefront import picture, ray_queue
+from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
+from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
+from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.materials.material import Material
+from wrt.scene.scene import Scene
+
+__all__ = ["LAYERS", "Rendering"]
+
+LAYERS = ("depth", "normal", "albedo", "primitive_id", "geometry_id", "instance_id", "material_id")
+
+DEFAULT_SKY = ((0.79, 0.81, 0.83), (0.48, 0.59, 0.73), (0.2, 0.2, 0.2))
+"""Horizon, zenith and ground, if there are neither lights nor emissive materials."""
+
+
+class Rendering:
+    """A picture to which samples are added.
+
+        rendering = wrt.Rendering(scene, camera, integrator="path", samples=256, lights=[wrt.Sky(1.0)])
+        rendering.advance(16)
+        preview = rendering.image()
+        rendering.advance()                     # the other 240
+        rendering.linear, rendering.noise, rendering.layers["depth"]
+
+    The same arguments give the same picture bit for bit, whatever the number of threads, the size of waves, and the steps
+    in which it advances.
+
+    Args:
+        scene: the scene. Later updates of it do not show.
+        camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
+        integrator: "whitted", "distribution" or "path".
+        lights: lamps and sky: `wrt.PointLight`, `wrt.SpotLight`, `wrt.DirectionalLight`, `wrt.AreaLight`, `wrt.Sky`; None: a
+            sky, and a point light above and to the left of the camera, unless a material emits.
+        materials: a `wrt.Material` for all triangles or one for each mesh; None: those of the meshes.
+        motion: what moves while the shutter is open, a `wrt.Motion`.
+        settings: a `wrt.RenderSettings`.
+        options: fields of the settings, which replace those of `settings`.
+
+    Attributes:
+        samples: number of samples of a pixel when the picture is complete.
+        done: number of samples so far.
+
+    Raises:
+        TypeError: an argument has a wrong type; an unknown option.
+        ValueError: a value out of range, or an unknown name.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        integrator: str = "path",
+        lights: Any = None,
+        materials: Any = None,
+        motion: Motion | None = None,
+        settings: RenderSettings | None = None,
+        **options: Any,
+    ) -> None:
+        check_types(scene, camera)
+        if integrator not in INTEGRATORS[1:]:
+            raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS[1:])}")
+        settings = RenderSettings() if settings is None else settings
+        if not isinstance(settings, RenderSettings):
+            raise TypeError(f"settings must be a wrt.RenderSettings, not {type(settings).__name__}")
+        self.settings = settings = settings.with_options(integrator, options)
+        self.integrator, self.camera = integrator, camera
+        self.samples, self.done = settings.samples_of(integrator), 0
+        self.pixels = camera.width * camera.height
+        self._scene = scene if motion is None else motion.begin(scene)
+        self._motion = motion
+        found = scene_materials(self._scene, materials, Material())
+        given = None if lights is None else check_lights(lights)
+        self._lights = _default_lights(camera, scene) if given is None and not found.emission.any() else given or ()
+        self._found = found
+        device = scene.device
+        with use_threads(scene.num_threads):
+            self._lit = LitScene()
+            self._lit.schlick = settings.fresnel == FRESNEL[1]
+            self._lit.materials = device_materials(found, device)
+            self._take_state()
+            self._film = wp.zeros(self.pixels, dtype=wp.vec3, device=device)
+            self._squares = wp.zeros(self.pixels, dtype=float, device=device)
+        self._tile = min(self.pixels, settings.wave)
+        if self._tile > camera.width:
+            self._tile -= self._tile % camera.width
+        self._pass = max(1, min(settings.wave // self._tile, self.samples)) if motion is None else 1
+        source = pixel_samples(SAMPLERS.index(settings.sampler), self.samples, settings.seed, device)
+        ambient = self._ambient()
+        slots = self._tile * self._pass
+        self._wave = Wave(self._lit, device, integrator, settings, source, ambient, slots)
+
+    def _ambient(self) -> Sequence[float]:
+        if self.settings.ambient is not None:
+            return self.settings.ambient
+        sky = next((light for light in self._lights if isinstance(light, Sky)), None)
+        return (0.0, 0.0, 0.0) if sky is None or self.integrator != "whitted" else tuple(sky.mean)
+
+    def _take_state(self) -> None:
+        """Reads the scene as it is now; what moves also moves its centre."""
+        scene, settings = self._scene, self.settings
+        self._model = camera_model(self.camera, settings, scene, self.samples)
+        self._tracer = RayTracer(scene.state, settings.traversal, settings.triangle_test)
+        self._lit.shaded = shaded_mesh(scene, settings.crease_angle if settings.smooth else None)
+        self._lit.lights = device_lights(scene, self._lights, self._found.emission, self._found.of_face)
+
+    @property
+    def rays(self) -> int:
+        """Number of rays traced so far."""
+        return self._wave.ray_count
+
+    def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> Rendering:
+        """Adds samples to all pixels.
+
+        After an exception, a Ctrl-C included, the picture holds those samples that all pixels have; it may be continued.
+
+        Args:
+            samples: how many; None for all that are missing.
+            progress: called as progress(done, total) in samples of pixels, after each wave.
+
+        Raises:
+            TypeError, ValueError: `samples` is not a whole number of at least 1.
+        """
+        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        with use_threads(self._scene.num_threads):
+            while self.done < goal:
+                count = min(self._pass, goal - self.done)
+                if self._motion is not None:
+                    self._motion.move(self._scene, (self.done + 0.5) / self.samples)
+                    self._take_state()
+                kept = wp.clone(self._film), wp.clone(self._squares)
+                try:
+                    for first in range(0, self.pixels, self._tile):
+                        pixels = min(self._tile, self.pixels - first)
+                        self._expose(first, pixels, count)
+                        if progress is not None:
+                            progress(self.done * self.pixels + (first + pixels) * count, self.samples * self.pixels)
+                except BaseException:
+                    self._film, self._squares = kept
+                    raise
+                self.done += count
+        return self
+
+    def _expose(self, first: int, pixels: int, samples: int) -> None:
+        """Adds so many samples to some pixels."""
+        wave = ray_queue.Wave()
+        wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, self.done
+        self._wave.start(self._model, wave, pixels * samples)
+        whole_rows = pixels % self.camera.width == 0
+        hits = self._wave.first_hits(self._tracer, self.camera.width if whole_rows else 0)
+        self._wave.finish(self._tracer, hits)
+        inputs = [wave, samples, float(self.settings.max_radiance), self._wave.radiance, self._film, self._squares]
+        launch(picture.develop_wave, pixels, inputs, device=self._scene.device, chunk=4096)
+
+    def _of_pixels(self, kernel: wp.Kernel, dtype: type, *inputs: Any) -> wp.array:
+        """The result of a kernel over the pixels, from what the film holds."""
+        if self.done == 0:
+            raise ValueError("the picture has no samples yet; call advance() first")
+        out = wp.empty(self.pixels, dtype=dtype, device=self._scene.device)
+        with use_threads(self._scene.num_threads):
+            launch(kernel, self.pixels, [*inputs, out], device=self._scene.device, chunk=4096)
+        return out
+
+    def _shaped(self, values: wp.array) -> np.ndarray:
+        array = values.numpy()
+        return array.reshape(self.camera.height, self.camera.width, *array.shape[1:])
+
+    @property
+    def linear(self) -> np.ndarray:
+        """(height, width, 3) float32, linear: the mean of the samples so far.
+
+        Raises:
+            ValueError: there are none.
+        """
+        return self._shaped(self._of_pixels(picture.mean_of_samples, wp.vec3, self._film, self.done))
+
+    @property
+    def noise(self) -> np.ndarray:
+        """(height, width) float32: standard error of each pixel's luminance, from the spread of its samples; 0 for one sample.
+
+        Samplers other than "random" spread samples evenly, so the true error is smaller.
+        """
+        return self._shaped(self._of_pixels(picture.standard_errors, float, self._film, self._squares, self.done))
+
+    def image(self, tone_mapping: str | None = None, exposure: float | None = None) -> np.ndarray:
+        """(height, width, 3) float32 for display, as `wrt.save_image` takes it.
+
+        Args:
+            tone_mapping, exposure: None for those of the settings.
+
+        Raises:
+            ValueError: an unknown name, or no samples yet.
+        """
+        mapping = self.settings.tone_mapping if tone_mapping is None else tone_mapping
+        if mapping not in picture.TONE_MAPPINGS:
+            raise ValueError(f"unknown tone_mapping {mapping!r}; choose from {', '.join(picture.TONE_MAPPINGS)}")
+        factor = self.settings.exposure if exposure is None else exposure
+        mean = self._of_pixels(picture.mean_of_samples, wp.vec3, self._film, self.done)
+        number = picture.TONE_MAPPINGS.index(mapping)
+        return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, mean, float(factor), number))
+
+    @property
+    def layers(self) -> dict[str, np.ndarray]:
+        """What the first sample of each pixel sees, by name:
+
+        * "depth": (height, width) float32, distance from the camera; inf for a miss.
+        * "normal", "albedo": (height, width, 3) float32, shading normal on the side of the camera, and colour; 0 for a miss.
+        * "primitive_id", "geometry_id", "instance_id", "material_id": (height, width) int32, -1 for a miss.
+
+        Traced at each access.
+        """
+        scene, wave, made = self._scene, ray_queue.Wave(), _new_layers(self.pixels, self._scene.device)
+        with use_threads(scene.num_threads):
+            if self._motion is not None:
+                self._motion.move(scene, 0.5 / self.samples)
+                self._take_state()
+            for first in range(0, self.pixels, self._tile):
+                pixels = min(self._tile, self.pixels - first)
+                wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, 0
+                self._wave.start(self._model, wave, pixels)
+                hits = self._wave.first_hits(self._tracer, 0)
+                inputs = [self._lit, first, self._wave.queue, hits.struct(), made]
+                launch(picture.write_layers, pixels, inputs, device=scene.device)
+        return {name: self._shaped(getattr(made, name)) for name in LAYERS}
+
+    def save(self, path: str | Path) -> None:
+        """Writes the picture: for display, or linear to ".exr" (with all layers) and ".npy".
+
+        In the .exr file, depth is "Z", the others are "normal.X", "albedo.R", "primitive_id" and so on. Ids are uint32; a miss
+        is 4294967295. It needs the package OpenEXR (`wrt[exr]`).
+
+        Args:
+            path: of the file; its extension decides.
+
+        Raises:
+            ValueError: no samples yet, an unknown extension, or OpenEXR is missing.
+            FileNotFoundError: the folder does not exist.
+        """
+        suffix = Path(path).suffix.lower()
+        if suffix != ".exr":
+            save_image(path, self.linear if suffix == ".npy" else self.image())
+            return
+        layers, linear = self.layers, self.linear
+        channels = {name: linear[..., i] for i, name in enumerate("RGB")} | {"Z": layers["depth"]}
+        for layer, names in (("normal", "XYZ"), ("albedo", "RGB")):
+            channels |= {f"{layer}.{name}": layers[layer][..., i] for i, name in enumerate(names)}
+        save_exr(path, channels | {name: layers[name].view(np.uint32) for name in LAYERS if name.endswith("_id")})
+
+    def __repr__(self) -> str:
+        return (
+            f"Rendering({self.integrator!r}, {self.camera.width} x {self.camera.height}, {self.done} of {self.samples} samples)"
+        )
+
+
+def check_types(scene: Any, camera: Any) -> None:
+    """Refuses what is no scene or no camera.
+
+    Raises:
+        TypeError: one of them has a wrong type.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
+    if not isinstance(camera, Camera):
+        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
+
+
+def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples: int) -> CameraModel:
+    """The camera for kernels.
+
+    Raises:
+        ValueError: a lens on an orthographic camera, or a focus that is not in front of the camera.
+    """
+    model = CameraModel()
+    model.view = camera._view((0.5, 0.5))
+    model.center = wp.vec3d(*map(float, scene.center))
+    model.is_perspective = isinstance(camera, PinholeCamera)
+    model.filter = FILTERS.index(settings.pixel_filter)
+    model.at_center = samples == 1 and settings.pixel_filter == "box"
+    if settings.lens_radius > 0.0 and isinstance(camera, OrthographicCamera):
+        raise ValueError("lens_radius needs a wrt.PinholeCamera; rays of an orthographic camera do not pass through a lens")
+    focus = settings.focus_distance
+    focus = float((camera.look_at - camera.position) @ camera.forward) if focus is None else float(focus)
+    model.lens_right = wp.vec3d(*(settings.lens_radius * camera.right))
+    model.lens_up = wp.vec3d(*(settings.lens_radius * camera.up))
+    model.focus = focus
+    return model
+
+
+def _default_lights(camera: Camera, scene: Scene) -> tuple[Any, ...]:
+    """A sky, and a point light above and to the left of the camera."""
+    from wrt.imaging.lights.lamps import PointLight
+    from wrt.meshes.up_axis import default_up
+
+    position = default_light(camera)
+    distance = float(np.linalg.norm(position - camera.look_at))
+    return PointLight(position, 1.5 * distance**2), Sky.gradient(*DEFAULT_SKY, up=default_up(scene))
+
+
+def _new_layers(pixels: int, device: wp.Device) -> picture.Layers:
+    layers = picture.Layers()
+    for name in LAYERS:
+        dtype = {"depth": float, "normal": wp.vec3, "albedo": wp.vec3}.get(name, int)
+        setattr(layers, name, wp.zeros(pixels, dtype=dtype, device=device))
+    return layers

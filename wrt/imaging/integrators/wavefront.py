@@ -1,0 +1,189 @@
+"""Waves of rays: the samples of some pixels, traced together, generation by generation.
+
+A generation is a queue of rays. Its closest hits are found in one batch; a kernel turns them into light, shadow rays and the
+rays of the next generation; the shadow rays are one batch for each lamp that is asked; what arrives is added to the samples;
+and the rays that go on are moved together. All arrays stay on the device. On CUDA, the number of rays that go on is the only
+value that the host reads.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.imaging.integrators.ray_tracer import RayTracer
+from wrt.imaging.integrators.render_settings import RenderSettings
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
+from wrt.kernels.shading.wavefront.camera_rays import CameraModel, start_rays
+from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.memory import empty
+from wrt.state.device_hits import DeviceHits
+
+ROULETTE_FROM = 3
+"""First generation of path tracing whose rays may end by roulette."""
+
+CHUNK = 512
+"""Least number of rays of a chunk."""
+
+GROUP = 64
+"""Rays that an item of a step takes on the CPU, one after the other. A step has arguments of several kilobytes, which are
+copied once for each item."""
+
+
+class Wave:
+    """Memory for the rays of one wave, and the loop over its generations.
+
+    Args:
+        scene: with materials and lights, on the device.
+        device: its device.
+        integrator: "path", "whitted" or "distribution".
+        settings: as the caller gave them.
+        samples: random numbers.
+        ambient: radiance of the ambient light of the last two.
+        slots: most samples of a wave.
+    """
+
+    def __init__(
+        self,
+        scene: LitScene,
+        device: wp.Device,
+        integrator: str,
+        settings: RenderSettings,
+        samples: PixelSamples,
+        ambient: Any,
+        slots: int,
+    ) -> None:
+        self.scene, self.settings, self.samples = scene, settings, samples
+        self._device, self._is_path = device, integrator == "path"
+        self._branches = 1 if self._is_path else 2
+        self.radiance = empty(slots, wp.vec3, device)
+        self._room = 0
+        self._scratch_room = 0
+        self._rays = ray_queue.Gathered()
+        self._rays.radiance = self.radiance
+        self._none = wp.empty(0, dtype=wp.bool, device=device)
+        self._step = path_step.PathStep() if self._is_path else tree_step.TreeStep()
+        if self._is_path:
+            self._step.roulette = ROULETTE_FROM if settings.roulette else settings.depth
+            self._step.asks_lights = settings.ask_lights
+        else:
+            self._step.distributed = integrator == "distribution"
+            self._step.threshold = settings.threshold
+            self._step.roulette = settings.roulette
+            self._step.ambient = wp.vec3(*map(float, ambient))
+        self.ray_count = 0
+        self._make_room(slots)
+
+    def _make_room(self, count: int) -> None:
+        """Makes the queues hold so many rays: a generation of a tree may be larger than the one before."""
+        if count <= self._room:
+            return
+        self._room = count
+        old = getattr(self, "queue", None)
+        self.queue = _new_queue(count, self._device)
+        del old
+        for name, dtype in (("emitted", wp.vec3), ("lit", wp.vec3), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3)):
+            setattr(self._rays, name, empty(count, dtype, self._device))
+        places = count * self._branches
+        self._scratch = _new_queue(places, self._device)
+        self._goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
+
+    def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
+        """Writes the camera rays of a wave of so many samples."""
+        self._wave, self.count = wave, count
+        self._run(start_rays, count, camera, self.samples, wave, self.queue, self.radiance)
+
+    def first_hits(self, tracer: RayTracer, columns: int) -> DeviceHits:
+        """The hits of the camera rays."""
+        self.ray_count += self.count
+        return tracer.closest(self.queue.origin, self.queue.direction, self.count, columns=columns)
+
+    def finish(self, tracer: RayTracer, hits: DeviceHits) -> None:
+        """Follows the rays from the hits of the first generation to the last."""
+        generation = 0
+        while True:
+            self._step.generation = generation
+            self._step.is_last = generation + 1 >= self.settings.depth
+            if self._is_path:
+                self._follow_paths(tracer, hits)
+            else:
+                self._follow_trees(tracer, hits)
+            generation += 1
+            if self._step.is_last or not self._compact():
+                return
+            self.ray_count += self.count
+            hits = tracer.closest(self.queue.origin, self.queue.direction, self.count)
+
+    def _follow_paths(self, tracer: RayTracer, hits: DeviceHits) -> None:
+        self._run_step(path_step.path_step, hits)
+        asks = self.settings.ask_lights and self.scene.lights.count > 0 and not self._step.is_last
+        self._gather(self._shadows(tracer) if asks else self._none, True)
+
+    def _follow_trees(self, tracer: RayTracer, hits: DeviceHits) -> None:
+        self._run_step(tree_step.tree_step, hits)
+        self._gather(self._none, True)
+        if self._step.is_last:
+            return
+        for entry in range(self.scene.lights.count):
+            if entry == self.scene.lights.sky_entry and not self._step.distributed:
+                continue  # its mean is the ambient light
+            inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays)
+            self._run_groups(tree_step.ask_lamp, *inputs)
+            self._gather(self._shadows(tracer), False)
+
+    def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
+        inputs = (self._step, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays, self._scratch)
+        self._run_groups(kernel, *inputs, self._goes_on)
+
+    def _shadows(self, tracer: RayTracer) -> wp.array:
+        self.ray_count += self.count
+        similar = self._step.generation == 0
+        return tracer.blocked(self._rays.shadow_origin, self._rays.shadow_direction, self.count, similar=similar)
+
+    def _gather(self, blocked: wp.array, with_emitted: bool) -> None:
+        self._run(ray_queue.gather, self.count, self.count, self.queue.slot, with_emitted, blocked, self._rays)
+
+    def _compact(self) -> bool:
+        """Moves the rays that go on to the queue; False if there are none."""
+        places = self.count * self._branches
+        wp.utils.array_scan(self._goes_on[:places], self._places[:places], inclusive=True)
+        last = self._places[places - 1 : places].numpy()
+        following = int(last[0])
+        if following == 0:
+            return False
+        scratch, goes_on, sums = self._scratch, self._goes_on, self._places
+        self._make_room(following)
+        self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
+        self.count = following
+        return True
+
+    def _run_groups(self, kernel: wp.Kernel, *inputs: Any) -> None:
+        """Runs a step over the rays of the generation, by groups."""
+        group = 1 if self._device.is_cuda else GROUP
+        launch(kernel, -(-self.count // group), [self.count, group, *inputs], device=self._device, chunk=-(-CHUNK // group))
+
+    def _run(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
+        launch(kernel, count, inputs, device=self._device, chunk=CHUNK)
+
+
+def _new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
+    queue = ray_queue.RayQueue()
+    queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
+    queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))
+    return queue
+
+
+def pixel_samples(sampler: int, samples: int, seed: int, device: wp.Device) -> PixelSamples:
+    """Random numbers for so many samples of each pixel; a grid has as many columns as make it closest to a square."""
+    from wrt.kernels.shading.wavefront.pixel_samples import PRIMES
+
+    made = PixelSamples()
+    made.sampler, made.samples = sampler, samples
+    made.columns = max(divisor for divisor in range(1, int(np.sqrt(samples)) + 1) if samples % divisor == 0)
+    made.seed = (seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF
+    made.primes = wp.array(np.array(PRIMES, dtype=np.int32), dtype=int, device=device)
+    return made

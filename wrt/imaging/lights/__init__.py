@@ -1,0 +1,1 @@
+"""Lights: what callers describe, and their tables on the device."""

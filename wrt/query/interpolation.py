@@ -1,0 +1,104 @@
+"""What vertices know, at hits: values, texture coordinates, smooth normals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.shading import normals
+from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.placement import join_meshes
+
+_corner_normals: WeakKeyDictionary[TriangleMesh, dict[tuple[str, float], wp.array]] = WeakKeyDictionary()
+
+
+def corner_table(meshes: tuple[TriangleMesh, ...], values: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of values, and for each triangle the rows of its corners.
+
+    Args:
+        meshes: of the scene.
+        values: (V, ...) for a scene of one mesh, or one array for each mesh.
+
+    Returns:
+        (N, ...) float32, and (F, 3) int32.
+
+    Raises:
+        TypeError: values that are no real numbers.
+        ValueError: another number of arrays or rows.
+    """
+    if len(meshes) == 1 and not (isinstance(values, list | tuple) and len(values) == 1 and np.ndim(values[0]) > 0):
+        values = [values]
+    if not isinstance(values, Sequence) or len(values) != len(meshes):
+        raise ValueError(f"vertex_values must be a sequence of {len(meshes)} arrays, one for each mesh of the scene")
+    arrays = []
+    for number, (mesh, given) in enumerate(zip(meshes, values, strict=True)):
+        array = np.asarray(given)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"vertex_values must hold real numbers, not {array.dtype}")
+        if array.ndim == 0 or len(array) != mesh.vertex_count:
+            raise ValueError(
+                f"vertex_values of mesh {number} have the shape {array.shape}; they need a row for each of its "
+                f"{mesh.vertex_count} vertices"
+            )
+        arrays.append(array.astype(np.float32))
+    if len({array.shape[1:] for array in arrays}) > 1:
+        raise ValueError(f"vertex_values have rows of different shapes: {[array.shape[1:] for array in arrays]}")
+    _, faces, _ = join_meshes(meshes)
+    return np.concatenate(arrays), np.ascontiguousarray(faces, dtype=np.int32)
+
+
+def corner_coordinates(meshes: tuple[TriangleMesh, ...]) -> np.ndarray:
+    """(F, 3, 2) float32 texture coordinates of the materials; 0 for meshes without.
+
+    Raises:
+        ValueError: no mesh has any.
+    """
+    found = [None if mesh.materials is None else mesh.materials.corner_uv for mesh in meshes]
+    if all(one is None for one in found):
+        raise ValueError("no mesh of the scene has texture coordinates; give them with mesh.with_materials(..., uv=...)")
+    zeros = (np.zeros((mesh.triangle_count, 3, 2), dtype=np.float32) for mesh in meshes)
+    return np.concatenate([zero if one is None else one for one, zero in zip(found, zeros, strict=True)])
+
+
+def corner_normals_of(meshes: tuple[TriangleMesh, ...], crease_angle: float, device: wp.Device) -> wp.array:
+    """(3 F,) vec3: smooth unit normals of all corners, shared meshes once, in their own space; kept with the meshes."""
+    parts = []
+    for mesh in meshes:
+        made = _corner_normals.setdefault(mesh, {})
+        key = device.alias, crease_angle
+        if key not in made:
+            made[key] = _make_corner_normals(mesh, crease_angle, device)
+        parts.append(made[key])
+    if len(parts) == 1:
+        return parts[0]
+    joined = wp.empty(sum(map(len, parts)), dtype=wp.vec3, device=device)
+    begin = 0
+    for part in parts:
+        wp.copy(joined, part, dest_offset=begin)
+        begin += len(part)
+    return joined
+
+
+def _make_corner_normals(mesh: TriangleMesh, crease_angle: float, device: wp.Device) -> wp.array:
+    count = mesh.triangle_count
+    vertices = wp.array((mesh.vertices - mesh.center).astype(np.float32), dtype=wp.vec3, device=device)
+    faces = wp.array(mesh.faces, dtype=wp.vec3i, device=device)
+    welded = mesh.welded()
+    corners = welded.faces.ravel().astype(np.int32)
+    around = normals.VertexCorners()
+    around.vertex = wp.array(corners, dtype=int, device=device)
+    start = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=welded.vertex_count))])
+    around.start = wp.array(start.astype(np.int32), dtype=int, device=device)
+    around.corner = wp.array(np.argsort(corners, kind="stable").astype(np.int32), dtype=int, device=device)
+    flat = wp.empty(count, dtype=wp.vec3, device=device)
+    angles = wp.empty(3 * count, dtype=float, device=device)
+    result = wp.empty(3 * count, dtype=wp.vec3, device=device)
+    launch(normals.face_normals_and_angles, count, [vertices, faces, flat, angles], device=device)
+    inputs = [around, flat, angles, float(np.cos(np.radians(crease_angle))), result]
+    launch(normals.smooth_corner_normals, 3 * count, inputs, device=device)
+    return result
