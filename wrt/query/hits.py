@@ -192,7 +192,7 @@ class Hits:
             ValueError: an angle out of range, or hits from a pickle.
         """
         from wrt.kernels.query.hit_interpolation import smooth_normals_at_hits
-        from wrt.query.interpolation import corner_normals_of
+        from wrt.meshes.vertex_values import corner_normals_of
 
         if not 0.0 < crease_angle < 90.0:
             raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees")
@@ -219,7 +219,7 @@ class Hits:
             TypeError: not real numbers.
             ValueError: another number of arrays or rows, or hits from a pickle.
         """
-        from wrt.query.interpolation import corner_table
+        from wrt.meshes.vertex_values import corner_table
 
         values, corners = corner_table(self._meshes, vertex_values)
         return self._interpolated(values, corners)
@@ -230,7 +230,7 @@ class Hits:
         Raises:
             ValueError: no mesh of the scene has any, or hits from a pickle.
         """
-        from wrt.query.interpolation import corner_coordinates
+        from wrt.meshes.vertex_values import corner_coordinates
 
         values = corner_coordinates(self._meshes).reshape(-1, 2)
         return self._interpolated(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
