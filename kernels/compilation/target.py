@@ -175,8 +175,10 @@ def apply_environment() -> None:
     name = target_name()
     if os.environ.get(TARGET_VARIABLE):
         wp.config.cpu_compiler_flags = " ".join([*target_flags(name), *split_flags(wp.config.cpu_compiler_flags or "")[1]])
-    elif wp.config.cpu_compiler_flags is None and prefers_half_registers():
-        wp.config.cpu_compiler_flags = " ".join(target_flags(name))
+    else:
+        target, others = split_flags(wp.config.cpu_compiler_flags or "-march=native")
+        if target == list(TARGETS["native"].flags) and prefers_half_registers():
+            wp.config.cpu_compiler_flags = " ".join([*target_flags(name), *others])
 
 
 def target_flags(name: str) -> tuple[str, ...]:
