@@ -11,6 +11,7 @@
     print(scene.verify())                           # compares answers with brute force in float64
     found = wrt.differentiable_hits(scene, hits, origins, directions, vertices)  # for wp.Tape
     wrt.device.launch(kernel, n, [scene.handle(), ...])  # your own kernels trace rays with wrt.device.closest_hit ...
+    scan = wrt.sensors.Lidar.preset("ouster_os1_64").scan(scene, pose)  # lidars and cameras with time, lenses and noise
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
 
 Names are loaded on first use, so that `import wrt` costs little more than `import warp`.
@@ -80,6 +81,7 @@ _HOME = {
     "render": "wrt.imaging.integrators.rendering_call",
     "save_image": "wrt.imaging.image_files",
     "scenes": "wrt",
+    "sensors": "wrt",
     "set_num_threads": "wrt.kernels.runtime.launch",
     "show_compiling": "wrt.kernels.compilation.compile_progress",
 }

@@ -92,6 +92,26 @@ def check_lidar(names):
     np.testing.assert_array_equal(names["depth"][3], again.ravel())
 
 
+def check_sensors(names):
+    scan, moving = names["scan"], names["moving"]
+    assert scan.range.shape == (64, 1024)
+    assert np.isfinite(scan.range).mean() > 0.5
+    assert {0, 1} <= set(np.unique(scan.instance_id))
+    assert np.isfinite(names["second"]).sum() > 100
+    assert 0.01 < np.isinf(names["noisy"].range[np.isfinite(scan.range)]).mean() < 0.03
+    assert moving.motion_error == pytest.approx(5.0 * 0.1 / 16 / 2, rel=0.01)
+    far = moving.instance_id == 0
+    world = names["straight"][far] + [-2.0, 0.5, 1.8]
+    np.testing.assert_allclose(world, moving.position[far], atol=1e-9)
+    assert np.nanmax(np.abs(names["approach"])) < np.hypot(10.0, 5.0)
+    assert len(names["table"]) == np.isfinite(moving.range).sum()
+    images = names["images"]
+    assert {1, 5} <= set(np.unique(images.semantic_id))
+    assert (images.depth <= images.distance)[images.instance_id >= 0].all()
+    np.testing.assert_allclose(names["direction"] * 2.0 / names["direction"][2], [0.2, -0.1, 2.0], atol=1e-9)
+    assert names["sheared"].depth.shape == (480, 640)
+
+
 def check_sun_hours(names):
     """At noon on midsummer the sun is at 90 - 48 + 23.45 degrees, in the south; the open court gets more than its arcades."""
     noon = names["sun_directions"](48.0, 172, 12.0)
@@ -178,6 +198,7 @@ CHECKS = {
     "guides/queries.md": check_queries,
     "guides/drop_in.md": check_drop_in,
     "guides/lidar.md": check_lidar,
+    "guides/sensors.md": check_sensors,
     "guides/shadows.md": check_shadows,
     "guides/sun_hours.md": check_sun_hours,
     "guides/moving.md": check_moving,
@@ -248,16 +269,16 @@ def test_every_page_is_in_a_contents_list():
     assert PAGES.keys() <= listed
 
 
-@pytest.mark.parametrize("name", [name for name in wrt.__all__ if name not in ("__version__", "device", "scenes")])
+@pytest.mark.parametrize("name", [name for name in wrt.__all__ if name not in ("__version__", "device", "scenes", "sensors")])
 def test_every_public_name_is_in_the_reference(name):
     reference = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
     assert re.search(rf"^\.\. auto(class|function):: wrt\.{name}$", reference, re.MULTILINE)
 
 
-@pytest.mark.parametrize("module", ["device", "scenes"])
+@pytest.mark.parametrize("module", ["device", "scenes", "sensors"])
 def test_public_modules_are_in_the_reference(module):
     text = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
     assert f".. automodule:: wrt.{module}" in text
-    if module == "scenes":
-        for name in wrt.scenes.__all__:
-            assert name == "BUILTIN_SCENES" or f":: wrt.scenes.{name}\n" in text
+    if module != "device":
+        for name in getattr(wrt, module).__all__:
+            assert name == "BUILTIN_SCENES" or f":: wrt.{module}.{name}\n" in text

@@ -18,10 +18,10 @@ OPTIONS = {
     "occluded": OF_PLANS | {"mask", "cull_backfaces", "skip"},
     "count": OF_PLANS | {"mask", "cull_backfaces", "skip"},
     "intersect_all": OF_PLANS | {"mask", "cull_backfaces", "max_hits"},
-    "explain": OF_PLANS | {"cull_backfaces", "query"},
-    "intersect_blocks": OF_PLANS | {"memory", "progress", "precise"},
-    "occluded_blocks": OF_PLANS | {"memory", "progress"},
-    "count_blocks": OF_PLANS | {"memory", "progress"},
+    "explain": OF_PLANS | {"mask", "cull_backfaces", "query"},
+    "intersect_blocks": OF_PLANS | {"mask", "memory", "progress", "precise"},
+    "occluded_blocks": OF_PLANS | {"mask", "memory", "progress"},
+    "count_blocks": OF_PLANS | {"mask", "memory", "progress"},
 }
 
 RAYS = {"origins": inspect.Parameter.empty, "directions": None, "t_min": 0.0, "t_max": float("inf")}

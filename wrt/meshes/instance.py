@@ -78,7 +78,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         raise ValueError(f"{name} must be a (4, 4) matrix of real numbers: {error}") from None
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
-    if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], rtol=0.0, atol=1e-12):
+    if not (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all():
         raise ValueError(f"{name} must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if sizes[2] > 0.0 and not (sizes[0] <= MAX_SCALE and sizes[2] >= 1.0 / MAX_SCALE):
@@ -86,7 +86,7 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
             f"{name} scales by {sizes[2]:.3g} to {sizes[0]:.3g}; float32 represents rays in the mesh's space for factors from "
             f"{1.0 / MAX_SCALE:.3g} to {MAX_SCALE:.3g}; choose another unit of length for the mesh, or for the scene"
         )
-    if not np.linalg.cond(matrix[:3, :3]) < MAX_CONDITION:
+    if not sizes[0] < MAX_CONDITION * sizes[2]:
         raise ValueError(
             f"{name} is singular and has no inverse to transform rays with: {matrix[:3, :3].tolist()}; transform the mesh "
             "instead, and pass mesh.transformed(transform) to the scene"

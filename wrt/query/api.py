@@ -163,6 +163,7 @@ class Queries:
                 with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
                 at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
                 `directions` is left out: items are answered in order, and items larger than a block in parts.
+            mask: as in `intersect`; an array is cut into blocks with the rays. One number if the rays come from an iterator.
             memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
                 ray. A block has at least one row.
             progress: whether to show a progress bar on stderr.
@@ -270,7 +271,7 @@ class Queries:
         """The plan by which these rays would be traced, with the reason for it. Nothing is traced.
 
         Args:
-            origins, directions, t_min, t_max, cull_backfaces, traversal, triangle_test: as in `intersect`.
+            origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`.
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
 
         Raises:
@@ -278,6 +279,6 @@ class Queries:
         """
         check_options(Queries.explain, options)
         rays, scene = as_rays(origins, directions, t_min, t_max), self.state
-        kind = lookup(QUERIES, options.pop("query", CLOSEST), "query").kind
+        kind, mask = lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, options.pop("mask", None)
         with use_threads(scene.num_threads):
-            return find_plan(scene, on_device(scene, rays, None), Query(kind, **options)).plan
+            return find_plan(scene, on_device(scene, rays, mask), Query(kind, **options)).plan

@@ -28,6 +28,9 @@ BYTES_PER_RAY = 320
 from it, and these 109 once more, because the caller may still hold the previous block. The rays passed in do not count.
 """
 
+MASK_BYTES = 8
+"""Memory per ray for masks, if each ray has one: on the device, and as an array of its own."""
+
 MAX_RAYS = 1 << 30
 """Largest number of rays of a block: kernels count them with 32 bits."""
 
@@ -63,9 +66,20 @@ class Blocks:
         done: rows answered by the latest iteration or `write`; after a Ctrl-C, the row to resume at.
     """
 
-    def __init__(self, query: Callable[[Rays], Any], source: Rays | Iterable[Any], memory: int | str, progress: bool) -> None:
+    def __init__(
+        self,
+        query: Callable[..., Any],
+        source: Rays | Iterable[Any],
+        memory: int | str,
+        progress: bool,
+        mask: Any = None,
+    ) -> None:
         self.done = 0
         self._query, self._source, self._progress = query, source, progress
+        self._mask = None if mask is None else mask if np.isscalar(mask) else _sliceable(mask)
+        self._is_masked = np.ndim(mask) > 0
+        if self._is_masked and not isinstance(source, Rays):
+            raise ValueError("mask must be one number if the rays come from an iterator; pass rays and masks as arrays instead")
         self._bytes = parse_memory(memory)
         self.shape: tuple[int, ...] | None = None
         if isinstance(source, Rays):
@@ -107,7 +121,8 @@ class Blocks:
             ValueError: an unknown attribute, or an array whose shape or type does not hold the answer.
         """
         if isinstance(self._source, Rays):
-            check_out(out, self._query(rows_of(self._source, len(self.shape), 0, 0)), self.shape[0], exact=True)
+            none = rows_of(self._source, len(self.shape), 0, 0)
+            check_out(out, self._answer(none, 0, 0), self.shape[0], exact=True)
         for _ in self._blocks(out):
             pass
         return self.done
@@ -117,7 +132,7 @@ class Blocks:
         with progress_bar(self._progress, None if self.shape is None else math.prod(self.shape)) as advance:
             for rows, rays in self._pieces():
                 with finished_before_interrupt():
-                    answer = self._query(rays)
+                    answer = self._answer(rays, rows.start, rows.stop)
                     if out is not None:
                         if self.shape is None:
                             check_out(out, answer, rows.stop, exact=False)
@@ -126,6 +141,15 @@ class Blocks:
                 advance(len(rays))
                 yield Block(rows, answer)
                 del answer  # freed before the next block is computed
+
+    def _answer(self, rays: Rays, begin: int, end: int) -> Any:
+        """The answer for some rows, with their masks."""
+        if self._mask is None:
+            return self._query(rays)
+        mask = self._mask
+        if self._is_masked:
+            mask = cut_rows(mask, np.shape(mask), len(self.shape), begin, end)
+        return self._query(rays, mask=mask)
 
     def _pieces(self) -> Iterator[tuple[slice, Rays]]:
         """The rays of each block, and their rows in the batch."""
@@ -141,15 +165,21 @@ class Blocks:
     def _ranges(self, shape: tuple[int, ...]) -> range:
         """First row of each block of a batch; the step is the number of rows of a block."""
         a_row = max(math.prod(shape[1:]), 1)
-        rows = min(self._bytes // BYTES_PER_RAY, MAX_RAYS) // a_row
+        each = BYTES_PER_RAY + (MASK_BYTES if self._is_masked else 0)
+        rows = min(self._bytes // each, MAX_RAYS) // a_row
         return range(0, shape[0], max(rows, 1))
 
 
 def blocks_of(
-    query: Callable[..., Any], source: Rays | Iterator[Rays], memory: int | str = MEMORY, progress: bool = False, **options: Any
+    query: Callable[..., Any],
+    source: Rays | Iterator[Rays],
+    memory: int | str = MEMORY,
+    progress: bool = False,
+    mask: Any = None,
+    **options: Any,
 ) -> Blocks:
-    """The blocks of a batch, each answered by a method of a scene with these options."""
-    return Blocks(partial(query, **options), source, memory, progress)
+    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of the mask."""
+    return Blocks(partial(query, **options), source, memory, progress, mask)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
@@ -179,12 +209,13 @@ def _items(source: Iterable[Any], t_min: float, t_max: float) -> Iterator[Rays]:
 
 def rows_of(rays: Rays, axes: int, begin: int, end: int) -> Rays:
     """Rows begin .. end - 1 of rays with `axes` leading axes; arrays shared by all rows stay whole."""
+    vectors = (cut_rows(a, leading_shape(a), axes, begin, end) for a in (rays.origins, rays.directions))
+    return Rays(*vectors, *(cut_rows(a, np.shape(a), axes, begin, end) for a in (rays.t_min, rays.t_max)))
 
-    def cut(values: Any, shape: tuple[int, ...]) -> Any:
-        return values[begin:end] if len(shape) == axes and shape[0] != 1 else values
 
-    vectors = (cut(a, leading_shape(a)) for a in (rays.origins, rays.directions))
-    return Rays(*vectors, *(cut(a, np.shape(a)) for a in (rays.t_min, rays.t_max)))
+def cut_rows(values: Any, shape: tuple[int, ...], axes: int, begin: int, end: int) -> Any:
+    """Rows begin .. end - 1 of an array with this leading shape; the whole array if all rows share it."""
+    return values[begin:end] if len(shape) == axes and shape[0] != 1 else values
 
 
 def store(out: Any, rows: slice, answer: Any) -> None:

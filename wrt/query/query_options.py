@@ -63,7 +63,7 @@ class ListOptions(MaskOptions, total=False):
     max_hits: int | None
 
 
-class ExplainOptions(FacingOptions, total=False):
+class ExplainOptions(MaskOptions, total=False):
     """Of `explain`."""
 
     query: str
@@ -72,6 +72,7 @@ class ExplainOptions(FacingOptions, total=False):
 class BlockOptions(PlanOptions, total=False):
     """Of `occluded_blocks` and `count_blocks`."""
 
+    mask: Any
     memory: int | str
     progress: bool
 

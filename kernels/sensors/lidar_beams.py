@@ -1,0 +1,82 @@
+"""Rays of a lidar's beams: each starts at the pose that the sensor has when the beam is fired.
+
+A beam of light widens. It is a bundle of rays around its axis, spread over a disk of directions; with one ray, it is the axis.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.sensors.pose_paths import PosePath, pose_at
+
+exact_module(__name__)
+
+
+@wp.struct
+class Beams:
+    """N beams of a scan in the sensor's frame."""
+
+    directions: wp.array(dtype=wp.vec3)
+    """(N,) unit vectors."""
+    offsets: wp.array(dtype=wp.vec3)
+    """(N,) start of each beam; (0,) if all start at the sensor's origin."""
+    times: wp.array(dtype=wp.float64)
+    """(N,) firing time in seconds after the start of the scan."""
+    order: wp.array(dtype=int)
+    """(N,) beams in the order in which they are traced; (0,) if in the order of their numbers."""
+    spread: wp.array(dtype=wp.vec2)
+    """(S,) directions of a bundle's rays: tangents of their angles to the axis, along two axes across it."""
+    start: wp.float64
+    """Time of the scan's start."""
+
+
+@wp.func
+def beam_at(beams: Beams, place: int):
+    """The beam that is traced at a place."""
+    beam = place
+    if beams.order.shape[0] > 0:
+        beam = beams.order[place]
+    return beam
+
+
+@wp.func
+def beam_offset(beams: Beams, beam: int):
+    """Start of a beam in the sensor's frame."""
+    offset = wp.vec3d()
+    if beams.offsets.shape[0] > 0:
+        offset = wp.vec3d(beams.offsets[beam])
+    return offset
+
+
+@wp.func
+def across(axis: wp.vec3d):
+    """A unit vector perpendicular to a unit vector: horizontal, unless the axis is vertical."""
+    side = wp.vec3d(-axis[1], axis[0], wp.float64(0.0))
+    if wp.length_sq(side) < wp.float64(1e-12):
+        side = wp.vec3d(wp.float64(0.0), wp.float64(1.0), wp.float64(0.0))
+    return wp.normalize(side)
+
+
+@wp.kernel
+def fire_beams(
+    first: int,
+    beams: Beams,
+    path: PosePath,
+    origins: wp.array(dtype=wp.vec3d),
+    directions: wp.array(dtype=wp.vec3),
+):
+    """Writes a ray in the world. Item: a ray; S neighbours belong to a beam. `origins` is (1,) if all rays share it."""
+    i = first + wp.tid()
+    rays = beams.spread.shape[0]
+    beam = beam_at(beams, i / rays)
+    pose = pose_at(path, beams.start + beams.times[beam])
+    axis = wp.normalize(wp.vec3d(beams.directions[beam]))
+    ray = i % rays
+    if rays > 1:
+        side = across(axis)
+        tangents = wp.vec2d(beams.spread[ray])
+        axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
+    directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
+    if origins.shape[0] > 1:
+        origins[i] = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
+    elif i == 0:
+        origins[0] = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))

@@ -1,0 +1,123 @@
+"""Poses over time: key poses, between which the position is interpolated linearly and the rotation by slerp.
+
+The angle between two unit quaternions is taken from the arc tangent of their quotient, which is exact to rounding for small
+angles, too. Between two keys, the linear velocity is constant in the world, and the angular velocity is constant.
+
+References:
+    K. Shoemake: Animating rotation with quaternion curves. SIGGRAPH 1985.
+"""
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+SMALL = wp.constant(wp.float64(1e-14))
+
+
+@wp.struct
+class PosePath:
+    """Key poses in float64, ordered by time."""
+
+    times: wp.array(dtype=wp.float64)
+    """(K,) ascending, in seconds."""
+    positions: wp.array(dtype=wp.vec3d)
+    """(K,) in the world."""
+    rotations: wp.array(dtype=wp.quatd)
+    """(K,) unit quaternions from the moving frame to the world; neighbours have a scalar product >= 0."""
+
+
+@wp.struct
+class Pose:
+    """A pose and its velocity."""
+
+    position: wp.vec3d
+    rotation: wp.quatd
+    velocity: wp.vec3d
+    """Of the frame's origin, in the world."""
+    spin: wp.vec3d
+    """Angular velocity in the world, in radians a second."""
+
+
+@wp.func
+def pose_at(path: PosePath, time: wp.float64):
+    """The pose at a time; beyond the keys, that of the nearest key, at rest."""
+    pose = Pose()
+    low = int(0)
+    high = path.times.shape[0] - 1
+    if high == 0 or time < path.times[0] or time > path.times[high]:
+        at = wp.where(time > path.times[high], high, 0)
+        pose.position = path.positions[at]
+        pose.rotation = path.rotations[at]
+    else:
+        while high - low > 1:
+            middle = (low + high) / 2
+            if path.times[middle] <= time:
+                low = middle
+            else:
+                high = middle
+        duration = path.times[low + 1] - path.times[low]
+        share = (time - path.times[low]) / duration
+        way = path.positions[low + 1] - path.positions[low]
+        pose.position = path.positions[low] + share * way
+        pose.velocity = way / duration
+        start = path.rotations[low]
+        turn = wp.quat_inverse(start) * path.rotations[low + 1]
+        axis = wp.vec3d(turn[0], turn[1], turn[2])
+        sine = wp.length(axis)
+        pose.rotation = start
+        if sine > SMALL:
+            half = wp.atan2(sine, turn[3])
+            axis = axis / sine
+            part = wp.sin(share * half) * axis
+            pose.rotation = start * wp.quatd(part[0], part[1], part[2], wp.cos(share * half))
+            pose.spin = (wp.float64(2.0) * half / duration) * wp.quat_rotate(start, axis)
+    return pose
+
+
+@wp.kernel
+def poses_at(
+    first: int,
+    path: PosePath,
+    times: wp.array(dtype=wp.float64),
+    positions: wp.array(dtype=wp.vec3d),
+    rotations: wp.array(dtype=wp.quatd),
+    velocities: wp.array(dtype=wp.vec3d),
+    spins: wp.array(dtype=wp.vec3d),
+):
+    """Writes the pose at a time, and its velocities. Item: a time."""
+    i = first + wp.tid()
+    pose = pose_at(path, times[i])
+    positions[i] = pose.position
+    rotations[i] = pose.rotation
+    velocities[i] = pose.velocity
+    spins[i] = pose.spin
+
+
+@wp.kernel
+def points_to_world(
+    first: int,
+    path: PosePath,
+    times: wp.array(dtype=wp.float64),
+    points: wp.array(dtype=wp.vec3d),
+    moved: wp.array(dtype=wp.vec3d),
+):
+    """Transforms a point from the moving frame at its time to the world. Item: a point."""
+    i = first + wp.tid()
+    pose = pose_at(path, times[i])
+    moved[i] = pose.position + wp.quat_rotate(pose.rotation, points[i])
+
+
+@wp.kernel
+def points_to_frame(
+    first: int,
+    path: PosePath,
+    time: wp.float64,
+    points: wp.array(dtype=wp.vec3d),
+    moved: wp.array(dtype=wp.vec3d),
+):
+    """Transforms a point from the world to the moving frame at one time. Item: a point."""
+    i = first + wp.tid()
+    pose = pose_at(path, time)
+    moved[i] = wp.quat_rotate_inv(pose.rotation, points[i] - pose.position)

@@ -1,0 +1,63 @@
+"""Checks of what callers of sensors pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = None) -> np.ndarray:
+    """A fresh float64 array of finite numbers.
+
+    Args:
+        name: of the argument.
+        values: what was passed.
+        shape: what it must have; None for a length that may be any, or for any shape.
+
+    Raises:
+        TypeError: the values are not real numbers.
+        ValueError: another shape, NaN or an infinity.
+    """
+    try:
+        array = np.asarray(values)
+    except ValueError as error:
+        raise TypeError(f"{name} is not an array: {error}") from None
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold real numbers, not {array.dtype}")
+    array = array.astype(np.float64)
+    if shape is not None:
+        wanted = tuple("N" if n is None else str(n) for n in shape)
+        if array.ndim != len(shape) or any(n is not None and n != own for n, own in zip(shape, array.shape, strict=True)):
+            raise ValueError(f"{name} has the shape {array.shape}; it must be ({', '.join(wanted)})")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
+    return array
+
+
+def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -> float:
+    """A number of at least `least` and below `below`.
+
+    Raises:
+        TypeError: not a number.
+        ValueError: out of range.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise TypeError(f"{name} must be a number, not {type(value).__name__}")
+    if not least <= value < below:
+        raise ValueError(
+            f"{name} is {value}; it must be at least {least:g}" + ("" if below == np.inf else f" and below {below:g}")
+        )
+    return float(value)
+
+
+def check_matrix(name: str, matrix: np.ndarray) -> None:
+    """Refuses a (4, 4) matrix that is not affine or that is singular.
+
+    Raises:
+        ValueError: it is.
+    """
+    if not np.array_equal(matrix[3], [0.0, 0.0, 0.0, 1.0]):
+        raise ValueError(f"{name} holds a matrix with the last row {matrix[3].tolist()}; it must be (0, 0, 0, 1)")
+    if np.linalg.matrix_rank(matrix[:3, :3]) < 3:
+        raise ValueError(f"{name} holds a singular matrix: {matrix.tolist()}")

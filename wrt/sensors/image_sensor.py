@@ -1,0 +1,333 @@
+"""Cameras with lenses, rolling shutters and images of what they see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.memory import empty
+from wrt.sensors.checks import check_at_least, check_matrix, check_real
+from wrt.sensors.lens_models import LensModel
+from wrt.sensors.time_slices import Bodies, Slice, as_motions, cut_slices, slice_error
+from wrt.sensors.trajectory import Trajectory, as_trajectory
+
+if TYPE_CHECKING:
+    from wrt.kernels.sensors.camera_images import Images
+    from wrt.kernels.sensors.lidar_beams import Beams
+    from wrt.query.api import Queries
+
+MAX_PIXELS = (1 << 31) - 1
+
+KEPT_CAMERAS = 16
+"""Cameras whose rays are kept."""
+
+IMAGES = {
+    "distance": wp.float32,
+    "depth": wp.float32,
+    "position": wp.vec3d,
+    "normal": wp.vec3,
+    "camera_normal": wp.vec3,
+    "instance": wp.int32,
+    "geometry": wp.int32,
+    "primitive": wp.int32,
+    "semantic": wp.int32,
+}
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera with a lens: `capture` traces the ray of each pixel's centre.
+
+        lens = wrt.sensors.BrownConrady.from_matrix(K, distortion)
+        camera = wrt.sensors.Camera(1280, 720, lens)
+        images = camera.capture(scene, wrt.sensors.pose_from_extrinsics(extrinsics))
+        images.depth, images.normal, images.instance_id
+
+    Attributes:
+        width, height: of the image, in pixels.
+        lens: one of the lens models; OpenCV's pixels (the centre of the first pixel is at (0, 0)).
+        line_delay: seconds between the exposures of two rows, from the top down; 0 for a global shutter.
+
+    Raises:
+        TypeError: a value of a wrong type.
+        ValueError: a value out of range.
+    """
+
+    width: int
+    height: int
+    lens: LensModel
+    line_delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            if not isinstance(getattr(self, name), (int, np.integer)):
+                raise TypeError(f"{name} must be a whole number, not {getattr(self, name)!r}")
+            check_at_least(name, getattr(self, name), 1)
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(f"width x height is {self.width * self.height}; an image has at most {MAX_PIXELS} pixels")
+        if not isinstance(self.lens, LensModel):
+            raise TypeError(f"lens must be a lens of wrt.sensors, such as BrownConrady, not {type(self.lens).__name__}")
+        check_at_least("line_delay", self.line_delay, 0.0)
+
+    def capture(
+        self,
+        scene: Queries,
+        pose: Any,
+        *,
+        time: float = 0.0,
+        motions: Mapping[int, Trajectory] | None = None,
+        slices: int = 1,
+        labels: Any = None,
+        miss: float = np.inf,
+        mask: Any = None,
+        traversal: Any = "auto",
+        to_warp: bool = False,
+    ) -> CameraImages:
+        """Traces one image.
+
+        Args:
+            scene: a `wrt.Scene`. It is not changed, whatever moves.
+            pose: (4, 4) from the optical frame (x right, y down, z forward) to the world, or a `Trajectory`: with a rolling
+                shutter, each row is seen from the pose at its own time.
+            time: exposure of the first row, on the clock of the trajectories.
+            motions, slices: instances that move, and number of time slices, as of `Lidar.scan`.
+            labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
+            miss: distance and depth of a pixel without a hit.
+            mask, traversal: as of `wrt.Scene.intersect`; one mask for all pixels.
+            to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
+
+        Raises:
+            TypeError: an argument of a wrong type.
+            ValueError: an argument out of range, a trajectory that does not cover the exposure, or motions in a scene without
+                instances.
+        """
+        path, time = as_trajectory(pose), float(check_real("time", time, ()))
+        rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
+        begin, end = time, time + float(rows[-1, 0])
+        path.check_covers(begin, end, "the times of the image")
+        motions = as_motions(motions, scene, begin, end)
+        order, parts = cut_slices(rows, time, slices if motions else 1)
+        bodies, device, frozen = Bodies(motions, parts), scene.device, copy(scene)
+        beams, images = self.beams(device, order, time), _new_images(self.width * self.height, device)
+        labels = wp.array(as_labels(labels, scene), dtype=int, device=device)
+        with use_threads(scene.num_threads):
+            rays = _fire(beams, path, self, device)
+            for part in parts:
+                bodies.place(frozen, part)
+                options = {"mask": mask, "traversal": traversal}
+                _trace(frozen, beams, path, rays, part, (self.height, self.width), options, labels, miss, images)
+        return CameraImages(self, images, path, time, to_warp, slice_error(motions, scene, parts))
+
+    def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
+        """The rays of all pixels in the optical frame, for kernels."""
+        from wrt.kernels.sensors.lidar_beams import Beams
+
+        beams = Beams()
+        beams.directions, beams.offsets, beams.times = _optical_rays(self, device.alias)
+        beams.order = wp.array(np.zeros(0) if order is None else order, dtype=int, device=device)
+        beams.spread = wp.zeros(1, dtype=wp.vec2, device=device)
+        beams.start = wp.float64(time)
+        return beams
+
+
+class CameraImages:
+    """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays if they were asked for.
+
+    Attributes:
+        distance: float32, along the ray; the miss value where there is no hit.
+        depth: float32, along the optical axis (z); the miss value where there is no hit.
+        position: (..., 3) float64 in the world; NaN for a miss.
+        normal: (..., 3) float32 in the world, by the winding of the triangle; 0 for a miss.
+        camera_normal: (..., 3) float32, the same in the optical frame at the time of the row.
+        instance_id: int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
+        geometry_id, primitive_id: int32, the mesh and the triangle within it; -1 for a miss.
+        semantic_id: int32, the label of the instance; -1 for a miss, and without labels.
+        time: (height,) float64, when each row was exposed.
+        camera, trajectory, start: how they were made.
+        motion_error: bound on the displacement of surfaces by time slices (`wrt.sensors.time_slices`).
+    """
+
+    def __init__(
+        self, camera: Camera, images: Images, trajectory: Trajectory, start: float, to_warp: bool, motion_error: float
+    ) -> None:
+        self.camera, self.trajectory, self.start, self.motion_error = camera, trajectory, start, motion_error
+        self.shape = camera.height, camera.width
+        self._images, self._to_warp = images, to_warp
+
+    def __repr__(self) -> str:
+        return f"CameraImages(shape={self.shape})"
+
+    @cached_property
+    def distance(self) -> Any:
+        return self._out("distance")
+
+    @cached_property
+    def depth(self) -> Any:
+        return self._out("depth")
+
+    @cached_property
+    def position(self) -> Any:
+        return self._out("position")
+
+    @cached_property
+    def normal(self) -> Any:
+        return self._out("normal")
+
+    @cached_property
+    def camera_normal(self) -> Any:
+        return self._out("camera_normal")
+
+    @cached_property
+    def instance_id(self) -> Any:
+        return self._out("instance")
+
+    @cached_property
+    def geometry_id(self) -> Any:
+        return self._out("geometry")
+
+    @cached_property
+    def primitive_id(self) -> Any:
+        return self._out("primitive")
+
+    @cached_property
+    def semantic_id(self) -> Any:
+        return self._out("semantic")
+
+    @cached_property
+    def time(self) -> np.ndarray:
+        return self.start + self.camera.line_delay * np.arange(self.camera.height)
+
+    def _out(self, name: str) -> Any:
+        values = getattr(self._images, name)
+        if self._to_warp:
+            return values.reshape(self.shape)
+        array = values.numpy()
+        return array.reshape(self.shape + array.shape[1:])
+
+
+@lru_cache(maxsize=KEPT_CAMERAS)
+def _optical_rays(camera: Camera, device: str) -> tuple[wp.array, wp.array, wp.array]:
+    """Directions, offsets (0,) or (N,), and times of all pixels' rays in the optical frame; kept for the next image."""
+    from wrt.kernels.sensors.lenses import image_rays
+
+    on, count = as_device(device), camera.width * camera.height
+    with kept(on):
+        directions, times = empty(count, wp.vec3, on), empty(count, wp.float64, on)
+        offsets = wp.empty(0 if camera.lens.one_centre else count, dtype=wp.vec3, device=on)
+        inputs = [camera.lens.struct(), camera.width, wp.float64(camera.line_delay), offsets, directions, times]
+        launch(image_rays, count, inputs, device=on, chunk=1024)
+    return directions, offsets, times
+
+
+def _new_images(count: int, device: wp.Device) -> Images:
+    from wrt.kernels.sensors.camera_images import Images
+
+    images = Images()
+    for name, dtype in IMAGES.items():
+        setattr(images, name, empty(count, dtype, device))
+    return images
+
+
+def _fire(beams: Beams, path: Trajectory, camera: Camera, device: wp.Device) -> tuple[wp.array, wp.array]:
+    """Origins and directions of all pixels' rays in the world, in the order in which they are traced."""
+    from wrt.kernels.sensors.lidar_beams import fire_beams
+
+    count = camera.width * camera.height
+    origins = empty(1 if path.is_still and camera.lens.one_centre else count, wp.vec3d, device)
+    directions = empty(count, wp.vec3, device)
+    launch(fire_beams, count, [beams, path.path(device), origins, directions], device=device, chunk=2048)
+    return origins, directions
+
+
+def _trace(
+    scene: Any,
+    beams: Beams,
+    path: Trajectory,
+    rays: tuple[wp.array, wp.array],
+    part: Slice,
+    shape: tuple[int, int],
+    options: dict[str, Any],
+    labels: wp.array,
+    miss: float,
+    images: Images,
+) -> None:
+    """Traces the rays of a slice, and writes their pixels."""
+    from wrt.kernels.sensors.camera_images import fill_images
+    from wrt.kernels.sensors.lidar_returns import Traced
+
+    own, shape = slice(part.begin, part.end), part.shape if part.shape else shape
+    origins, directions = (values if values.size == 1 else values[own] for values in rays)
+    starts = origins if origins.size == 1 else origins.reshape(shape)
+    hits = scene.intersect(starts, directions.reshape(shape), **options).batch
+    traced = Traced()
+    traced.place, traced.directions, traced.t, traced.primitive = part.begin, directions, hits.t, hits.primitive
+    mesh, device = scene.state.device_mesh, scene.device
+    inputs = [beams, path.path(device), traced, origins, mesh, labels, float(miss), images]
+    launch(fill_images, part.end - part.begin, inputs, device=device, chunk=1024)
+
+
+def as_labels(labels: Any, scene: Queries) -> np.ndarray:
+    """(I,) int32, or (0,) for none.
+
+    Raises:
+        TypeError: not integers.
+        ValueError: another number of labels, or a negative one.
+    """
+    if labels is None:
+        return np.zeros(0, dtype=np.int32)
+    values, count = np.asarray(labels), len(scene.instances) or len(scene.meshes)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"labels must hold integers, not {values.dtype}")
+    if values.shape != (count,) or values.min() < 0 or values.max() >= 1 << 31:
+        raise ValueError(f"labels must be {count} numbers from 0 to 2**31 - 1, one for each instance, not {labels!r:.80}")
+    return values.astype(np.int32)
+
+
+def pose_from_extrinsics(extrinsics: Any) -> np.ndarray:
+    """The pose of a camera, from its optical frame to the world, of OpenCV's extrinsics, which map the world to that frame.
+
+    Args:
+        extrinsics: (4, 4), or (3, 4) without the last row.
+
+    Returns:
+        (4, 4) float64.
+
+    Raises:
+        TypeError, ValueError: not such a matrix.
+    """
+    matrix = check_real("extrinsics", extrinsics)
+    if matrix.shape == (3, 4):
+        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
+    check_matrix("extrinsics", check_real("extrinsics", matrix, (4, 4)))
+    return np.linalg.inv(matrix)
+
+
+def look_at(position: Any, target: Any, up: Any = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """The pose of a camera's optical frame at a position, with the target on its axis.
+
+    Args:
+        position, target: (3,) points in the world.
+        up: (3,) the direction that points up in the image.
+
+    Returns:
+        (4, 4) float64.
+
+    Raises:
+        TypeError, ValueError: wrong shapes, the same point twice, or `up` parallel to the view.
+    """
+    position, target, up = (check_real(name, v, (3,)) for name, v in (("position", position), ("target", target), ("up", up)))
+    forward = target - position
+    right = np.cross(forward, up)
+    if np.linalg.norm(right) <= 1e-9 * np.linalg.norm(forward) * np.linalg.norm(up):
+        raise ValueError("there is no view: position and target are the same point, or up is zero or parallel to the view")
+    forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(forward, right), forward, position
+    return pose

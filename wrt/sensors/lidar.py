@@ -1,0 +1,304 @@
+"""Lidars: a pattern of beams and what the receiver detects of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.sensors.checks import check_at_least, check_real
+from wrt.sensors.lidar_pattern import LidarPattern
+from wrt.sensors.lidar_presets import LIDARS
+from wrt.sensors.lidar_scan import LidarScan
+from wrt.sensors.time_slices import Bodies, Slice, as_motions, cut_slices, slice_error
+from wrt.sensors.trajectory import Trajectory, as_trajectory
+from wrt.tables import lookup
+
+if TYPE_CHECKING:
+    from wrt.kernels.sensors.lidar_beams import Beams
+    from wrt.kernels.sensors.lidar_returns import Detector, Noise, Returns
+    from wrt.query.api import Queries
+
+KEEP = {"strongest": 0, "first": 1, "last": 2}
+"""Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
+
+MAX_BUNDLE = 256
+MAX_RETURNS = 16
+GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar:
+    """A laser scanner: `scan` traces its beams through a scene and returns a `LidarScan`.
+
+        lidar = wrt.sensors.Lidar.preset("ouster_os1_64")
+        scan = lidar.scan(scene, pose)
+        scan.range, scan.position, scan.intensity, scan.instance_id
+
+    The intensity of a return is relative: 1 for a surface of reflectance 1 at `reference_range`, met at a right angle, that
+    fills the beam. It is reflectance x cos(angle of incidence) x (reference_range / range)^range_exponent x
+    exp(-2 extinction range) (`wrt.kernels.sensors.lidar_returns`).
+
+    Attributes:
+        pattern: the beams.
+        min_range: least range that is detected; a surface nearer than that blocks the beam and returns nothing.
+        max_range: greatest range.
+        divergence: full angle of a beam, in radians.
+        bundle: rays per beam, spread evenly over its disk of directions (Vogel's spiral); 1 for the axis alone.
+        range_resolution: rays of a bundle whose ranges differ by more than this belong to different returns.
+        returns: number of returns kept per beam.
+        keep: "strongest", "first" or "last": which returns are kept, and in which order.
+        range_exponent: exponent of the range law: 2 for surfaces wider than the beam; 0 for receivers that compensate.
+        reference_range: range at which the factor of the range law is 1.
+        extinction: of the air, per metre.
+        threshold: least intensity that is detected.
+        range_noise: standard deviation of ranges, in metres.
+        angle_noise: standard deviation of the reported direction along each of two axes, in radians.
+        dropout: share of the returns that are lost, in [0, 1).
+
+    Raises:
+        TypeError: a value of a wrong type.
+        ValueError: a value out of range, or an unknown name.
+
+    References:
+        H. Vogel: A better way to construct the sunflower head. Mathematical Biosciences 44(3-4), 1979.
+    """
+
+    pattern: LidarPattern
+    min_range: float = 0.0
+    max_range: float = np.inf
+    divergence: float = 0.0
+    bundle: int = 1
+    range_resolution: float = 0.5
+    returns: int = 1
+    keep: str = "strongest"
+    range_exponent: float = 2.0
+    reference_range: float = 10.0
+    extinction: float = 0.0
+    threshold: float = 0.0
+    range_noise: float = 0.0
+    angle_noise: float = 0.0
+    dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.pattern, LidarPattern):
+            raise TypeError(f"pattern must be a wrt.sensors.LidarPattern, not {type(self.pattern).__name__}")
+        for name in ("min_range", "divergence", "range_resolution", "range_exponent", "extinction", "threshold"):
+            check_at_least(name, getattr(self, name), 0.0, np.pi if name == "divergence" else np.inf)
+        for name in ("range_noise", "angle_noise"):
+            check_at_least(name, getattr(self, name), 0.0)
+        check_at_least("dropout", self.dropout, 0.0, 1.0)
+        check_at_least("reference_range", self.reference_range, np.finfo(np.float32).tiny)
+        for name, most in (("bundle", MAX_BUNDLE), ("returns", MAX_RETURNS)):
+            if not isinstance(getattr(self, name), int) or not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} is {getattr(self, name)!r}; it must be a whole number from 1 to {most}")
+        if not self.max_range > self.min_range:
+            raise ValueError(f"max_range is {self.max_range}; it must be above min_range, {self.min_range}")
+        lookup(KEEP, self.keep, "keep")
+
+    @classmethod
+    def preset(cls, name: str, **options: Any) -> Lidar:
+        """A lidar by its data sheet: a key of `wrt.sensors.LIDARS`, which names the sheets.
+
+        Args:
+            name: such as "velodyne_vlp16", "velodyne_hdl32e", "ouster_os1_64", "ouster_os1_128", "robosense_m1" or
+                "livox_mid40".
+            options: of that lidar's entry, such as `rate`; and attributes of this class, which replace the sheet's.
+                Thresholds of sheets hold for the default range law; choose another one together with a threshold.
+
+        Raises:
+            TypeError, ValueError: an unknown name or option, or a value out of range.
+        """
+        return cls(**lookup(LIDARS, name, "name").attributes(**options))
+
+    def replace(self, **changes: Any) -> Lidar:
+        """This lidar with other values of some attributes.
+
+        Raises:
+            TypeError, ValueError: as the class.
+        """
+        return replace(self, **changes)
+
+    def scan(
+        self,
+        scene: Queries,
+        pose: Any,
+        *,
+        time: float = 0.0,
+        motions: Mapping[int, Trajectory] | None = None,
+        slices: int = 1,
+        reflectance: Any = 1.0,
+        mask: Any = None,
+        traversal: Any = "auto",
+        seed: int | None = None,
+    ) -> LidarScan:
+        """Traces one scan. Every beam starts at the pose of the sensor at its own firing time.
+
+        Args:
+            scene: a `wrt.Scene`. It is not changed, whatever moves.
+            pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan.
+            time: start of the scan, on the clock of the trajectories.
+            motions: trajectories of instances, by their index. Their transforms in the scene are replaced.
+            slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
+                `LidarScan.motion_error` bounds the error in position. 1 for instances that stand still during the scan.
+            reflectance: of all surfaces, or (I,) of each instance (of each mesh, in a scene without instances); >= 0.
+            mask: as of `wrt.Scene.intersect`, one number for all beams: which instances the lidar sees.
+            traversal: as of `wrt.Scene.intersect`.
+            seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
+                scan. None: no noise.
+
+        Raises:
+            TypeError: an argument of a wrong type.
+            ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
+                instances, or arrays on another device.
+        """
+        path = as_trajectory(pose)
+        time = float(check_real("time", time, ()))
+        begin, end = time + float(self.pattern.times.min()), time + float(self.pattern.times.max())
+        path.check_covers(begin, end, "the times of the scan")
+        if mask is not None and np.ndim(mask) != 0:
+            raise ValueError("mask must be one number for all beams; scan once for each mask")
+        work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
+        motions = as_motions(motions, scene, begin, end)
+        order, parts = cut_slices(self.pattern.times, time, slices if motions else 1)
+        bodies = Bodies(motions, parts)
+        work.fire(order)
+        with use_threads(scene.num_threads):
+            for part in parts:
+                work.trace(part, bodies, {"mask": mask, "traversal": traversal})
+        return LidarScan(self.pattern, work.returns, self.returns, path, time, slice_error(motions, scene, parts))
+
+    def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
+        """The beams for kernels, traced in this order."""
+        from wrt.kernels.sensors.lidar_beams import Beams
+
+        beams = Beams()
+        beams.directions, beams.offsets, beams.times = self.pattern.arrays_on(device)
+        beams.order = wp.array(np.zeros(0) if order is None else order, dtype=int, device=device)
+        number = np.arange(self.bundle)
+        radius = 0.0 if self.bundle == 1 else np.tan(self.divergence / 2) * np.sqrt((number + 0.5) / self.bundle)
+        spread = np.stack([radius * np.cos(GOLDEN_ANGLE * number), radius * np.sin(GOLDEN_ANGLE * number)], axis=-1)
+        beams.spread = wp.array(spread.astype(np.float32), dtype=wp.vec2, device=device)
+        beams.start = wp.float64(time)
+        return beams
+
+    def detector(self, device: wp.Device, reflectance: np.ndarray) -> Detector:
+        """What the receiver detects, for kernels."""
+        from wrt.kernels.sensors.lidar_returns import Detector
+
+        detector = Detector()
+        detector.min_range, detector.max_range = self.min_range, self.max_range
+        detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
+        detector.reference_range, detector.extinction = self.reference_range, self.extinction
+        detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
+        detector.reflectance = wp.array(reflectance, dtype=float, device=device)
+        return detector
+
+
+class _Work:
+    """A scan under way: rays of all beams, and returns as far as they are known."""
+
+    def __init__(
+        self, lidar: Lidar, scene: Queries, path: Trajectory, time: float, reflectance: np.ndarray, noise: Noise
+    ) -> None:
+        self.lidar, self.path, self.time, self.noise = lidar, path, time, noise
+        self.scene, self.device = copy(scene), scene.device
+        self.detector = lidar.detector(self.device, reflectance)
+        self.returns = new_returns(len(lidar.pattern) * lidar.returns, self.device)
+
+    def fire(self, order: np.ndarray | None) -> None:
+        """Makes the rays of all beams, in the order in which they are traced."""
+        from wrt.kernels.sensors.lidar_beams import fire_beams
+
+        lidar = self.lidar
+        self.beams = lidar.device_beams(self.device, order, self.time)
+        self.poses = self.path.path(self.device)
+        count = len(lidar.pattern) * lidar.bundle
+        shared = self.path.is_still and lidar.pattern.offsets is None
+        self.origins = wp.empty(1 if shared else count, dtype=wp.vec3d, device=self.device)
+        self.directions = wp.empty(count, dtype=wp.vec3, device=self.device)
+        with use_threads(self.scene.num_threads):
+            inputs = [self.beams, self.poses, self.origins, self.directions]
+            launch(fire_beams, count, inputs, device=self.device, chunk=2048)
+
+    def trace(self, part: Slice, bodies: Bodies, options: dict[str, Any]) -> None:
+        """Traces the beams of a slice, and writes their returns."""
+        from wrt.kernels.sensors.lidar_returns import Traced, describe_returns, gather_returns, single_returns
+
+        bundle, kept = self.lidar.bundle, self.lidar.returns
+        motions = bodies.place(self.scene, part)
+        rays = slice(part.begin * bundle, part.end * bundle)
+        shape = (*(part.shape if part.shape else self.lidar.pattern.shape), *((bundle,) if bundle > 1 else ()))
+        directions = self.directions[rays]
+        origins = self.origins if self.origins.size == 1 else self.origins[rays].reshape(shape)
+        hits = self.scene.intersect(origins, directions.reshape(shape), 0.0, self.lidar.max_range, **options).batch
+        traced = Traced()
+        traced.place, traced.directions, traced.t, traced.primitive = part.begin, directions, hits.t, hits.primitive
+        mesh, count = self.scene.state.device_mesh, part.end - part.begin
+        inputs = [self.beams, self.poses, traced, mesh, motions, self.noise, self.detector, self.returns]
+        if bundle == kept == 1:
+            launch(single_returns, count, inputs, device=self.device, chunk=1024)
+            return
+        gathered = [self.beams, traced, mesh, self.detector, self.returns]
+        launch(gather_returns, count, gathered, device=self.device, chunk=1024)
+        launch(describe_returns, count * kept, inputs, device=self.device, chunk=1024)
+
+
+def new_returns(count: int, device: wp.Device) -> Returns:
+    """Memory for returns."""
+    from wrt.kernels.sensors.lidar_returns import Returns
+    from wrt.memory import empty
+
+    returns = Returns()
+    for name in ("point", "position"):
+        setattr(returns, name, empty(count, wp.vec3d, device))
+    for name in ("range", "intensity", "radial_velocity"):
+        setattr(returns, name, empty(count, wp.float32, device))
+    for name in ("ray", "instance", "geometry", "primitive"):
+        setattr(returns, name, empty(count, wp.int32, device))
+    returns.normal = empty(count, wp.vec3, device)
+    return returns
+
+
+def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:
+    """(1,) or (I,) float64.
+
+    Raises:
+        TypeError: not real numbers.
+        ValueError: another length, or a negative value.
+    """
+    values = np.atleast_1d(check_real("reflectance", reflectance))
+    count = len(scene.instances) or len(scene.meshes)
+    if values.shape not in ((1,), (count,)):
+        raise ValueError(
+            f"reflectance has the shape {np.shape(reflectance)}; pass one number, or one for each of {count} instances"
+        )
+    if values.min() < 0.0:
+        raise ValueError(f"reflectance must not be negative, but its smallest value is {values.min()}")
+    return values
+
+
+def as_noise(lidar: Lidar, seed: int | None) -> Noise:
+    """The noise for kernels; none without a seed.
+
+    Raises:
+        TypeError: the seed is not a whole number.
+        ValueError: it is out of range.
+    """
+    from wrt.kernels.sensors.lidar_returns import Noise
+
+    noise = Noise()
+    if seed is None:
+        return noise
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
+        raise TypeError(f"seed must be a whole number or None, not {type(seed).__name__}")
+    if not 0 <= seed < 1 << 64:
+        raise ValueError(f"seed is {seed}; it must be from 0 to 2**64 - 1")
+    noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout
+    noise.key = wp.vec2ui(int(seed) & 0xFFFFFFFF, int(seed) >> 32)
+    return noise

@@ -1,0 +1,212 @@
+"""Patterns of a lidar's beams: where each points, where it starts and when it is fired."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.sensors.checks import check_at_least, check_real
+
+UNIT_TOLERANCE = 1e-3
+
+
+class LidarPattern:
+    """The beams of one scan, in the sensor's frame: x forward, y left, z up, in metres and seconds.
+
+    Any pattern is arrays. `spinning`, `raster` and `rosette` make common ones.
+
+    Args:
+        directions: (..., 3) unit vectors. A leading shape (rings, columns) makes range images of the results, and lets rays be
+            traced in packets.
+        times: (...) firing time of each beam after the start of the scan, in seconds; broadcasts. None: all at the start.
+        rings: (...) integers, the laser or row of each beam; broadcasts. None: the index along the first axis.
+        offsets: (..., 3) start of each beam relative to the sensor's origin; broadcasts. None: at the origin.
+
+    Directions and offsets may be Warp arrays of vec3 on the scene's device; results are then Warp arrays.
+
+    Attributes:
+        shape: the leading shape (...).
+        directions: as given, float32.
+        times: (...) float64, read-only.
+        rings: (...) int32, read-only.
+        offsets: as given, float32; None if there are none.
+
+    Raises:
+        TypeError: an argument of a wrong type.
+        ValueError: wrong shapes, numbers that are not finite, directions that are not unit vectors.
+    """
+
+    def __init__(self, directions: Any, times: Any = None, rings: Any = None, offsets: Any = None) -> None:
+        self.is_warp = isinstance(directions, wp.array)
+        self.directions = self._vectors("directions", directions)
+        self.shape = self.directions.shape if self.is_warp else self.directions.shape[:-1]
+        if not self.shape or 0 in self.shape:
+            raise ValueError("directions must have shape (..., 3) with at least one beam and one leading axis")
+        self.times = self._spread("times", np.zeros(()) if times is None else times, np.float64)
+        default = np.arange(self.shape[0]).reshape(-1, *(1,) * (len(self.shape) - 1))
+        self.rings = self._spread("rings", default if rings is None else rings, np.int32)
+        self.offsets = None if offsets is None else self._vectors("offsets", offsets)
+        if self.offsets is not None and not self.is_warp:
+            self.offsets = np.ascontiguousarray(np.broadcast_to(self.offsets, (*self.shape, 3)))
+        if not self.is_warp:
+            lengths = np.linalg.norm(self.directions, axis=-1)
+            if np.abs(lengths - 1.0).max() > UNIT_TOLERANCE:
+                raise ValueError(
+                    f"directions must be unit vectors, but have lengths from {lengths.min():g} to {lengths.max():g}"
+                )
+        self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
+
+    def __repr__(self) -> str:
+        return f"LidarPattern(shape={self.shape}, {1e3 * self.duration:g} ms)"
+
+    def __len__(self) -> int:
+        """Number of beams."""
+        return int(np.prod(self.shape))
+
+    @cached_property
+    def duration(self) -> float:
+        """Time from the first to the last beam, in seconds."""
+        return float(np.ptp(self.times))
+
+    @classmethod
+    def spinning(
+        cls,
+        elevations: Any,
+        columns: int,
+        *,
+        rate: float = 10.0,
+        azimuth_offsets: Any = 0.0,
+        firing_times: Any = 0.0,
+        rings: Any = None,
+        clockwise: bool = True,
+        radius: float = 0.0,
+    ) -> LidarPattern:
+        """A scanner that turns about z: (rings, columns) beams. Column 0 points forward when the scan starts.
+
+        Args:
+            elevations: (R,) angle of each laser above the horizon, in degrees.
+            columns: firings of each laser in one turn.
+            rate: turns a second.
+            azimuth_offsets: (R,) or one angle, in degrees, by which a laser points to the left of the column's azimuth.
+            firing_times: (R,) or one, seconds after the column's start at which a laser fires; the head turns meanwhile.
+            rings: (R,) number of each laser; None for 0 to R - 1.
+            clockwise: whether the head turns clockwise seen from above.
+            radius: distance of the start of beams from the axis, in metres.
+
+        Raises:
+            TypeError, ValueError: as the class; a number out of range.
+        """
+        elevations = np.radians(check_real("elevations", elevations, (None,)))[:, None]
+        columns = int(check_at_least("columns", columns, 1))
+        rate = check_at_least("rate", rate, 1e-6)
+        check_at_least("radius", radius, 0.0)
+        times = np.arange(columns) / (columns * rate) + np.reshape(check_real("firing_times", firing_times), (-1, 1))
+        times = np.broadcast_to(times, (len(elevations), columns))
+        encoder = (-2.0 if clockwise else 2.0) * np.pi * rate * times
+        azimuth = encoder + np.reshape(np.radians(check_real("azimuth_offsets", azimuth_offsets)), (-1, 1))
+        flat = np.cos(elevations)
+        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(elevations)], axis=-1)
+        offsets = None if radius == 0.0 else radius * np.stack([np.cos(encoder), np.sin(encoder), 0.0 * encoder], axis=-1)
+        return cls(directions, times, None if rings is None else np.reshape(rings, (-1, 1)), offsets)
+
+    @classmethod
+    def raster(
+        cls, rows: int, columns: int, *, horizontal: float, vertical: float, rate: float = 10.0, tilt: float = 0.0
+    ) -> LidarPattern:
+        """A solid-state scanner that draws rows from left to right, one below the other: (rows, columns) beams.
+
+        Args:
+            rows, columns: number of beams.
+            horizontal, vertical: field of view from the first to the last beam, in degrees.
+            rate: frames a second, over which the beams are fired evenly.
+            tilt: elevation of the middle, in degrees.
+
+        Raises:
+            TypeError, ValueError: a number out of range.
+        """
+        rows, columns = int(check_at_least("rows", rows, 1)), int(check_at_least("columns", columns, 1))
+        horizontal = check_at_least("horizontal", horizontal, 0.0, 360.0)
+        vertical = check_at_least("vertical", vertical, 0.0, 180.0)
+        rate = check_at_least("rate", rate, 1e-6)
+        azimuth = np.radians(np.linspace(horizontal / 2, -horizontal / 2, columns))
+        elevation = np.radians(tilt + np.linspace(vertical / 2, -vertical / 2, rows))[:, None]
+        flat = np.cos(elevation)
+        directions = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), 0.0 * azimuth + np.sin(elevation)], axis=-1)
+        return cls(directions, np.arange(rows * columns).reshape(rows, columns) / (rows * columns * rate))
+
+    @classmethod
+    def rosette(
+        cls, count: int, *, half_angle: float, speeds: tuple[float, float], point_rate: float, first: int = 0
+    ) -> LidarPattern:
+        """The rosette that two turning wedge prisms (Risley prisms) of equal strength draw: (count,) beams about x.
+
+        Each prism deflects the beam by half of `half_angle`, to first order; the deflections add up. Unless the speeds have a
+        short common period, the pattern does not repeat: choose `first` to go on where another pattern ended.
+
+        Args:
+            count: number of beams.
+            half_angle: largest angle of a beam to the x axis, in degrees.
+            speeds: turns a minute of the two prisms; of opposite sign if they turn against each other.
+            point_rate: beams a second.
+            first: number of the first beam since the prisms started together.
+
+        Raises:
+            TypeError, ValueError: a number out of range.
+        """
+        count = int(check_at_least("count", count, 1))
+        half_angle = np.radians(check_at_least("half_angle", half_angle, 0.0, 90.0))
+        point_rate = check_at_least("point_rate", point_rate, 1e-6)
+        first = int(check_at_least("first", first, 0))
+        turns = 2.0 * np.pi / 60.0 * check_real("speeds", speeds, (2,))
+        phases = turns[:, None] * (first + np.arange(count)) / point_rate
+        left, up = half_angle / 2 * np.cos(phases).sum(axis=0), half_angle / 2 * np.sin(phases).sum(axis=0)
+        angle = np.hypot(left, up)
+        across = np.sinc(angle / np.pi)  # sin(angle) / angle
+        directions = np.stack([np.cos(angle), across * left, across * up], axis=-1)
+        return cls(directions, np.arange(count) / point_rate, np.zeros(count, dtype=np.int32))
+
+    def arrays_on(self, device: wp.Device) -> tuple[wp.array, wp.array, wp.array]:
+        """Directions, offsets and times as flat arrays on a device, copied once; offsets (0,) if there are none.
+
+        Raises:
+            ValueError: the pattern's Warp arrays are on another device.
+        """
+        if device.alias not in self._on_device:
+            offsets = wp.empty(0, dtype=wp.vec3, device=device) if self.offsets is None else self._flat(self.offsets, device)
+            times = wp.array(self.times.ravel(), dtype=wp.float64, device=device)
+            self._on_device[device.alias] = self._flat(self.directions, device), offsets, times
+        return self._on_device[device.alias]
+
+    def _flat(self, values: Any, device: wp.Device) -> wp.array:
+        if not isinstance(values, wp.array):
+            return wp.array(values.reshape(-1, 3), dtype=wp.vec3, device=device)
+        if values.device != device:
+            raise ValueError(f"the pattern is on {values.device}, the scene on {device}; copy it there")
+        return values.flatten()
+
+    def _vectors(self, name: str, values: Any) -> Any:
+        if isinstance(values, wp.array):
+            if values.dtype is not wp.vec3:
+                raise TypeError(f"{name} must be a Warp array of vec3, not of {values.dtype.__name__}")
+            if name != "directions" and (not self.is_warp or values.shape != self.shape):
+                raise ValueError(f"{name} must have the shape of the directions, which must be a Warp array, too")
+            return values.contiguous()
+        if name != "directions" and self.is_warp:
+            raise TypeError(f"{name} must be a Warp array of vec3, as the directions are")
+        values = check_real(name, values)
+        if values.shape[-1:] != (3,):
+            raise ValueError(f"{name} must have shape (..., 3), not {values.shape}")
+        return np.ascontiguousarray(values, dtype=np.float32)
+
+    def _spread(self, name: str, values: Any, dtype: type) -> np.ndarray:
+        values = values.numpy() if isinstance(values, wp.array) else values
+        array = check_real(name, values)
+        try:
+            array = np.array(np.broadcast_to(array, self.shape), dtype=dtype)
+        except ValueError:
+            raise ValueError(f"{name} has the shape {array.shape}, which does not broadcast to {self.shape}") from None
+        array.setflags(write=False)
+        return array

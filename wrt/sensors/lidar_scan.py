@@ -1,0 +1,161 @@
+"""Scans of a lidar: what was measured, and where it was in the world."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrt.sensors.trajectory import Trajectory, deskew
+
+if TYPE_CHECKING:
+    from wrt.kernels.sensors.lidar_returns import Returns
+    from wrt.sensors.lidar_pattern import LidarPattern
+
+POINT_TYPE = np.dtype(
+    [
+        ("x", "<f4"),
+        ("y", "<f4"),
+        ("z", "<f4"),
+        ("intensity", "<f4"),
+        ("ring", "<u2"),
+        ("time", "<f4"),
+        ("return_number", "u1"),
+        ("instance_id", "<i4"),
+    ]
+)
+"""What `LidarScan.to_structured` gives for each return: coordinates, intensity, ring, seconds after the start of the scan,
+place among the beam's returns from 0 up, and the instance."""
+
+
+class LidarScan:
+    """What a `Lidar` measured in one scan.
+
+    Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns. They are NumPy arrays if the
+    pattern was, else Warp arrays on the scene's device.
+
+    Attributes:
+        range: float32 distance along the beam, with noise; inf for a miss.
+        intensity: float32, without noise; 0 for a miss (`Lidar`).
+        point: (..., 3) float64 in the sensor's frame at the time of the beam, as a sensor reports it, with noise; NaN for a
+            miss.
+        position: (..., 3) float64, the same point in the world, by the true pose at the time of the beam; NaN for a miss.
+        normal: (..., 3) float32 of the surface in the world, by the winding of its triangle; 0 for a miss.
+        instance_id: int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
+        geometry_id: int32, index of the mesh; -1 for a miss.
+        primitive_id: int32, index of the triangle within its mesh; -1 for a miss.
+        radial_velocity: float32, the rate in metres a second at which the distance between the start of the beam and the point
+            of the surface grows, from the motions of both; NaN for a miss.
+        time: (...) float64 NumPy array, time of each beam on the clock of the trajectories.
+        ring: (...) int32 NumPy array.
+        trajectory: of the sensor.
+        start: time of the scan's start.
+        motion_error: bound on the displacement of surfaces by time slices, in metres; 0 if no instance moved
+            (`wrt.sensors.time_slices`).
+    """
+
+    def __init__(
+        self, pattern: LidarPattern, returns: Returns, kept: int, trajectory: Trajectory, start: float, motion_error: float
+    ) -> None:
+        self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
+        self.shape: tuple[int, ...] = pattern.shape if kept == 1 else (*pattern.shape, kept)
+        self._returns, self._kept = returns, kept
+
+    def __repr__(self) -> str:
+        return f"LidarScan(shape={self.shape})"
+
+    @cached_property
+    def range(self) -> Any:
+        return self._out("range")
+
+    @cached_property
+    def intensity(self) -> Any:
+        return self._out("intensity")
+
+    @cached_property
+    def point(self) -> Any:
+        return self._out("point")
+
+    @cached_property
+    def position(self) -> Any:
+        return self._out("position")
+
+    @cached_property
+    def normal(self) -> Any:
+        return self._out("normal")
+
+    @cached_property
+    def instance_id(self) -> Any:
+        return self._out("instance")
+
+    @cached_property
+    def geometry_id(self) -> Any:
+        return self._out("geometry")
+
+    @cached_property
+    def primitive_id(self) -> Any:
+        return self._out("primitive")
+
+    @cached_property
+    def radial_velocity(self) -> Any:
+        return self._out("radial_velocity")
+
+    @cached_property
+    def time(self) -> np.ndarray:
+        return self.start + self.pattern.times
+
+    @property
+    def ring(self) -> np.ndarray:
+        return self.pattern.rings
+
+    def deskewed(self, time: float | None = None, trajectory: Trajectory | None = None) -> Any:
+        """The points as if all had been measured at one time: (..., 3) float64 in the sensor's frame at that time.
+
+        Args:
+            time: that time; None for the start of the scan.
+            trajectory: the sensor's motion as somebody estimated it; None for the true one.
+
+        Raises:
+            ValueError: a time beyond the trajectory.
+        """
+        times = self.time if self._kept == 1 else self.time[..., None]
+        return deskew(self.point, times, trajectory or self.trajectory, self.start if time is None else time)
+
+    def to_structured(self, frame: str = "sensor") -> np.ndarray:
+        """All returns, without misses: (N,) structured array of `wrt.sensors.POINT_TYPE`, beam by beam in order of time.
+
+        Args:
+            frame: "sensor": coordinates as measured, each at the time of its beam; "world"; or "start": without the motion of
+                the sensor, in its frame at the start of the scan.
+
+        Raises:
+            ValueError: an unknown frame.
+        """
+        from wrt.tables import lookup
+
+        choices = {"sensor": lambda: self.point, "world": lambda: self.position, "start": self.deskewed}
+        points = _host(lookup(choices, frame, "frame")()).reshape(-1, self._kept, 3)
+        order = np.argsort(self.pattern.times.ravel(), kind="stable")
+        found = np.isfinite(_host(self.range).reshape(-1, self._kept)[order])
+        out = np.empty(int(found.sum()), dtype=POINT_TYPE)
+        for axis, name in enumerate(("x", "y", "z")):
+            out[name] = points[order, :, axis][found]
+        spread = np.broadcast_to
+        out["intensity"] = _host(self.intensity).reshape(-1, self._kept)[order][found]
+        out["instance_id"] = _host(self.instance_id).reshape(-1, self._kept)[order][found]
+        out["ring"] = spread(self.ring.ravel()[order, None], found.shape)[found]
+        out["time"] = spread(self.pattern.times.ravel()[order, None], found.shape)[found]
+        out["return_number"] = spread(np.arange(self._kept), found.shape)[found]
+        return out
+
+    def _out(self, name: str) -> Any:
+        values = getattr(self._returns, name)
+        if self.pattern.is_warp:
+            return values.reshape(self.shape)
+        array = values.numpy()
+        return array.reshape(self.shape + array.shape[1:])
+
+
+def _host(values: Any) -> np.ndarray:
+    return values if isinstance(values, np.ndarray) else values.numpy()

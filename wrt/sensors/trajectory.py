@@ -1,0 +1,278 @@
+"""Trajectories: poses of sensors and bodies over time."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.launch import as_device, launch
+from wrt.rays.rays import as_vectors
+from wrt.sensors.checks import check_matrix, check_real
+
+if TYPE_CHECKING:
+    from wrt.kernels.sensors.pose_paths import PosePath
+
+SAME_STRETCH = 1e-6
+"""Relative difference up to which two matrices count as having the same scale and shear."""
+
+
+class Trajectory:
+    """Poses at given times. Between them, positions are interpolated linearly and rotations by slerp.
+
+        path = wrt.sensors.Trajectory([0.0, 0.1], [[0, 0, 1.8], [1, 0, 1.8]])  # 10 m/s along x
+
+    A pose maps the moving frame to the world: p -> rotation p + position.
+
+    Args:
+        times: (K,) seconds, ascending, K >= 1. A trajectory of one pose is at rest at all times.
+        positions: (K, 3).
+        rotations: (K, 4) quaternions x, y, z, w, of any length but 0; None for none. Between two keys, the shorter way is
+            taken.
+        stretch: (3, 3) scale and shear of a body, applied before the rotation; None for none. A sensor has none.
+
+    Attributes:
+        times: (K,) float64, read-only.
+        positions: (K, 3) float64, read-only.
+        rotations: (K, 4) float64 unit quaternions, read-only.
+        stretch: (3, 3) float64, read-only.
+
+    Raises:
+        TypeError: an argument does not hold real numbers.
+        ValueError: wrong shapes, numbers that are not finite, times that do not ascend, or a quaternion of length 0.
+    """
+
+    def __init__(self, times: Any, positions: Any, rotations: Any = None, *, stretch: Any = None) -> None:
+        self.times = check_real("times", times, (None,))
+        count = len(self.times)
+        if count == 0 or (np.diff(self.times) <= 0.0).any():
+            raise ValueError("times must ascend and hold at least one time; sort the poses by time and leave doubles out")
+        self.positions = check_real("positions", positions, (count, 3))
+        given = (
+            np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)) if rotations is None else check_real("rotations", rotations, (count, 4))
+        )
+        lengths = np.linalg.norm(given, axis=1, keepdims=True)
+        if (lengths == 0.0).any():
+            raise ValueError("rotations holds a quaternion of length 0; the one without a rotation is (0, 0, 0, 1)")
+        unit = given / lengths
+        flips = np.where((unit[1:] * unit[:-1]).sum(axis=1) < 0.0, -1.0, 1.0)
+        unit[1:] *= np.cumprod(flips)[:, None]
+        self.rotations = unit
+        self.stretch = np.eye(3) if stretch is None else check_real("stretch", stretch, (3, 3))
+        for array in (self.times, self.positions, self.rotations, self.stretch):
+            array.setflags(write=False)
+        self._paths: dict[str, PosePath] = {}
+
+    def __repr__(self) -> str:
+        return f"Trajectory({len(self.times)} poses, {self.times[0]:g} to {self.times[-1]:g} s)"
+
+    @classmethod
+    def from_matrices(cls, times: Any, matrices: Any) -> Trajectory:
+        """A trajectory through (K, 4, 4) poses or transforms of a body, such as those of `wrt.Instance`.
+
+        Args:
+            times: (K,) seconds, ascending.
+            matrices: (K, 4, 4) affine maps that differ in rotation and translation only: scale, shear and mirroring are the
+                same in all of them.
+
+        Raises:
+            TypeError, ValueError: as the class; a matrix that is singular or not affine; matrices of different scale.
+        """
+        matrices = check_real("matrices", matrices, (None, 4, 4))
+        for matrix in matrices:
+            check_matrix("matrices", matrix)
+        linear = matrices[:, :3, :3]
+        left, _, right = np.linalg.svd(linear)
+        sign = np.sign(np.linalg.det(left @ right))
+        left[:, :, 2] *= sign[:, None]
+        turns = left @ right
+        stretches = np.swapaxes(turns, 1, 2) @ linear
+        if len(matrices) and not np.abs(stretches - stretches[0]).max() <= SAME_STRETCH * np.abs(stretches[0]).max():
+            raise ValueError("matrices have different scales or shears; a body on a trajectory is moved and turned only")
+        rigid = len(matrices) == 0 or np.abs(stretches[0] - np.eye(3)).max() <= SAME_STRETCH
+        return cls(times, matrices[:, :3, 3], quaternions(turns), stretch=None if rigid else stretches[0])
+
+    @property
+    def is_rigid(self) -> bool:
+        """Whether poses only move and turn."""
+        return bool((self.stretch == np.eye(3)).all())
+
+    @property
+    def is_still(self) -> bool:
+        """Whether there is one pose only."""
+        return len(self.times) == 1
+
+    @cached_property
+    def matrices(self) -> np.ndarray:
+        """(K, 4, 4) float64, the transforms at the times of the keys."""
+        return self._matrices(self.positions, self.rotations)
+
+    def at(self, times: Any) -> np.ndarray:
+        """The transforms at some times: (..., 4, 4) float64, from the moving frame, stretch included, to the world.
+
+        Args:
+            times: (...) seconds.
+
+        Raises:
+            TypeError: times are not real numbers.
+            ValueError: a time beyond the trajectory.
+        """
+        times = check_real("times", times)
+        self.check_covers(times.min(initial=np.inf), times.max(initial=-np.inf))
+        positions, rotations, _, _ = self._evaluate(times.ravel())
+        return self._matrices(positions, rotations).reshape(*times.shape, 4, 4)
+
+    def velocities(self, times: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Velocity of the frame's origin and angular velocity, both (..., 3) float64 in the world, a second.
+
+        Args:
+            times: (...) seconds. At a key, that after the key; at the last one, that before.
+
+        Raises:
+            TypeError, ValueError: as `at`.
+        """
+        times = check_real("times", times)
+        self.check_covers(times.min(initial=np.inf), times.max(initial=-np.inf))
+        found = self._evaluate(times.ravel())[2:]
+        return tuple(values.reshape(*times.shape, 3) for values in found)
+
+    def check_covers(self, begin: float, end: float, what: str = "times") -> None:
+        """Refuses times beyond the keys.
+
+        Args:
+            begin, end: earliest and latest time.
+            what: whose times they are, for the message.
+
+        Raises:
+            ValueError: a time is beyond the keys, and there are several.
+        """
+        slack = 1e-9 * max(1.0, abs(self.times[0]), abs(self.times[-1]))
+        if not self.is_still and begin <= end and (begin < self.times[0] - slack or end > self.times[-1] + slack):
+            raise ValueError(
+                f"{what} are {begin:g} to {end:g} s, but the trajectory has poses from {self.times[0]:g} to "
+                f"{self.times[-1]:g} s; add poses, or choose another time"
+            )
+
+    def path(self, device: wp.Device) -> PosePath:
+        """The poses for kernels on a device; copied once."""
+        from wrt.kernels.sensors.pose_paths import PosePath
+
+        if device.alias not in self._paths:
+            path = PosePath()
+            path.times = wp.array(self.times, dtype=wp.float64, device=device)
+            path.positions = wp.array(self.positions, dtype=wp.vec3d, device=device)
+            path.rotations = wp.array(self.rotations, dtype=wp.quatd, device=device)
+            self._paths[device.alias] = path
+        return self._paths[device.alias]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles hold the poses only."""
+        return _unpickled, (self.times, self.positions, self.rotations, self.stretch)
+
+    def _evaluate(self, times: np.ndarray) -> list[np.ndarray]:
+        from wrt.kernels.sensors.pose_paths import poses_at
+
+        device = wp.get_device("cpu")
+        times = np.clip(times, self.times[0], self.times[-1])  # rounding at the ends
+        asked = wp.array(times, dtype=wp.float64, device=device)
+        types = (wp.vec3d, wp.quatd, wp.vec3d, wp.vec3d)
+        found = [wp.empty(len(times), dtype=dtype, device=device) for dtype in types]
+        launch(poses_at, len(times), [self.path(device), asked, *found], device=device, chunk=4096)
+        return [values.numpy() for values in found]
+
+    def _matrices(self, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
+        matrices = np.zeros((len(positions), 4, 4))
+        matrices[:, :3, :3] = rotation_matrices(rotations) @ self.stretch
+        matrices[:, :3, 3], matrices[:, 3, 3] = positions, 1.0
+        return matrices
+
+
+def _unpickled(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, stretch: np.ndarray) -> Trajectory:
+    return Trajectory(times, positions, rotations, stretch=stretch)
+
+
+def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
+    """The trajectory of a sensor: as given, or at rest at a (4, 4) pose.
+
+    Raises:
+        TypeError, ValueError: neither a trajectory nor a rigid pose.
+    """
+    if not isinstance(pose, Trajectory):
+        pose = Trajectory.from_matrices([0.0], check_real(name, pose, (4, 4))[None])
+    if not pose.is_rigid:
+        raise ValueError(f"{name} must move and turn the sensor only, without scale, shear or mirroring")
+    return pose
+
+
+def deskew(points: Any, times: Any, trajectory: Trajectory, time: float) -> Any:
+    """Points that were measured one after the other, as if the sensor had measured all of them at one time.
+
+    Each point is transformed to the world by the sensor's pose at its own time, and from there to the sensor's frame at `time`.
+
+    Args:
+        points: (..., 3) in the sensor's frame, each at its own time; NaN stays NaN.
+        times: (...) seconds on the trajectory's clock; the shape broadcasts to that of the points.
+        trajectory: of the sensor, as known or as estimated.
+        time: the one time.
+
+    Returns:
+        (..., 3) float64: a NumPy array, or a Warp array of vec3d if the points were one.
+
+    Raises:
+        TypeError, ValueError: an argument of a wrong type or shape, or a time beyond the trajectory.
+    """
+    from wrt.kernels.sensors.pose_paths import points_to_frame, points_to_world
+
+    device = points.device if isinstance(points, wp.array) else as_device("cpu")
+    is_warp, points = isinstance(points, wp.array), as_vectors(points, "points", device)
+    shape = points.shape if is_warp else points.shape[:-1]
+    asked = check_real("times", times.numpy() if isinstance(times, wp.array) else times)
+    asked = np.ascontiguousarray(np.broadcast_to(asked, shape)).ravel()
+    earliest, latest = asked.min(initial=time), asked.max(initial=time)
+    trajectory.check_covers(float(earliest), float(latest))
+    flat = points.flatten() if is_warp else wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device=device)
+    if flat.dtype is not wp.vec3d:
+        narrow, flat = flat, wp.empty(len(flat), dtype=wp.vec3d, device=device)
+        wp.utils.array_cast(narrow, flat)
+    moved, path = wp.empty_like(flat), trajectory.path(device)
+    launch(points_to_world, len(flat), [path, wp.array(asked, dtype=wp.float64, device=device), flat, moved], device=device)
+    out = wp.empty_like(flat)
+    launch(points_to_frame, len(flat), [path, wp.float64(time), moved, out], device=device)
+    return out.reshape(shape) if is_warp else out.numpy().reshape(*shape, 3)
+
+
+def quaternions(rotations: np.ndarray) -> np.ndarray:
+    """(K, 4) unit quaternions x, y, z, w of (K, 3, 3) rotation matrices.
+
+    The largest of the four components is computed first, from the diagonal, so that nothing small is divided by.
+    """
+    trace = np.trace(rotations, axis1=1, axis2=2)
+    squares = np.concatenate([np.diagonal(rotations, axis1=1, axis2=2), trace[:, None]], axis=1)
+    found = np.empty((len(rotations), 4))
+    for row, (matrix, largest) in enumerate(zip(rotations, squares.argmax(axis=1), strict=True)):
+        if largest == 3:
+            found[row] = [
+                matrix[2, 1] - matrix[1, 2],
+                matrix[0, 2] - matrix[2, 0],
+                matrix[1, 0] - matrix[0, 1],
+                1.0 + trace[row],
+            ]
+        else:
+            i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+            found[row, i] = 1.0 + matrix[i, i] - matrix[j, j] - matrix[k, k]
+            found[row, j], found[row, k] = matrix[j, i] + matrix[i, j], matrix[k, i] + matrix[i, k]
+            found[row, 3] = matrix[k, j] - matrix[j, k]
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def rotation_matrices(unit: np.ndarray) -> np.ndarray:
+    """(K, 3, 3) matrices of (K, 4) unit quaternions x, y, z, w."""
+    x, y, z, w = unit.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)
