@@ -30,7 +30,6 @@ nb_execution_mode = "off"  # notebooks are shown with the outputs that they were
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_preserve_defaults = True
 default_role = "code"  # docstrings put names between single backquotes
 napoleon_use_ivar = True
 napoleon_use_rtype = False

@@ -2,7 +2,8 @@
 
 A test of a ray and a triangle ends at the step whose condition fails, or with a hit. Lanes run in lockstep: a vector ends at
 the step at which its last lane ends. The kernels count both, for groups of any shape: frusta of R rays x one triangle, one ray
-x G triangles, or R x G. The first count bounds what early exits can save; the second is what they save in lockstep.
+x G triangles, or R x G. The first count bounds what early exits can save; the second is what they save in lockstep. Tests
+that leave behind the closest hit so far find the one before the test, within a group, too.
 """
 
 from functools import cache
@@ -11,7 +12,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import FOR_LANES
-from wrt.kernels.triangle.support.lane_form import LaneForm
+from wrt.kernels.triangle.support.lane_form import FAR, LaneForm
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS
 from wrt.kernels.triangle.support.triangle_contract import TestForm
 
@@ -20,13 +21,16 @@ exact_module(__name__)
 
 @cache
 def exit_of(test: TestForm) -> wp.Function:
-    """`wp.func(records, slot, width, ray) -> int`: the step at which a test ends; the number of steps for a hit."""
+    """`wp.func(records, slot, width, ray, far, i) -> int`: the step at which a test ends; the number of steps for a hit.
+
+    `far[i]` is the closest hit of ray i so far, for a form that reads it.
+    """
     if isinstance(test.lanes, LaneForm):
         return exit_of_form(test.lanes, test.ray_state)
     RayState, intersect, load = test.ray_state, test.intersect, test.record.load
 
     @wp.func
-    def end(records: wp.array(dtype=float), slot: int, width: int, ray: RayState):
+    def end(records: wp.array(dtype=float), slot: int, width: int, ray: RayState, far_of: wp.array(dtype=float), i: int):
         hit = intersect(ray, load(records, slot, width))
         return wp.where(hit[0] == hit[0], 1, 0)
 
@@ -39,17 +43,20 @@ def exit_of_form(form: LaneForm, ray_state: type) -> wp.Function:
     RayState, components = ray_state, form.components
     text = FOR_LANES + f"    constexpr int COMPONENTS = {VERTEX_COMPONENTS + len(form.triangle)}, i = 0;\n"
     text += "    const float* r = &records.data[(size_t)(slot / width) * (COMPONENTS * width) + slot % width];\n"
-    text += "".join(f"    const float {value.name} = {value.scalar};\n" for value in form.ray)
+    scalars = {value.name: "far_of.data[ray_number]" if value == FAR else value.scalar for value in form.ray}
+    text += "".join(f"    const float {name} = {scalar};\n" for name, scalar in scalars.items())
     text += "".join(f"    float kept_{name}[1];\n" for name in form.kept())
     for number, step in enumerate(form.steps):
         code = form.lane_code(
             number, lambda step: [f"const float {n} = r[{components[n]} * width];" for n in step.reads(components)]
         )
         text += f"    {{\n{code}\n        if (!({step.passes})) return {number};\n    }}\n"
-    text += f"    return {len(form.steps)};\n"
+    text += f"    {'far_of.data[ray_number] = kept_t[0];' if FAR in form.ray else ''}\n    return {len(form.steps)};\n"
 
     @wp.func_native(text)
-    def end(records: wp.array(dtype=float), slot: int, width: int, ray: RayState) -> int: ...
+    def end(
+        records: wp.array(dtype=float), slot: int, width: int, ray: RayState, far_of: wp.array(dtype=float), ray_number: int
+    ) -> int: ...
 
     return end
 
@@ -60,6 +67,7 @@ def make_kernel(test: TestForm) -> wp.Kernel:
 
     One item is a group of `group_rays` rays. It writes a row of `counts`: first the number of tests per end, then the number of
     groups of `group_rays` x `group_triangles` tests per end of their last test. The last group of triangles may be smaller.
+    `far_of` holds infinity for each ray, and afterwards its closest hit if the form reads it.
     """
     prepare, end = test.prepare, exit_of(test)
     ends = len(test.lanes.exits) + 1
@@ -74,6 +82,7 @@ def make_kernel(test: TestForm) -> wp.Kernel:
         directions: wp.array(dtype=wp.vec3),
         group_rays: int,
         group_triangles: int,
+        far_of: wp.array(dtype=float),
         counts: wp.array2d(dtype=int),
     ):
         item = first + wp.tid()
@@ -83,7 +92,7 @@ def make_kernel(test: TestForm) -> wp.Kernel:
                 i = item * group_rays + k
                 ray = prepare(origins[i * origin_stride], directions[i])
                 for slot in range(block, wp.min(block + group_triangles, triangles)):
-                    here = end(records, slot, width, ray)
+                    here = end(records, slot, width, ray, far_of, i)
                     counts[item, here] = counts[item, here] + 1
                     last = wp.max(last, here)
             counts[item, wp.static(ends) + last] = counts[item, wp.static(ends) + last] + 1

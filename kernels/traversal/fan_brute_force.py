@@ -11,8 +11,8 @@ are the weights of the two rim vertices and the distance. Both triangles at a sp
 between them there; at the rim a ray may.
 
 **Data.** A centre and M + 1 rim vertices for M triangles, as positions or (`edges`) as vectors from the centre, which saves the
-subtraction, the only other operation per rim vertex. Precomputed normals would be read only where signs differ. Speed:
-notebooks/records/2026-11-21-fan-traversal.md.
+subtraction, the only other operation per rim vertex. With `normals`, those of the triangles are precomputed too; they are read
+only where signs differ. Speed: notebooks/records/2026-11-21-fan-traversal.md, notebooks/records/2026-11-22-fan-normals.md.
 
 **Differences from the paper.** The determinant is not compared with a threshold: the comparisons reject the results of a
 division by zero. The matrix form of the formula in Rahikainen (2013, equation 2.17) has the signs of u and v exchanged.
@@ -46,12 +46,13 @@ class FanSet:
     """Relative to the scene's centre or, with `edges`, to the fan's centre."""
     primitive: wp.array(dtype=int)
     corner: wp.array(dtype=int)
+    normal: wp.array(dtype=wp.vec3)
+    """Of each triangle, with `normals`: the cross product of its two rim vertices relative to the fan's centre."""
 
 
 @wp.func
-def meet(direction: wp.vec3, s: wp.vec3, e: wp.vec3, following: wp.vec3, x: float, x_following: float):
+def meet(direction: wp.vec3, s: wp.vec3, normal: wp.vec3, x: float, x_following: float):
     """(t, u, v) for the triangle of two rim vertices on opposite sides of the ray; t is NaN for a miss."""
-    normal = cross(e, following)
     scale = 1.0 / dot(normal, direction)
     u = -x_following * scale
     v = x * scale
@@ -70,8 +71,13 @@ def weight(corner: int, vertex: int, u: float, v: float):
 
 
 @cache
-def make_kernel(edges: bool) -> wp.Kernel:
-    """The kernel for closest hits. `edges`: whether the rim is given relative to the fan's centre."""
+def make_kernel(edges: bool, normals: bool = False) -> wp.Kernel:
+    """The kernel for closest hits.
+
+    Args:
+        edges: whether the rim is given relative to the fan's centre.
+        normals: whether the triangles' normals are given.
+    """
 
     def brute_force_fans(first: int, fans: FanSet, rays: RayBatch, hits: HitBatch):
         i = first + wp.tid()
@@ -96,8 +102,13 @@ def make_kernel(edges: bool) -> wp.Kernel:
                         following = following - centre
                     x_following = dot(n, following)
                     if x * x_following <= 0.0:
-                        hit = meet(ray.direction, s, e, following, x, x_following)
                         triangle = place - 1 - fan
+                        normal = wp.vec3()
+                        if wp.static(normals):
+                            normal = fans.normal[triangle]
+                        if wp.static(not normals):
+                            normal = cross(e, following)
+                        hit = meet(ray.direction, s, normal, x, x_following)
                         if improves(hit[0], fans.primitive[triangle], ray.t_min, best):
                             corner = fans.corner[triangle]
                             best.t = hit[0]

@@ -4,10 +4,11 @@
 them tests it twice.
 
 **Ideas.** Arnaldi, Priol and Bouatouch stored the number of the last ray with each object. Several threads would write to these
-numbers at the same time, so later methods store the memory with the ray. *Hashed* (Wald et al. 2001): a table per ray; the slot
-of a triangle follows from its id, and a new triangle replaces the old one. *Inverse* (Shevtsov et al. 2007): the ids of the
-last eight triangles, in a ring; every triangle is compared with all eight at once. Rahikainen (2013, section 4.1) surveys the
-methods.
+numbers at the same time, so all methods here store the memory with the ray. *Plain*: an array of the ids of all triangles that
+were tested, in their order, which is searched from the front: nothing is forgotten until the array is full. *Hashed* (Wald et
+al. 2001): a table per ray; the slot of a triangle follows from its id, and a new triangle replaces the old one. *Inverse*
+(Shevtsov et al. 2007): the ids of the last eight triangles, in a ring; every triangle is compared with all eight at once.
+Rahikainen (2013, section 4.1) surveys the methods.
 
 **Granularity: triangles.** Every leaf has blocks of its own, so a ray never meets a block twice; it meets its triangles twice.
 * A packet filters the triangles of a block that culling has left, usually a few of W. Each triangle that is skipped saves P / W
@@ -17,8 +18,9 @@ methods.
 
 Forgetting a triangle is always correct: the same hit is found again and replaces nothing.
 
-**Limits.** Mailboxes do not pay on the CPUs measured, so "none" is the default
-(notebooks/records/2026-11-21-kdtree-packets.md).
+**Limits.** Mailboxes hardly pay on the CPUs measured, so "none" is the default
+(notebooks/records/2026-11-21-kdtree-packets.md, notebooks/records/2026-11-22-plain-mailbox.md). The plain array avoids the most
+tests, and to search it takes the longest.
 
 **Contract.** A mailbox is an array of ints for one ray or packet, initially 0, and `filter(width)`, a `wp.func(ids, block,
 mask, mailbox) -> mask` that removes remembered triangles from the mask and remembers the others.
@@ -48,7 +50,26 @@ RING = 8
 SLOTS = 64
 """Slots of a hashed mailbox, a power of two."""
 
+PLACES = 256
+"""Triangles that a plain mailbox remembers; it forgets those that come later."""
+
 # Entries are id + 1; 0 is an empty entry.
+_PLAIN = """
+    const int* id = ids.data + (size_t)block * W;
+    int known[W], count = mailbox.data[PLACES];
+    WRT_FOR_LANES(i) known[i] = id[i] < 0 ? 1 : 0;
+    for (int p = 0; p < count; ++p) {
+        const int before = mailbox.data[p];
+        WRT_FOR_LANES(i) known[i] |= id[i] + 1 == before ? 1 : 0;
+    }
+    unsigned fresh = 0;
+    WRT_FOR_LANES(i) fresh |= known[i] ? 0u : 1u << i;
+    fresh &= mask;
+    for (int i = 0; i < W; ++i) if ((fresh >> i & 1u) && count < PLACES) mailbox.data[count++] = id[i] + 1;
+    mailbox.data[PLACES] = count;
+    return fresh;
+"""
+
 _HASHED = """
     const int* id = ids.data + (size_t)block * W;
     unsigned fresh = 0;
@@ -77,7 +98,17 @@ _INVERSE = """
 
 
 def _lanes(width: int) -> str:
-    return f"{FOR_LANES}    constexpr int W = {width}, RING = {RING}, SLOTS = {SLOTS};"
+    return f"{FOR_LANES}    constexpr int W = {width}, RING = {RING}, SLOTS = {SLOTS}, PLACES = {PLACES};"
+
+
+@cache
+def plain_filter(width: int) -> wp.Function:
+    """An array of `PLACES` ids, followed by their number."""
+
+    @wp.func_native(_lanes(width) + _PLAIN)
+    def plain(ids: wp.array(dtype=int), block: int, mask: wp.uint32, mailbox: wp.array(dtype=int)) -> wp.uint32: ...
+
+    return plain
 
 
 @cache
@@ -134,6 +165,12 @@ MAILBOXES: dict[str, Mailbox] = {
     mailbox.name: mailbox
     for mailbox in (
         Mailbox(NONE, "every triangle is tested in every leaf that has it", 1, no_filter),
+        Mailbox(
+            "plain",
+            "Arnaldi, Priol, Bouatouch: A new space subdivision method for ray tracing CSG modelled scenes (1987)",
+            PLACES + 1,
+            plain_filter,
+        ),
         Mailbox("hashed", "Wald et al.: Interactive rendering with coherent ray tracing (2001)", SLOTS, hashed_filter),
         Mailbox(
             "inverse",

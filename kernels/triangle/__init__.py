@@ -12,12 +12,9 @@ table.
 
 **How the tests are related.** Most tests evaluate the same sums of products in a different order. Signed volumes of the ray and
 the edges: `pluecker`, `segura_feito`, and for rays with a common origin `benthin` and `komatsu`. Cramer's rule:
-`moeller_trumbore`, with the fewest operations `kensler_shirley`, with precomputed data `moeller_trumbore_precomputed`. Plane
-first: `badouel`, with precomputed data `wald`, `baldwin_weber` and `shevtsov`, and without projection `havel_herout`.
-
-**Not implemented.** The segment test of J. Jimenez, R. Segura and F. Feito (A robust segment/triangle intersection algorithm
-for interference tests, Computational Geometry 43(5), 2010). The theses that this table follows describe it only in outline: it
-computes t first, then the barycentric coordinates, and shares values between neighbouring triangles.
+`moeller_trumbore`, with the fewest operations `kensler_shirley`, with the division last `jimenez`, with precomputed data
+`moeller_trumbore_precomputed`. Plane first: `badouel`, with precomputed data `wald`, `baldwin_weber` and `shevtsov`, and
+without projection `havel_herout`.
 """
 
 from wrt.kernels.triangle import (
@@ -26,6 +23,7 @@ from wrt.kernels.triangle import (
     benthin,
     ferko,
     havel_herout,
+    jimenez,
     kensler_shirley,
     komatsu,
     moeller_trumbore,
@@ -52,6 +50,7 @@ TRIANGLE_TESTS: dict[str, TriangleTest] = {
         havel_herout.TEST,
         pluecker.TEST,
         segura_feito.TEST,
+        jimenez.TEST,
         benthin.TEST,
         komatsu.TEST,
         *ferko.TESTS,

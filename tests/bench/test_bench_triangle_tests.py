@@ -182,10 +182,11 @@ def test_leaks(report):
 def test_table_1_is_the_papers():
     for row in tables.table_1():
         assert row["bytes"] == row["paper_bytes"]
+        assert row["precomputation"] == row["paper_precomputation"]
         if row["algorithm"] == "Projection":
             assert abs(row["test"] - row["paper_test"]) <= 1
         else:
-            assert (row["precomputation"], row["test"]) == (row["paper_precomputation"], row["paper_test"])
+            assert row["test"] == row["paper_test"]
 
 
 def test_frusta_are_tiles_of_the_view():
@@ -218,7 +219,11 @@ def test_timed_tables():
     for name in PUBLISHED:
         own = [row for row in shares if row["contender"].lower().replace("ö", "oe") == name]
         assert sum(row["tests"] for row in own) == pytest.approx(1)
-        assert 0.3 < own[0]["tests"] < 0.7, "about half of a closed surface is turned away"
+        if name == "projection":
+            assert [row["paper"] for row in own] == pytest.approx([0.296, 0.342, 0.243, 0.119]), "no row is missing"
+            assert all(row["tests"] > 0.03 for row in own)
+        else:
+            assert 0.3 < own[0]["tests"] < 0.7, "about half of a closed surface is turned away"
     rows = tables.with_tree(MESH, pixels=32, rounds=1)
     assert len(rows) == 6
     assert all(row["records"] > 0 for row in rows)

@@ -9,8 +9,9 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
+from wrt.bench.studies.known_rays import ray_aware_comparison as ray_aware
 from wrt.bench.studies.known_rays import ray_distribution
-from wrt.bench.studies.known_rays.node_searches import Searches
+from wrt.bench.studies.known_rays.node_searches import AxisOrders, Searches
 from wrt.bench.studies.known_rays.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
 from wrt.builders.bvh.phases.split_axes import AxisChoice
 from wrt.cli import main
@@ -115,6 +116,24 @@ def test_searches_find_what_the_build_finds():
         np.testing.assert_array_equal(nodes.run(), nodes.nodes.numpy()["plane"]["cost"])
         assert nodes.count == 4
         assert np.isfinite(nodes.run()).all()
+
+
+@pytest.mark.parametrize("kind", ["plane", "point"])
+def test_axis_orders_are_those_of_the_thesis(kind):
+    """By the sides of boxes, and by the rays at their centres, against float64; the times are those of a node each."""
+    area = Case("random", SMALL, kind, "oblique").area
+    boxes = wrt.analyse(wrt.Scene(SMALL, wrt.Bvh(width=2), device="cpu")).boxes
+    expected = {"longest": np.argsort(-(boxes.high - boxes.low), axis=1, kind="stable")}
+    rays = 0.5 * (boxes.low + boxes.high) - np.array(area.position) if kind == "point" else np.array([area.direction])
+    shares = np.abs(rays) / np.abs(rays).sum(axis=1, keepdims=True)
+    expected["facing"] = np.broadcast_to(np.argsort(shares, axis=1, kind="stable"), boxes.low.shape)
+    for order, axes in expected.items():
+        found = AxisOrders(SMALL, area, order, repeats=2).run()
+        assert (found == axes).all(axis=1).mean() > 0.99, "but for ties"
+        assert len(np.unique(found, axis=0)) > (1 if order == "longest" or kind == "point" else 0)
+    figures = ray_aware.compare_axis_orders(SMALL, area, "random", rounds=1)
+    assert [(figure.question, figure.contender) for figure in figures] == [("axes", "longest"), ("axes", "facing")]
+    assert figures[0].items % len(boxes.low) == 0
 
 
 def test_command(tmp_path):

@@ -207,6 +207,7 @@ def test_packing(triangle_test, tmp_path):
     "make",
     [
         lambda: make_fan_kernel(False),
+        lambda: make_fan_kernel(True, True),
         lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
         lambda: TRAVERSALS["single"].kernels["bvh"](
             TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(scalar_test=True))
@@ -215,8 +216,9 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_blocks(TRIANGLE_TESTS["woop"], 2),
         lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
         lambda: make_exit_kernel(PUBLISHED["moeller"]),
+        lambda: make_exit_kernel(PUBLISHED["projection"]),
     ],
-    ids=["fans", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits"],
+    ids=["fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"],
 )
 def test_for_measurements(make, tmp_path):
     text = compile_to_ptx(make().module, tmp_path)

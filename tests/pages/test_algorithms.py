@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from wrt.builders.convert.node_layouts import LAYOUTS
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.kdtree_config import AXES
 from wrt.builders.tree import TERMINATIONS
+from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -132,3 +134,44 @@ def test_years_are_those_of_the_entries(table):
     for name, entry in table.items():
         years = re.findall(r"\b(?:19|20)\d\d\b", entry.paper)
         assert not years or set(years) & set(re.findall(r"\b(?:19|20)\d\d\b", rows[name])), name
+
+
+def listed_on(page: str) -> dict[str, set[str]]:
+    """Section, in lower case -> what its tables list in their first columns: names, or the words of a cell without any."""
+    found: dict[str, set[str]] = {}
+    for section, text in sections(page).items():
+        lines = [line for line in text.splitlines() if line.startswith("|")]
+        cells = [line.strip("|").split("|")[0].strip() for k, line in enumerate(lines) if "---" not in line]
+        heads = [line.strip("|").split("|")[0].strip() for line, under in pairwise(lines) if "---" in under]
+        names = {name for cell in cells if cell not in heads for name in re.findall(r"`([^`]+)`", cell) or [cell]}
+        if names:
+            found[section.lower()] = names
+    return found
+
+
+def years(text: str) -> set[str]:
+    """The years that a text names."""
+    return set(re.findall(r"\b(?:19|20)\d\d\b", text))
+
+
+def test_the_command_lists_what_the_page_lists():
+    """`wrt list` left out layouts, clipping, termination, trees for known rays, moving scenes and fans."""
+    tables = {title.lower(): {row["name"] for row in rows} for title, rows in all_tables().items()}
+    assert tables.pop("built-in scenes")
+    assert tables == listed_on(PAGE)
+    assert {section.lower() for section in TABLES} <= tables.keys()
+    listed = {name for names in tables.values() for name in names}
+    assert all(f"wrt.{name}" in listed for name in WORTH_A_ROW)
+
+
+def test_the_command_names_papers_of_the_page():
+    """Every year that it lists stands in the row, or in one that the row refers to; and every row says something."""
+    for title, rows in all_tables().items():
+        if title == "built-in scenes":
+            continue
+        (text,) = (text for section, text in sections(PAGE).items() if section.lower() == title.lower())
+        for row in rows:
+            assert row["paper"]
+            assert years(row["paper"]) <= years(text), f"{title}: {row['name']}"
+    for section, papers in PAPERS.items():
+        assert papers.keys() == {row["name"] for row in all_tables()[section]}, "no paper of a name that is gone"

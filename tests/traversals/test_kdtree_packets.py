@@ -136,6 +136,26 @@ def test_mailboxes_never_show(mailbox, traversal, device):
     assert avoided > 1000
 
 
+@pytest.mark.parametrize("traversal", ["single", "packet"])
+def test_a_plain_mailbox_forgets_nothing(traversal):
+    """It avoids at least what the others avoid; with a triangle a block and few of them, no ray tests one twice."""
+    mesh = wrt.scenes.random_triangles(count=60, size=0.8)
+    scene = wrt.Scene(mesh, wrt.KdTree(width=1 if traversal == "single" else 2, termination="fixed", max_depth=7), device="cpu")
+    rays = ragged(*beams(mesh, 30, True))
+    plan = plan_of(scene, rays, traversal)
+    work = {}
+    for mailbox in MAILBOXES:
+        hits = scene.intersect(rays, traversal=replace(plan, mailbox=mailbox), counters=True)
+        assert_same_hits(hits, brute_force(scene, rays))
+        work[mailbox] = {name: counts.astype(np.int64) for name, counts in hits.counters.items()}
+    avoided = {mailbox: counts["avoided"].sum() for mailbox, counts in work.items()}
+    assert avoided["none"] == 0
+    assert avoided["plain"] >= max(avoided["hashed"], avoided["inverse"])
+    assert avoided["plain"] > avoided["inverse"]
+    if traversal == "single":
+        assert work["none"]["triangles"].max() > mesh.triangle_count >= work["plain"]["triangles"].max()
+
+
 def test_mailboxes_that_do_not_fit():
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, "kdtree", device="cpu")

@@ -78,6 +78,21 @@ def test_hit_as_triangles_are(name, edges, device):
     assert (t[primitive < 0] == np.inf).all()
 
 
+def test_precomputed_normals_change_nothing(device):
+    """Equal bit for bit to normals that are computed where signs differ."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    scene = wrt.Scene(mesh, device=device)
+    origins, directions = mixed_rays(mesh, 400)
+    rays, fans = wrt.Rays(origins, directions), fans_of(scene)
+    for edges in (False, True):
+        made = on_device(scene, fans, edges)
+        assert made.normal.shape == (mesh.triangle_count,)
+        expected = [values.copy() for values in closest(scene, made, rays, edges)]
+        assert (expected[1] >= 0).mean() > 0.1
+        for value, same in zip(closest(scene, made, rays, edges, normals=True), expected, strict=True):
+            np.testing.assert_array_equal(value, same)
+
+
 def test_bad_rays_miss(device):
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, device=device)
@@ -109,5 +124,8 @@ def test_no_ray_slips_through_a_spoke(device):
 def test_comparison():
     """Rows with all that a table needs, and every way finds the same."""
     rows = compare(("teapot",), size=4, rounds=1)
-    assert [row["way"] for row in rows][-2:] == ["fans", "fans, edges"]
+    assert [row["way"] for row in rows][-3:] == ["fans", "fans, edges", "fans, edges, normals"]
+    stored = {(row["triangles"] + 2 * row["fans"]) / (3 * row["triangles"]) for row in rows}
+    assert {row["stored"] for row in rows} == stored, "M + 2 vertices a fan, three a triangle"
+    assert 1 / 3 < min(stored) < 0.7
     assert all(row["ratio"] > 0 and row["fans"] < row["triangles"] for row in rows)

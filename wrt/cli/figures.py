@@ -57,8 +57,10 @@ def _kernels() -> dict[str, Any]:
 @click.command("list")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object instead of tables.")
 def list_tables(as_json: bool) -> None:
-    """Lists every builder, traversal and triangle test with its paper, and the built-in scenes."""
-    tables = _all_tables()
+    """Lists every algorithm with its paper, and the built-in scenes."""
+    from wrt.cli.catalogue import all_tables
+
+    tables = all_tables()
     if as_json:
         click.echo(json.dumps(tables, indent=1))
         return
@@ -71,34 +73,6 @@ def list_tables(as_json: bool) -> None:
             table.add_row(*(_text(value) for value in row.values()))
         printed.append(table)
     _print_tables(printed)
-
-
-def _all_tables() -> dict[str, list[dict[str, Any]]]:
-    from wrt.builders.bvh import BVH_BUILDERS
-    from wrt.builders.kdtree import KDTREE_BUILDERS
-    from wrt.kernels.traversal import TRAVERSALS
-    from wrt.kernels.traversal.mailbox import MAILBOXES
-    from wrt.kernels.traversal.packet import CULLINGS
-    from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-    from wrt.scenes import BUILTIN_SCENES
-
-    tests = ("name", "paper", "watertight", "accurate", "two_sided", "needs_shared_origin")
-    return {
-        "BVH builders": _rows(BVH_BUILDERS, ("name", "paper")),
-        "kd-tree builders": _rows(KDTREE_BUILDERS, ("name", "paper")),
-        "traversals": _rows(TRAVERSALS, ("name", "trees", "paper")),
-        "traversals for shadow rays": _rows(SHADOW_TRAVERSALS, ("name", "light", "paper")),
-        "packet cullings": _rows(CULLINGS, ("name", "paper")),
-        "mailboxes": _rows(MAILBOXES, ("name", "paper")),
-        "triangle tests": _rows(TRIANGLE_TESTS, tests),
-        "built-in scenes": _rows(BUILTIN_SCENES, ("name", "description", "options")),
-    }
-
-
-def _rows(table: Mapping[str, Any], columns: tuple[str, ...]) -> list[dict[str, Any]]:
-    values = ({column: getattr(entry, column) for column in columns} for entry in table.values())
-    return [{k: dict(v) if isinstance(v, Mapping) else v for k, v in row.items()} for row in values]
 
 
 def _figures(title: str, values: Any) -> Table:

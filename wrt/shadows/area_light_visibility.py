@@ -51,7 +51,7 @@ class AreaLightVisibility:
     Args:
         scene: what casts shadows.
         positions: (K, S, 3) or (S, 3): K patterns of S samples on the light. Point i (in the order of the flattened points)
-            uses pattern `patterns_of`(i). Samples that are near each other should follow each other: 16 of them are a frustum.
+            uses pattern `patterns_of(i)`. Samples that are near each other should follow each other: 16 of them are a frustum.
         triangle_test: "auto" for the scene's, or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
 
     Raises:

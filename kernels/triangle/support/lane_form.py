@@ -30,12 +30,13 @@ VERTEX_NAMES = ("ax", "ay", "az", "bx", "by", "bz", "cx", "cy", "cz")
 
 RESULT = ("t", "u", "v")
 
-PACKET_ORIGIN = {
+PACKET_VALUES = {
     "ox": "SHARED ? origin0[0] : origin_x[k]",
     "oy": "SHARED ? origin0[1] : origin_y[k]",
     "oz": "SHARED ? origin0[2] : origin_z[k]",
+    "far": "t[k]",
 }
-"""Where a packet stores the origins of its rays, for every test."""
+"""Where a packet stores the origins of its rays and their closest hits so far, for every test."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ class RayValue:
         name: name in the steps.
         scalar: C++ expression that reads it from `ray`, the struct that the test's `prepare` returns.
         packet: C++ expression over the names of `PacketForm.prepare` that computes the number, which the packet then stores.
-            Empty for the origin, which packets already store.
+            Empty for the origin and `far`, which packets already store.
     """
 
     name: str
@@ -111,6 +112,10 @@ ORIGIN = tuple(RayValue(f"o{axis}", f"ray.origin.c[{i}]") for i, axis in enumera
 
 DIRECTION = tuple(RayValue(f"d{axis}", f"ray.direction.c[{i}]", axis) for i, axis in enumerate("xyz"))
 """dx, dy, dz, of a struct with a `direction`."""
+
+FAR = RayValue("far", "ray.far")
+"""Where the ray ends: at its closest hit so far. Only published forms of tests read it (`wrt.kernels.study`), which have this
+exit; in the engine the traversal compares t."""
 
 
 @dataclass(frozen=True)
@@ -212,7 +217,7 @@ class LaneForm:
     @property
     def sources(self) -> tuple[str, ...]:
         """C++ expressions for the numbers of ray k of a packet, in the order of `ray`."""
-        return tuple(f"ray_{value.name}[k]" if value.packet else PACKET_ORIGIN[value.name] for value in self.ray)
+        return tuple(f"ray_{value.name}[k]" if value.packet else PACKET_VALUES[value.name] for value in self.ray)
 
     @property
     def components(self) -> dict[str, int]:

@@ -1,7 +1,9 @@
-"""What the search for a node's plane costs, by projected areas and by surface areas, apart from all else in a build.
+"""What finding a node's plane costs, apart from all else in a build: the search by projected or by surface areas, and the order
+in which axes are tried.
 
 A mesh's triangles, in the order of the leaves of a finished tree, are cut into ranges: nodes of one size. Their bins are filled
-as in the build; then only the search runs, on all nodes, through the heuristic that the build has.
+as in the build; then only the search runs, on all nodes, through the heuristic that the build has (`Searches`). Axes are
+ordered for the boxes of a finished tree (`AxisOrders`).
 """
 
 from functools import cache
@@ -13,16 +15,24 @@ from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.bvh.binned_bvh import BinnedBuilder
 from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.known_rays_config import known_rays
 from wrt.builders.bvh.phases import bvh_levels as levels
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
 from wrt.builders.bvh.phases.binary_tree import BinaryTree
 from wrt.builders.bvh.phases.bvh_bins import Plane, Scratch, make_scratch
 from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode
+from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES, AxisOrder, AxisRules, axis_order
 from wrt.builders.bvh.projected_binned import ProjectedBuilder
+from wrt.builders.influence.influence_area import InfluenceArea
+from wrt.builders.influence.projected_cost import Mixture, facing
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.runtime.launch import launch
+from wrt.known_rays.tree_analysis import analyse
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.scene import Scene
+
+NODES = 1024
+"""Nodes of an item that orders axes."""
 
 
 @cache
@@ -98,3 +108,54 @@ class Searches:
         inputs = [builder.rules, builder.rays, self.nodes, self.scratch, self.count, builder.tree, self.planes]
         launch(make_search(builder.heuristic), self.count, inputs, device=builder.device, chunk=self.count)
         return self.planes.numpy()["cost"]
+
+
+@cache
+def make_axis_orders(is_facing: bool, repeats: int) -> wp.Kernel:
+    """The kernel in which nodes order their axes: by the rays' directions at their centres, or by the sides of their boxes."""
+
+    def order_axes(
+        first: int,
+        rules: AxisRules,
+        mixture: Mixture,
+        low: wp.array(dtype=wp.vec3),
+        high: wp.array(dtype=wp.vec3),
+        orders: wp.array(dtype=AxisOrder),
+    ):
+        """Item: a range of nodes, as many times as are repeated; each time writes the same."""
+        begin = (first + wp.tid()) * wp.static(NODES)
+        for _turn in range(wp.static(repeats)):
+            for i in range(begin, wp.min(begin + wp.static(NODES), low.shape[0])):
+                along = wp.vec3()
+                if wp.static(is_facing):
+                    along = facing(mixture, 0.5 * (low[i] + high[i]))
+                orders[i] = axis_order(rules, high[i] - low[i], along, 0)
+
+    return wp.kernel(order_axes, module="unique", enable_backward=False, module_options={"fuse_fp": False})
+
+
+class AxisOrders:
+    """The nodes of a tree, whose axes are to be ordered: what the thesis times for each node, apart from trying planes.
+
+    Args:
+        mesh: whose tree has the nodes, those of the default build.
+        area: of the rays.
+        order: "longest", by the sides of a node's box, or "facing", by the rays at its centre (`wrt.ProjectedBvh`'s `axes`).
+        repeats: how often `run` orders the axes of all nodes.
+    """
+
+    def __init__(self, mesh: TriangleMesh, area: InfluenceArea, order: str, repeats: int = 1) -> None:
+        scene = Scene(mesh, Bvh(width=2), device="cpu")
+        boxes = analyse(scene).boxes
+        self.low, self.high = (wp.array(ends - scene.center, dtype=wp.vec3, device="cpu") for ends in (boxes.low, boxes.high))
+        self.rules, self.count, self.repeats = AXIS_CHOICES[order].struct(), len(boxes.low), repeats
+        triangles = triangle_boxes(scene.device_mesh.vertices, scene.device_mesh.faces, scene.center)
+        self.mixture = known_rays(triangles, ProjectedBvh(areas=area).config(scene.tree.width)).mixture
+        self.orders = wp.empty(self.count, dtype=AxisOrder, device="cpu")
+        self.kernel = make_axis_orders(order == "facing", repeats)
+
+    def run(self) -> np.ndarray:
+        """(N, 3) the axes of each node, in the order in which a build would try them."""
+        inputs = [self.rules, self.mixture, self.low, self.high, self.orders]
+        launch(self.kernel, -(-self.count // NODES), inputs, device=wp.get_device("cpu"), chunk=1 << 20)
+        return self.orders.numpy()["axis"]

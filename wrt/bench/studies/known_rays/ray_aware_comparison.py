@@ -61,6 +61,9 @@ TRAVERSALS = ("auto", "single")
 SIZES = (32, 256)
 """Triangles of the nodes that are searched: few, with bins for few, and many."""
 
+ORDERED = 1 << 19
+"""Triangles for whose nodes axes are ordered in a call, about."""
+
 COUNTED = 1 << 14
 """Rays whose work is counted, at most."""
 
@@ -236,6 +239,16 @@ def compare_searches(
         runs = {name: searches.run for name, searches in nodes.items()}
         figures += Turns(rounds).figures("search", f"{subject}, {size} triangles", runs, nodes[REFERENCE].count)
     return figures
+
+
+def compare_axis_orders(mesh: TriangleMesh, area: InfluenceArea, subject: str, *, rounds: int = 7) -> list[Figure]:
+    """Time to order a node's axes on one thread: by the longest side, the reference, and by how they face the rays."""
+    from wrt.bench.studies.known_rays.node_searches import AxisOrders
+
+    repeats = max(1, ORDERED // mesh.triangle_count)
+    nodes = {order: AxisOrders(mesh, area, order, repeats) for order in ("longest", "facing")}
+    runs = {order: found.run for order, found in nodes.items()}
+    return Turns(rounds).figures("axes", subject, runs, repeats * nodes["longest"].count)
 
 
 def compare_builds(mesh: TriangleMesh, areas: Mapping[str, InfluenceArea], turns: Turns) -> list[Figure]:

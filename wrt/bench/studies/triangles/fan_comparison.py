@@ -37,12 +37,18 @@ def fans_of(scene: Scene) -> TriangleFans:
 
 
 def on_device(scene: Scene, fans: TriangleFans, edges: bool) -> FanSet:
-    """The fans with the positions of their vertices; `edges`: those of the rim from the fan's centre."""
+    """The fans with the positions of their vertices and their normals; `edges`: the rim from the fan's centre."""
     positions = np.unique(scene.device_mesh.vertices.numpy(), axis=0)
     centre, rim = positions[fans.centre], positions[fans.rim]
+    from_centre = rim - np.repeat(centre, np.diff(fans.first), axis=0)
     if edges:
-        rim = rim - np.repeat(centre, np.diff(fans.first), axis=0)
+        rim = from_centre
+    inner = np.ones(len(rim), dtype=bool)
+    inner[fans.first[1:] - 1] = False
+    (px, py, pz), (qx, qy, qz) = from_centre[inner].T, from_centre[np.flatnonzero(inner) + 1].T
+    normal = np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx], axis=1)
     made = FanSet()
+    made.normal = wp.array(normal, dtype=wp.vec3, device=scene.device)
     made.count = len(fans)
     made.centre = wp.array(centre, dtype=wp.vec3, device=scene.device)
     made.rim = wp.array(rim, dtype=wp.vec3, device=scene.device)
@@ -51,7 +57,9 @@ def on_device(scene: Scene, fans: TriangleFans, edges: bool) -> FanSet:
     return made
 
 
-def closest(scene: Scene, fans: FanSet, rays: Rays, edges: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def closest(
+    scene: Scene, fans: FanSet, rays: Rays, edges: bool, normals: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Closest hits of all rays with all fans.
 
     Args:
@@ -59,6 +67,7 @@ def closest(scene: Scene, fans: FanSet, rays: Rays, edges: bool) -> tuple[np.nda
         fans: `on_device` with the same `edges`.
         rays: N rays.
         edges: as the fans were made.
+        normals: whether the precomputed normals are read.
 
     Returns:
         t (N,) float32, inf for a miss; triangle (N,) int32, -1 for a miss; uv (N, 2) float32.
@@ -67,7 +76,7 @@ def closest(scene: Scene, fans: FanSet, rays: Rays, edges: bool) -> tuple[np.nda
     hits = DeviceHits.new("closest", buffers.batch.count, scene.device)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count)
     launch(
-        make_kernel(edges),
+        make_kernel(edges, normals),
         buffers.batch.count,
         [fans, buffers.batch, hits.struct()],
         device=scene.device,
@@ -86,8 +95,8 @@ def compare(scenes: Sequence[str] = ("teapot", "stadium"), *, size: int = 24, ro
         rounds: how often each has its turn.
 
     Returns:
-        A row for each scene and way: scene, triangles, fans, way (a triangle test, "fans" or "fans, edges"), seconds, ratio,
-        least, greatest.
+        A row for each scene and way: scene, triangles, fans, stored (vertices that describe the fans, M + 2 each, over three a
+        triangle), way (a triangle test, "fans", "fans, edges" or "fans, edges, normals"), seconds, ratio, least, greatest.
     """
     rows = []
     for name in scenes:
@@ -98,18 +107,20 @@ def compare(scenes: Sequence[str] = ("teapot", "stadium"), *, size: int = 24, ro
         timings = timed(ways(scene, fans, rays), rounds)
         for way, timing in timings.items():
             row = {"scene": name, "triangles": scene.triangle_count, "fans": len(fans), "way": way}
+            row["stored"] = (len(fans.rim) + len(fans)) / (3 * scene.triangle_count)
             rows.append({**row, **ratios(timing, timings[TESTS[0]])})
     return rows
 
 
 def ways(scene: Scene, fans: TriangleFans, rays: Rays) -> dict[str, Callable[[], np.ndarray]]:
-    """What finds t of all rays: by each of `TESTS`, and by fans of both kinds."""
+    """What finds t of all rays: by each of `TESTS`, and by fans of three kinds."""
 
     def by_test(test: str) -> Callable[[], np.ndarray]:
         return lambda: scene.intersect(rays, traversal="brute", triangle_test=test).t
 
-    def by_fans(edges: bool) -> Callable[[], np.ndarray]:
+    def by_fans(edges: bool, normals: bool = False) -> Callable[[], np.ndarray]:
         made = on_device(scene, fans, edges)
-        return lambda: closest(scene, made, rays, edges)[0]
+        return lambda: closest(scene, made, rays, edges, normals)[0]
 
-    return {**{test: by_test(test) for test in TESTS}, "fans": by_fans(False), "fans, edges": by_fans(True)}
+    runs = {test: by_test(test) for test in TESTS}
+    return runs | {"fans": by_fans(False), "fans, edges": by_fans(True), "fans, edges, normals": by_fans(True, True)}

@@ -158,7 +158,8 @@ def exits(test: TestForm, soup: Soup, rays: Beams, *, group_rays: int = 1, group
     counts = wp.zeros((groups, 2 * len(names)), dtype=int, device=CPU)
     records = soup.records(test.record, 1)
     sizes = [group_rays, group_triangles]
-    inputs = [records, len(soup), 1, rays.origins, rays.stride, rays.directions, *sizes, counts]
+    far = wp.full(rays.count, np.inf, dtype=float, device=CPU)
+    inputs = [records, len(soup), 1, rays.origins, rays.stride, rays.directions, *sizes, far, counts]
     launch(make_exits(test), groups, inputs, device=wp.get_device(CPU), chunk=1)
     totals = counts.numpy().sum(axis=0, dtype=np.int64).tolist()
     return Exits(names, tuple(totals[: len(names)]), tuple(totals[len(names) :]))

@@ -1,0 +1,180 @@
+"""What `wrt list` lists: every algorithm with its paper, section by section as in the documentation's page of algorithms.
+
+Names come from the tables. Entries that know their papers are asked; the papers of plain names and of public classes stand
+here. A test compares all of it with the tables and with the page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+Rows = list[dict[str, Any]]
+
+FALCONE = "Falcone: Ray distribution aware heuristics for bounding volume hierarchies construction in ray tracing (2024)"
+HAVRAN = "Havran: Heuristic ray shooting algorithms (2001)"
+SAME = "stands for the description"
+
+PAPERS: dict[str, dict[str, str]] = {
+    "accelerators": {"auto": f"{SAME} wrt.Bvh()", "bvh": f"{SAME} wrt.Bvh()", "kdtree": f"{SAME} wrt.KdTree()"},
+    "termination": {
+        "cost": "MacDonald, Booth (1990); Wald, Havran (2006)",
+        "automatic": "Havran, Bittner: On improving kd-trees for ray shooting (2002)",
+        "fixed": "Fussell, Subramanian (1988)",
+    },
+    "axes of medians": dict.fromkeys(
+        ("longest", "round_robin"), "compared in Wald: Realtime ray tracing and interactive global illumination (2004)"
+    ),
+    "layouts": dict.fromkeys(("random", "breadth_first", "depth_first", "subtrees"), HAVRAN),
+    "weights of boxes": {"pah": FALCONE, "sah": "MacDonald, Booth (1990)"},
+    "axes to split": dict.fromkeys(("all", "longest", "facing", "in_turn"), FALCONE),
+    "finding the area of a ray": dict.fromkeys(("auto", "octree", "array"), FALCONE),
+    "orders of rays": {
+        "none": "the rays' own order",
+        "cells": "Pharr, Kolb, Gershbein, Hanrahan (1997); Garanzha, Loop (2010)",
+        "tiles": "a picture, tile by tile",
+    },
+    "as published": dict.fromkeys(
+        ("moeller", "projection", "pluecker", "proposed"), "Komatsu et al. (2008), with the exits of the paper"
+    )
+    | {"projection": "Wald (2004), to which Komatsu et al. (2008) refer"},
+    "integrators": {
+        "ambient": "Zhukov, Iones, Kronin: An ambient light illumination model (1998); Landis (2002)",
+        "whitted": "Whitted: An improved illumination model for shaded display (1980); Hall, Greenberg (1983)",
+        "distribution": "Cook, Porter, Carpenter: Distributed ray tracing (1984)",
+        "path": "Kajiya: The rendering equation (1986); Arvo, Kirk (1990); Veach, Guibas (1995)",
+    },
+    "samplers": {
+        "regular": "a grid",
+        "random": "independent points",
+        "jittered": "Cook: Stochastic sampling in computer graphics (1986); Kensler (2013)",
+        "halton": "Halton (1960); Cranley, Patterson (1976)",
+        "sobol": "Sobol (1967); Owen (1995); Laine, Karras (2011); Burley (2020)",
+    },
+}
+"""Papers of the names in tables whose entries do not tell them."""
+
+OTHERS: dict[str, dict[str, str]] = {
+    "BVH builders": {
+        "wrt.Bvh(reinsertion=3)": "Meister, Bittner: Parallel reinsertion for bounding volume hierarchy optimization (2018)",
+    },
+    "clipping and costs": {
+        "wrt.KdTree(split_clipping=True)": (
+            "Wald, Havran (2006); Soupikov, Shevtsov, Kapustin (2008); Sutherland, Hodgman (1974)"
+        ),
+        "wrt.KdTree(mailbox=True)": "Hunt: Corrections to the surface area metric with respect to mail-boxing (2008)",
+        "wrt.KdTree(empty_factor=0.8)": "Wald, Havran (2006)",
+    },
+    "trees for known rays": {
+        "wrt.ProjectedBvh": FALCONE,
+        "wrt.RayAwareBvh": FALCONE,
+        "wrt.InfluenceAreas.from_rays": "Ester, Kriegel, Sander, Xu (1996); Fischler, Bolles (1981)",
+        "wrt.PlaneCaster": FALCONE,
+        "wrt.CircularCapCaster": FALCONE,
+        "wrt.SquareCapCaster": FALCONE,
+    },
+    "moving geometry": {
+        "wrt.Instance": "Rubin, Whitted (1980); Wald, Benthin, Slusallek (2003)",
+        "wrt.InstancedScene": "Rubin, Whitted (1980); Wald, Benthin, Slusallek (2003)",
+        "Scene.update": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
+        "Scene.updating": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
+        "wrt.UpdatePolicy": "Lauterbach et al. (2006); Yang, Xu, Zhao (2008)",
+        "wrt.GroupedScene": "Kang, Nah, Park, Yang: gkDtree (2013)",
+        "wrt.FuzzyScene": (
+            "Günther, Friedrich, Wald, Seidel, Slusallek (2006); Günther, Friedrich, Seidel, Slusallek (2006); Lloyd (1982)"
+        ),
+    },
+    "fans": {
+        "brute force over fans": "Galin, Akkouche: Fast processing of triangle meshes using triangle fans (2005)",
+    },
+    "around a hit": {
+        "Hits.smooth_normal": "Thürmer, Wüthrich: Computing vertex normals from polygonal facets (1998)",
+        "Hits.spawn": "Wächter, Binder (2019); Pharr, Jakob, Humphreys (2016)",
+        "samples of a pixel": "Hammersley (1960); Cranley, Patterson (1976)",
+        "samples of ambient light": "Sobol (1967); Owen (1995); Laine, Karras (2011); Burley (2020)",
+    },
+    "materials and light": {
+        "glossy": "Walter, Marschner, Li, Torrance (2007); Smith (1967); Ashikhmin, Shirley (2000)",
+        "dielectric": "Walter, Marschner, Li, Torrance (2007); Fresnel; Schlick (1994)",
+        "priority": "Schmidt, Budge: Simple nested dielectrics in ray traced images (2002)",
+        "points on lamps": "Shirley, Wang, Zimmerman (1996); Turk (1990)",
+        "thin lens": "Potmesil, Chakravarty (1981); Shirley, Chiu (1997)",
+        "motion blur by slices of time": "Haeberli, Akeley: The accumulation buffer (1990)",
+        "Fresnel's equations, and their approximation": "Fresnel; Schlick (1994)",
+        "tone mapping": "Reinhard, Stark, Shirley, Ferwerda (2002); Narkowicz (2016)",
+    },
+}
+"""Algorithms that are in no table: options, public classes and functions."""
+
+
+def all_tables() -> dict[str, Rows]:
+    """Sections with a row an algorithm, and the built-in scenes."""
+    from wrt.accelerators.accelerator import ACCELERATORS
+    from wrt.accelerators.projected_bvh import COSTS
+    from wrt.accelerators.ray_aware_bvh import TOP_LEVELS
+    from wrt.builders.bvh import BVH_BUILDERS
+    from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
+    from wrt.builders.convert.node_layouts import LAYOUTS
+    from wrt.builders.kdtree import KDTREE_BUILDERS
+    from wrt.builders.kdtree.kdtree_config import AXES
+    from wrt.builders.tree import TERMINATIONS
+    from wrt.imaging.integrators.render_settings import INTEGRATORS
+    from wrt.kernels.runtime.schedules import SCHEDULES
+    from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
+    from wrt.kernels.study.komatsu_2008 import PUBLISHED
+    from wrt.kernels.traversal import ORDERS, TRAVERSALS
+    from wrt.kernels.traversal.mailbox import MAILBOXES
+    from wrt.kernels.traversal.packet import CULLINGS
+    from wrt.kernels.traversal.shadows import SHADOW_TRAVERSALS
+    from wrt.kernels.triangle import TRIANGLE_TESTS
+    from wrt.scenes import BUILTIN_SCENES
+
+    tests = ("name", "paper", "watertight", "accurate", "two_sided", "needs_shared_origin")
+    return {
+        "accelerators": named("accelerators", ACCELERATORS),
+        "BVH builders": entries(BVH_BUILDERS, ("name", "paper")) + others("BVH builders"),
+        "kd-tree builders": entries(KDTREE_BUILDERS, ("name", "paper")),
+        "termination": named("termination", TERMINATIONS),
+        "axes of medians": named("axes of medians", AXES),
+        "clipping and costs": others("clipping and costs"),
+        "layouts": named("layouts", LAYOUTS),
+        "trees for known rays": others("trees for known rays"),
+        "weights of boxes": named("weights of boxes", COSTS),
+        "axes to split": named("axes to split", AXIS_CHOICES),
+        "finding the area of a ray": named("finding the area of a ray", TOP_LEVELS),
+        "moving geometry": others("moving geometry"),
+        "traversals": entries(TRAVERSALS, ("name", "trees", "paper")),
+        "shadow rays": entries(SHADOW_TRAVERSALS, ("name", "light", "paper")),
+        "packet cullings": entries(CULLINGS, ("name", "paper")),
+        "mailboxes": entries(MAILBOXES, ("name", "paper")),
+        "orders of rays": named("orders of rays", ORDERS),
+        "triangle tests": entries(TRIANGLE_TESTS, tests),
+        "fans": others("fans"),
+        "as published": named("as published", PUBLISHED),
+        "schedules": [{"name": schedule.name, "paper": schedule.source} for schedule in SCHEDULES.values()],
+        "around a hit": others("around a hit"),
+        "integrators": named("integrators", INTEGRATORS),
+        "samplers": named("samplers", SAMPLERS),
+        "materials and light": others("materials and light"),
+        "built-in scenes": entries(BUILTIN_SCENES, ("name", "description", "options")),
+    }
+
+
+def entries(table: Mapping[str, Any], columns: tuple[str, ...]) -> Rows:
+    """A row an entry, with some of its attributes."""
+    values = ({column: getattr(entry, column) for column in columns} for entry in table.values())
+    return [{k: dict(v) if isinstance(v, Mapping) else v for k, v in row.items()} for row in values]
+
+
+def named(section: str, names: Iterable[str]) -> Rows:
+    """A row a name of a table whose entries do not know their papers.
+
+    Raises:
+        KeyError: a name has no paper here.
+    """
+    return [{"name": name, "paper": PAPERS[section][name]} for name in names]
+
+
+def others(section: str) -> Rows:
+    """The rows of a section that are in no table."""
+    return [{"name": name, "paper": paper} for name, paper in OTHERS[section].items()]
