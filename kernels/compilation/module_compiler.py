@@ -18,6 +18,7 @@ from collections.abc import Iterable
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from queue import SimpleQueue
+from weakref import finalize
 
 import warp as wp
 
@@ -106,6 +107,8 @@ def _begin(key: Key) -> None:
     with _lock:
         job = _pending[key]
         if len(_threads) < compile_jobs():
+            if not _threads:
+                _close_at_exit()
             thread = threading.Thread(target=_serve, args=[_queue], name=f"wrt-compile-{len(_threads)}", daemon=True)
             try:
                 thread.start()
@@ -129,7 +132,13 @@ def _serve(queue: SimpleQueue[tuple[Key, Future[None]] | None]) -> None:
         del work, module, job  # a module lives no longer for having been compiled
 
 
-@atexit.register
+def _close_at_exit() -> None:
+    """Has `_close` run before the interpreter removes temporary folders, in which compilers write."""
+    finalize(_queue, lambda: None)  # what weakref and Warp do at the exit is registered now, so it runs later
+    atexit.unregister(_close)
+    atexit.register(_close)
+
+
 def _close() -> None:
     """Drops what nobody waits for any more, and waits for the modules under way, as their threads must not outlive Warp."""
     _drop()
