@@ -53,7 +53,7 @@ def test_white_furnace(device, material):
     options = {"lights": [wrt.Sky(1.0)], "materials": material, "smooth": False, "depth": 500}
     found = linear(scene, camera, integrator="path", samples=64, **options)
     assert abs(found.mean() - 1.0) < 1e-3
-    only_scattering = linear(scene, camera, integrator="path", samples=4, ask_lights=False, roulette=False, **options)
+    only_scattering = linear(scene, camera, integrator="path", samples=4, sample_lights=False, roulette=False, **options)
     np.testing.assert_allclose(only_scattering, 1.0, atol=2e-3)  # each path alone ends in the sky with the weight 1
 
 
@@ -94,7 +94,7 @@ def test_both_ways_to_find_light_agree():
     ):  # fmt: skip
         room = wrt.Scene(bodies)
         found = [
-            linear(room, camera, integrator="path", samples=256, depth=3, lights=lights, ask_lights=asks)
+            linear(room, camera, integrator="path", samples=256, depth=3, lights=lights, sample_lights=asks)
             for asks in (True, False)
         ]
         np.testing.assert_allclose(found[0].mean(), found[1].mean(), rtol=0.03)

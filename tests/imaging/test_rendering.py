@@ -189,7 +189,7 @@ def test_bad_input(scene):
     for error, match, options in (
         (ValueError, "unknown integrator", {"integrator": "photon"}),
         (TypeError, "no option 'ambient_samples'", {"integrator": "path", "ambient_samples": 4}),
-        (TypeError, "no option 'ask_lights'", {"integrator": "whitted", "ask_lights": False}),
+        (TypeError, "no option 'sample_lights'", {"integrator": "whitted", "sample_lights": False}),
         (TypeError, "'ambient' has no lights", {"lights": [wrt.Sky()]}),
         (TypeError, "lights must be", {"integrator": "path", "lights": [1]}),
         (ValueError, r"more than one wrt\.Sky", {"integrator": "path", "lights": [wrt.Sky(), wrt.Sky()]}),

@@ -138,7 +138,7 @@ class Camera:
 
 
 class CameraImages:
-    """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays if they were asked for.
+    """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays on request.
 
     Attributes:
         distance: float32, along the ray; the miss value where there is no hit.

@@ -176,10 +176,10 @@ class Trajectory:
 
         device = wp.get_device("cpu")
         times = np.clip(times, self.times[0], self.times[-1])  # rounding at the ends
-        asked = wp.array(times, dtype=wp.float64, device=device)
+        wanted = wp.array(times, dtype=wp.float64, device=device)
         types = (wp.vec3d, wp.quatd, wp.vec3d, wp.vec3d)
         found = [wp.empty(len(times), dtype=dtype, device=device) for dtype in types]
-        launch(poses_at, len(times), [self.path(device), asked, *found], device=device, chunk=4096)
+        launch(poses_at, len(times), [self.path(device), wanted, *found], device=device, chunk=4096)
         return [values.numpy() for values in found]
 
     def _matrices(self, positions: np.ndarray, rotations: np.ndarray) -> np.ndarray:
@@ -228,16 +228,16 @@ def deskew(points: Any, times: Any, trajectory: Trajectory, time: float) -> Any:
     device = points.device if isinstance(points, wp.array) else as_device("cpu")
     is_warp, points = isinstance(points, wp.array), as_vectors(points, "points", device)
     shape = points.shape if is_warp else points.shape[:-1]
-    asked = check_real("times", times.numpy() if isinstance(times, wp.array) else times)
-    asked = np.ascontiguousarray(np.broadcast_to(asked, shape)).ravel()
-    earliest, latest = asked.min(initial=time), asked.max(initial=time)
+    wanted = check_real("times", times.numpy() if isinstance(times, wp.array) else times)
+    wanted = np.ascontiguousarray(np.broadcast_to(wanted, shape)).ravel()
+    earliest, latest = wanted.min(initial=time), wanted.max(initial=time)
     trajectory.check_covers(float(earliest), float(latest))
     flat = points.flatten() if is_warp else wp.array(points.reshape(-1, 3), dtype=wp.vec3d, device=device)
     if flat.dtype is not wp.vec3d:
         narrow, flat = flat, wp.empty(len(flat), dtype=wp.vec3d, device=device)
         wp.utils.array_cast(narrow, flat)
     moved, path = wp.empty_like(flat), trajectory.path(device)
-    launch(points_to_world, len(flat), [path, wp.array(asked, dtype=wp.float64, device=device), flat, moved], device=device)
+    launch(points_to_world, len(flat), [path, wp.array(wanted, dtype=wp.float64, device=device), flat, moved], device=device)
     out = wp.empty_like(flat)
     launch(points_to_frame, len(flat), [path, wp.float64(time), moved, out], device=device)
     return out.reshape(shape) if is_warp else out.numpy().reshape(*shape, 3)

@@ -1,6 +1,6 @@
 """One step of path tracing: from the hits of a generation to the light that they give and the rays that follow.
 
-Kajiya's path tracing. At each point a lamp is chosen by power and asked (next-event estimation), and one direction is
+Kajiya's path tracing. At each point a lamp is chosen by power and sampled (next-event estimation), and one direction is
 followed. Light that both ways can find is weighted by the power heuristic (Veach and Guibas 1995). From generation `roulette`
 on, a path goes on with the probability of its weight, at most 0.95, and is weighted up by its inverse (Arvo and Kirk 1990).
 
@@ -51,8 +51,8 @@ class PathStep:
     """Whether paths end here, and only collect what the surface emits."""
     roulette: int
     """First generation whose rays may end by Russian roulette."""
-    asks_lights: bool
-    """Whether lamps are asked; without, light is found by scattering only."""
+    samples_lights: bool
+    """whether lamps are sampled; without, light is found by scattering only."""
 
 
 @wp.func
@@ -91,7 +91,7 @@ def path_step(
         t = hits.t[i]
         if media != wp.uint64(0) and primitive >= 0:
             weight = absorbed(scene, weight, media, t)
-        if not step.asks_lights:
+        if not step.samples_lights:
             density = 0.0
         emitted = wp.vec3()
         lit = wp.vec3()
@@ -121,7 +121,7 @@ def path_step(
                     following.origin[i] = leaving_origin(point, True)
                     alive = 1
                 else:
-                    if step.asks_lights and scene.lights.count > 0 and not is_single(look):
+                    if step.samples_lights and scene.lights.count > 0 and not is_single(look):
                         entry = int(0)
                         probability = float(1.0)
                         if scene.lights.count > 1:

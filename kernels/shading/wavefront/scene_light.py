@@ -162,7 +162,7 @@ def arriving_light(
         entry: the lamp, and `place` the point on it, in [0, 1)^2.
         probability: with which this lamp was chosen.
         is_combined: whether rays find lamps by scattering, too, so that both share the light by weights. If not, reflected and
-            refracted rays alone find the lamps that they can find, and the diffuse part of the surface is asked for here.
+            refracted rays alone find the lamps that they can find, and the diffuse part of the surface is lit for here.
     """
     result = Arrival()
     if not is_single(look):

@@ -2,7 +2,7 @@
 and a refracted ray.
 
 **Whitted (1980).** Mirrors and boundaries of dielectrics send rays on, weighted by Fresnel's equations; all other surfaces are
-lit by the lamps and by a constant ambient light. Lamps with an area are asked at their middle, so shadows are hard. Glossy
+lit by the lamps and by a constant ambient light. Lamps with an area are sampled at their middle, so shadows are hard. Glossy
 surfaces reflect to the mirror direction.
 
 **Distribution (Cook, Porter and Carpenter 1984).** The same tree, but each sample of a pixel has its own place on each lamp
@@ -100,7 +100,7 @@ def queue_branch(slot: wp.array(dtype=int), i: int):
 
 @wp.func
 def lamp_place(step: TreeStep, scene: LitScene, source: PixelSamples, pixel: wp.uint32, sample: int, branch: int, entry: int):
-    """The point in [0, 1)^2 at which a lamp is asked: its middle, if samples do not have their own."""
+    """The point in [0, 1)^2 at which a lamp is sampled: its middle, if samples do not have their own."""
     place = wp.vec2(0.5, 0.5)
     if step.distributed or scene.lights.kind[entry] >= TRIANGLES:
         dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
@@ -256,7 +256,7 @@ def tree_step(
 
 
 @wp.kernel
-def ask_lamp(
+def shade_by_lamp(
     first: int,
     count: int,
     group: int,

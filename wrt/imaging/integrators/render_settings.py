@@ -42,7 +42,7 @@ class RenderSettings:
         fresnel: "exact", or "schlick" for Schlick's approximation.
         threshold: weight below which rays of "whitted" and "distribution" end; 0: they reach `depth`.
         roulette: whether rays that would end may go on, weighted up. Of "path": whether paths may end after four rays.
-        ask_lights: of "path": whether lamps are asked at each point; without, light is only found by scattering.
+        sample_lights: of "path": whether lamps are sampled at each point; without, light is only found by scattering.
         ambient: of "whitted" and "distribution": radiance of a constant ambient light, a number or (3,); None: the mean of the
             sky for "whitted", none for "distribution".
         max_radiance: largest component of a sample, which bounds rare bright pixels and makes the picture a little darker.
@@ -66,7 +66,7 @@ class RenderSettings:
     fresnel: str = "exact"
     threshold: float = field(default=1.0 / 256.0, metadata=OF_TREES)
     roulette: bool = True
-    ask_lights: bool = field(default=True, metadata=OF_PATHS)
+    sample_lights: bool = field(default=True, metadata=OF_PATHS)
     ambient: Any = field(default=None, metadata=OF_TREES)
     max_radiance: float = np.inf
     smooth: bool = True

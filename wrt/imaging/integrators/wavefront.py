@@ -1,7 +1,7 @@
 """Waves of rays: the samples of some pixels, traced together, generation by generation.
 
 A generation is a queue of rays. Its closest hits are found in one batch; a kernel turns them into light, shadow rays and the
-rays of the next generation; the shadow rays are one batch for each lamp that is asked; what arrives is added to the samples;
+rays of the next generation; the shadow rays are one batch for each lamp; what arrives is added to the samples;
 and the rays that go on are moved together. All arrays stay on the device. On CUDA, the number of rays that go on is the only
 value that the host reads.
 """
@@ -69,7 +69,7 @@ class Wave:
         self._step = path_step.PathStep() if self._is_path else tree_step.TreeStep()
         if self._is_path:
             self._step.roulette = ROULETTE_FROM if settings.roulette else settings.depth
-            self._step.asks_lights = settings.ask_lights
+            self._step.samples_lights = settings.sample_lights
         else:
             self._step.distributed = integrator == "distribution"
             self._step.threshold = settings.threshold
@@ -120,8 +120,8 @@ class Wave:
 
     def _follow_paths(self, tracer: RayTracer, hits: DeviceHits) -> None:
         self._run_step(path_step.path_step, hits)
-        asks = self.settings.ask_lights and self.scene.lights.count > 0 and not self._step.is_last
-        self._gather(self._shadows(tracer) if asks else self._none, True)
+        samples_lights = self.settings.sample_lights and self.scene.lights.count > 0 and not self._step.is_last
+        self._gather(self._shadows(tracer) if samples_lights else self._none, True)
 
     def _follow_trees(self, tracer: RayTracer, hits: DeviceHits) -> None:
         self._run_step(tree_step.tree_step, hits)
@@ -132,7 +132,7 @@ class Wave:
             if entry == self.scene.lights.sky_entry and not self._step.distributed:
                 continue  # its mean is the ambient light
             inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays)
-            self._run_groups(tree_step.ask_lamp, *inputs)
+            self._run_groups(tree_step.shade_by_lamp, *inputs)
             self._gather(self._shadows(tracer), False)
 
     def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
