@@ -265,7 +265,8 @@ def test_plans_of_fine_and_rough_views():
     """The fewer rays a triangle, the more is looked at at each leaf, and then of each ray."""
     mesh = wrt.scenes.build("teapot")
     scene = wrt.Scene(mesh, device="cpu")
-    for share, traversal, culling in ((0.1, "stream", ""), (1.0, "packet", "transient_frustum"), (4.0, "packet", "vertex")):
+    few_rays = "stream" if scene.width == 16 else "interleaved"
+    for share, traversal, culling in ((0.1, few_rays, ""), (1.0, "packet", "transient_frustum"), (4.0, "packet", "vertex")):
         size = int((share * mesh.triangle_count) ** 0.5)
         plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
         assert (plan.traversal, plan.culling) == (traversal, culling)
@@ -339,7 +340,8 @@ def test_large_scattered_batches_are_reordered(monkeypatch):
     assert scene.explain(origins, directions).reorder == "none"
     monkeypatch.setattr(wrt.planning.planner, "CACHED_BYTES", 1)
     scene.state.cache.clear()  # which rays like these have
-    assert scene.explain(origins, directions).reorder == "cells"
+    order = "cells" if scene.width == 16 else "none"  # rays that take turns are not sorted: that makes them slower
+    assert scene.explain(origins, directions).reorder == order
     assert scene.explain(origins[:1], directions).reorder == "none"
 
 
