@@ -35,11 +35,12 @@ import warp as wp
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.phases import bvh_levels as level_phase
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import make_scratch
 from wrt.builders.bvh.phases.bvh_levels import Chunk, LiveNode, Totals, make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
-from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_kernels
+from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.tree import Bvh, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes

@@ -31,9 +31,9 @@ from wrt.builders.bvh.binned_bvh import BinnedBuilder
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
 from wrt.builders.bvh.known_rays_config import USED_FALLBACK, KnownRays, ProjectedConfig, known_rays
 from wrt.builders.bvh.phases.bin_heuristic import Heuristic
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, halvings, split_cost
 from wrt.builders.bvh.phases.bvh_bins import SLOT_BINS, Binning, Plane, Scratch, no_plane
-from wrt.builders.bvh.phases.collapse import BinaryBuild
 from wrt.builders.bvh.phases.split_axes import axis_order, longest_axis
 from wrt.builders.cost import leaf_cost
 from wrt.builders.influence.projected_cost import Mixture, box_weight, facing, half_surface

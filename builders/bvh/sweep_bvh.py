@@ -28,6 +28,7 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import (
     LEAF,
     BinaryTree,
@@ -38,7 +39,7 @@ from wrt.builders.bvh.phases.binary_tree import (
     must_split_at_median,
     split_cost,
 )
-from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse, collapse_kernels
+from wrt.builders.bvh.phases.collapse import collapse, collapse_kernels
 from wrt.builders.bvh.phases.reinsertion import find_insertion_positions, reinsert
 from wrt.builders.bvh.phases.sweep_levels import bound_chunks, split_top
 from wrt.builders.bvh.phases.sweep_lists import (

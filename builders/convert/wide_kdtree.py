@@ -48,10 +48,11 @@ import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, empty_tree
 from wrt.builders.bvh.phases.bvh_bins import Scratch, make_scratch, range_box
 from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtree
-from wrt.builders.bvh.phases.collapse import BinaryBuild, collapse
+from wrt.builders.bvh.phases.collapse import collapse
 from wrt.builders.tree import Bvh, KdTree, Phases
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET

@@ -43,6 +43,7 @@ from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, em
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases import in_place_levels as level_phase
+from wrt.builders.kdtree.phases import level_members as members_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
@@ -80,7 +81,7 @@ EVENTS_PER_NODE = 256
 CHUNKS_PER_THREAD = 4
 """Least number of chunks per thread, over all axes, if there are enough events."""
 
-KERNELS = (emit_events, level_phase.search_planes, fill_phase.fill_task_events, copy_subtrees)
+KERNELS = (emit_events, level_phase.search_planes, members_phase.count_shared, fill_phase.fill_task_events, copy_subtrees)
 """One kernel of each module, compiled before the phases of the build are timed."""
 
 
@@ -231,11 +232,11 @@ class InPlaceBuilder:
         counts = wp.empty(chunks, dtype=int, device=device)
         refined = Membership()
         refined.node = wp.empty(count, dtype=int, device=device)
-        self.run(level_phase.count_shared, chunks, count, boxes, self.live, membership, refined, counts)
+        self.run(members_phase.count_shared, chunks, count, boxes, self.live, membership, refined, counts)
         sizes = counts.numpy()
         places = wp.array(np.cumsum(sizes) - sizes, dtype=int, device=device)
         refined.shared = wp.empty(max(1, int(sizes.sum())), dtype=int, device=device)
-        self.run(level_phase.refine_members, chunks, count, boxes, self.live, membership, refined, places)
+        self.run(members_phase.refine_members, chunks, count, boxes, self.live, membership, refined, places)
         return refined
 
     def make_tasks(self, events: Events, membership: Membership, spare: float) -> tuple[Reservation, EventLists, wp.array]:

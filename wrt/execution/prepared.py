@@ -24,7 +24,8 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
-from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, RecordedLaunch
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
+from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
 from wrt.planning.plan import traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch

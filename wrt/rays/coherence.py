@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from wrt.kernels.query.coherence_detection import PAIRS, measure_coherence
-from wrt.kernels.runtime.launch import record
+from wrt.kernels.runtime.recorded_launch import record
 
 MIN_IMAGE_RAYS = 4096
 """Smallest flat list that is tested for being the pixels of an image: for fewer rays there is nothing to gain."""

@@ -29,22 +29,21 @@ References:
         High Performance Graphics 2017.
 """
 
-from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
 import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
-from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
+from wrt.builders.bvh.phases.bin_heuristic import Heuristic
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree
 from wrt.builders.cost import leaf_cost
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_BLOCKS, leaf_child
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.runtime.workspace import Workspace, read_ints, write
+from wrt.kernels.runtime.workspace import read_ints, write
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
@@ -316,37 +315,6 @@ def write_nodes(
                 word = next_child
                 next_child += 1
         child[index * width + lane] = word
-
-
-@dataclass
-class BinaryBuild:
-    """Result of a builder before the collapse.
-
-    Attributes:
-        tree: the binary tree.
-        subtrees: (subtrees,) vec2i ranges of pairs, parents before children.
-        top: pairs above the subtrees, parents before children; may be empty.
-        space: (16 * triangles,) float32 work space, overwritten by the collapse.
-        heuristic: the weight of its boxes.
-        rays: the heuristic's knowledge of the rays.
-        work: work space of the build; None if there is none.
-    """
-
-    tree: BinaryTree
-    subtrees: wp.array
-    top: wp.array | None
-    space: wp.array
-    heuristic: Heuristic = SURFACE
-    rays: Any = field(default_factory=AllDirections)
-    work: Workspace | None = None
-
-    def __post_init__(self) -> None:
-        if self.work is None:
-            self.work = Workspace(self.space.device)
-
-    def arrays(self) -> list[wp.array]:
-        """The arrays that are held until the collapse is done."""
-        return [self.tree.box, self.tree.range, self.tree.pair, self.tree.order, self.space]
 
 
 def collapse_kernels(heuristic: Heuristic) -> list[wp.Kernel]:

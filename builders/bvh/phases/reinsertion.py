@@ -40,8 +40,9 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import BuildRules, BvhConfig
+from wrt.builders.bvh.phases.binary_build import BinaryBuild
 from wrt.builders.bvh.phases.binary_tree import LEAF, BinaryTree, empty_tree, half_area
-from wrt.builders.bvh.phases.collapse import MAX_WIDTH, BinaryBuild, solve_costs
+from wrt.builders.bvh.phases.collapse import MAX_WIDTH, solve_costs
 from wrt.builders.tree import BuildStats
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int

@@ -8,7 +8,7 @@
                 chunks gives each chunk the counts before it; every chunk then evaluates its planes; the best of all chunks
                 is the node's split
     stop, emit  NewGen: a node with a split gets two children, the others are finished
-    classify    ClassifyTriangles: every triangle replaces its nodes by their children (count, scan, fill)
+    classify    ClassifyTriangles: every triangle replaces its nodes by their children (`level_members`)
 
 Chunks begin where the position changes, so no plane is shared between chunks. The best plane among chunks is selected in the
 order of the axes and positions. So the result does not depend on threads or chunks.
@@ -27,13 +27,12 @@ References:
 import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, plane_cost
-from wrt.builders.kdtree.events.event_sort import CHUNK, END, START, Events, event_position, event_value
+from wrt.builders.kdtree.events.event_sort import END, START, Events, event_position, event_value
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
 from wrt.builders.kdtree.phases.membership import Membership, member, member_count
 from wrt.builders.tree import PathState, StopLimits, stop
-from wrt.builders.triangle_boxes import Boxes
 from wrt.kernels.layout.struct_arrays import with_known_layout
-from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 
@@ -349,87 +348,3 @@ def emit_children(first: int, nodes: wp.array(dtype=LiveNode), children: wp.arra
     count[0] = total
     count[1] = open_nodes
     count[2] = largest
-
-
-@wp.func
-def sides(node: LiveNode, low: float, high: float):
-    """Children to which a box belongs, by its interval on the split axis: 1 left, 2 right, 3 both."""
-    if not (low < high) and low == node.split.position:
-        return wp.where(node.split.planar_left, 1, 2)
-    if high <= node.split.position:
-        return 1
-    if low >= node.split.position:
-        return 2
-    return 3
-
-
-@wp.func
-def count_children(boxes: Boxes, nodes: wp.array(dtype=LiveNode), membership: Membership, triangle: int):
-    """Number of nodes that a triangle lies in on the next level."""
-    own = load_int(membership.node, triangle)
-    members = member_count(membership, own)
-    count = int(members)
-    for m in range(members):
-        node = nodes[member(membership, own, m)]
-        if not node.finished:
-            axis = node.split.axis
-            if sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle]) == 3:
-                count += 1
-    return count
-
-
-@wp.kernel
-def count_shared(
-    first: int,
-    triangles: int,
-    boxes: Boxes,
-    nodes: wp.array(dtype=LiveNode),
-    membership: Membership,
-    refined: Membership,
-    counts: wp.array(dtype=int),
-):
-    """Item: a chunk of triangles. Notes in `refined.node` how many nodes each lies in on the next level.
-
-    counts: (chunks,) the room that the chunk needs in `refined.shared`."""
-    chunk = first + wp.tid()
-    room = int(0)
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
-        count = count_children(boxes, nodes, membership, triangle)
-        store_int(refined.node, triangle, count)
-        room += wp.where(count > 1, count + 1, 0)
-    counts[chunk] = room
-
-
-@wp.kernel
-def refine_members(
-    first: int,
-    triangles: int,
-    boxes: Boxes,
-    nodes: wp.array(dtype=LiveNode),
-    membership: Membership,
-    refined: Membership,
-    places: wp.array(dtype=int),
-):
-    """Item: a chunk of triangles. Writes their nodes on the next level; places: where the chunk begins in `refined.shared`."""
-    chunk = first + wp.tid()
-    to = places[chunk]
-    for triangle in range(chunk * CHUNK, wp.min(triangles, (chunk + 1) * CHUNK)):
-        count = load_int(refined.node, triangle)
-        if count > 1:
-            store_int(refined.node, triangle, ~to)
-            store_int(refined.shared, to, count)
-            to += 1
-        own = load_int(membership.node, triangle)
-        for m in range(member_count(membership, own)):
-            node = nodes[member(membership, own, m)]
-            side = int(1)
-            if not node.finished:
-                axis = node.split.axis
-                side = sides(node, boxes.low[axis, triangle], boxes.high[axis, triangle])
-            for child in range(2):
-                if (side & (1 << child)) != 0:
-                    if count > 1:
-                        store_int(refined.shared, to, node.left + child)
-                        to += 1
-                    else:
-                        store_int(refined.node, triangle, node.left + child)
