@@ -14,6 +14,7 @@ import warp as wp
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.memory import empty
 from wrt.sensors.checks import check_at_least, check_matrix, check_real
+from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.time_slices import Bodies, Slice, as_motions, cut_slices, slice_error
 from wrt.sensors.trajectory import Trajectory, as_trajectory
@@ -137,7 +138,7 @@ class Camera:
         return beams
 
 
-class CameraImages:
+class CameraImages(HitOutputs):
     """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays on request.
 
     Attributes:
@@ -158,11 +159,7 @@ class CameraImages:
         self, camera: Camera, images: Images, trajectory: Trajectory, start: float, to_warp: bool, motion_error: float
     ) -> None:
         self.camera, self.trajectory, self.start, self.motion_error = camera, trajectory, start, motion_error
-        self.shape = camera.height, camera.width
-        self._images, self._to_warp = images, to_warp
-
-    def __repr__(self) -> str:
-        return f"CameraImages(shape={self.shape})"
+        super().__init__(images, (camera.height, camera.width), to_warp)
 
     @cached_property
     def distance(self) -> Any:
@@ -173,28 +170,8 @@ class CameraImages:
         return self._out("depth")
 
     @cached_property
-    def position(self) -> Any:
-        return self._out("position")
-
-    @cached_property
-    def normal(self) -> Any:
-        return self._out("normal")
-
-    @cached_property
     def camera_normal(self) -> Any:
         return self._out("camera_normal")
-
-    @cached_property
-    def instance_id(self) -> Any:
-        return self._out("instance")
-
-    @cached_property
-    def geometry_id(self) -> Any:
-        return self._out("geometry")
-
-    @cached_property
-    def primitive_id(self) -> Any:
-        return self._out("primitive")
 
     @cached_property
     def semantic_id(self) -> Any:
@@ -203,13 +180,6 @@ class CameraImages:
     @cached_property
     def time(self) -> np.ndarray:
         return self.start + self.camera.line_delay * np.arange(self.camera.height)
-
-    def _out(self, name: str) -> Any:
-        values = getattr(self._images, name)
-        if self._to_warp:
-            return values.reshape(self.shape)
-        array = values.numpy()
-        return array.reshape(self.shape + array.shape[1:])
 
 
 @lru_cache(maxsize=KEPT_CAMERAS)

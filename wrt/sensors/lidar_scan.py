@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.trajectory import Trajectory, deskew
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ POINT_TYPE = np.dtype(
 place among the beam's returns from 0 up, and the instance."""
 
 
-class LidarScan:
+class LidarScan(HitOutputs):
     """What a `Lidar` measured in one scan.
 
     Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns. They are NumPy arrays if the
@@ -59,11 +60,8 @@ class LidarScan:
         self, pattern: LidarPattern, returns: Returns, kept: int, trajectory: Trajectory, start: float, motion_error: float
     ) -> None:
         self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
-        self.shape: tuple[int, ...] = pattern.shape if kept == 1 else (*pattern.shape, kept)
-        self._returns, self._kept = returns, kept
-
-    def __repr__(self) -> str:
-        return f"LidarScan(shape={self.shape})"
+        super().__init__(returns, pattern.shape if kept == 1 else (*pattern.shape, kept), pattern.is_warp)
+        self._kept = kept
 
     @cached_property
     def range(self) -> Any:
@@ -76,26 +74,6 @@ class LidarScan:
     @cached_property
     def point(self) -> Any:
         return self._out("point")
-
-    @cached_property
-    def position(self) -> Any:
-        return self._out("position")
-
-    @cached_property
-    def normal(self) -> Any:
-        return self._out("normal")
-
-    @cached_property
-    def instance_id(self) -> Any:
-        return self._out("instance")
-
-    @cached_property
-    def geometry_id(self) -> Any:
-        return self._out("geometry")
-
-    @cached_property
-    def primitive_id(self) -> Any:
-        return self._out("primitive")
 
     @cached_property
     def radial_velocity(self) -> Any:
@@ -148,13 +126,6 @@ class LidarScan:
         out["time"] = spread(self.pattern.times.ravel()[order, None], found.shape)[found]
         out["return_number"] = spread(np.arange(self._kept), found.shape)[found]
         return out
-
-    def _out(self, name: str) -> Any:
-        values = getattr(self._returns, name)
-        if self.pattern.is_warp:
-            return values.reshape(self.shape)
-        array = values.numpy()
-        return array.reshape(self.shape + array.shape[1:])
 
 
 def _host(values: Any) -> np.ndarray:
