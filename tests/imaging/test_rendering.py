@@ -218,6 +218,8 @@ def test_bad_input(scene):
         lambda: wrt.SpotLight((0, 0, 0), (0, 0, 1), angle=90),
         lambda: wrt.DirectionalLight((0, 0, 0)),
         lambda: wrt.PointLight((0, 0, np.nan)),
+        lambda: wrt.PointLight((0, 0, 1e39)),
+        lambda: wrt.AreaLight.sphere((0, 1e39, 0), 1.0),
         lambda: wrt.Material("plastic"),
         lambda: wrt.Material(color=1.5),
         lambda: wrt.Material(roughness=2.0),

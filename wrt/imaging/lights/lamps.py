@@ -14,6 +14,7 @@ import numpy as np
 
 from wrt.imaging.cameras import check_point
 from wrt.materials.material import Color, as_color
+from wrt.meshes.placement import MAX_COORDINATE
 
 __all__ = ["AreaLight", "DirectionalLight", "PointLight", "SpotLight"]
 
@@ -31,6 +32,18 @@ def unit(name: str, value: Any) -> np.ndarray:
     return vector / length
 
 
+def place(name: str, value: Any) -> np.ndarray:
+    """(3,) float64, a point or an edge that float32 can hold.
+
+    Raises:
+        ValueError: not three finite numbers, or one beyond `MAX_COORDINATE`.
+    """
+    point = check_point(name, value)
+    if np.abs(point).max() > MAX_COORDINATE:
+        raise ValueError(f"{name} is {point.tolist()}; coordinates go up to {MAX_COORDINATE:.3g}: scale the scene down")
+    return point
+
+
 class PointLight:
     """Light from one point, as strong in all directions.
 
@@ -40,11 +53,11 @@ class PointLight:
             the irradiance `intensity / d^2`.
 
     Raises:
-        ValueError: a value that is not finite, or negative.
+        ValueError: a value that is not finite, or negative; a position beyond 2^120.
     """
 
     def __init__(self, position: Any, intensity: Any = 1.0) -> None:
-        self.position = check_point("position", position)
+        self.position = place("position", position)
         self.intensity: Color = as_color("intensity", intensity)
 
     def __repr__(self) -> str:
@@ -143,8 +156,8 @@ class AreaLight:
         Raises:
             ValueError: as in `rectangle`.
         """
-        a = check_point("a", a)
-        return cls._flat("triangle", a, check_point("b", b) - a, check_point("c", c) - a, radiance, two_sided)
+        a = place("a", a)
+        return cls._flat("triangle", a, place("b", b) - a, place("c", c) - a, radiance, two_sided)
 
     @classmethod
     def sphere(cls, center: Any, radius: float, radiance: Any = 1.0) -> AreaLight:
@@ -158,16 +171,14 @@ class AreaLight:
         Raises:
             ValueError: a radius that is not above 0, or a value that is not finite or negative.
         """
-        if not (np.isfinite(radius) and radius > 0.0):
-            raise ValueError(f"radius is {radius}; it must be above 0")
+        if not 0.0 < radius <= MAX_COORDINATE:
+            raise ValueError(f"radius is {radius}; it must be above 0, and at most {MAX_COORDINATE:.3g}")
         zero = np.zeros(3)
-        return cls("sphere", check_point("center", center), zero, zero, float(radius), as_color("radiance", radiance), False)
+        return cls("sphere", place("center", center), zero, zero, float(radius), as_color("radiance", radiance), False)
 
     @classmethod
     def _flat(cls, shape: str, corner: Any, edge1: Any, edge2: Any, radiance: Any, two_sided: bool) -> AreaLight:
-        corner, edge1, edge2 = (
-            check_point(name, value) for name, value in (("corner", corner), ("edge1", edge1), ("edge2", edge2))
-        )
+        corner, edge1, edge2 = (place(name, value) for name, value in (("corner", corner), ("edge1", edge1), ("edge2", edge2)))
         if not np.linalg.norm(np.cross(edge1, edge2)) > 0.0:
             raise ValueError("the lamp has no area: its edges are parallel, or zero")
         return cls(shape, corner, edge1, edge2, 0.0, as_color("radiance", radiance), bool(two_sided))
