@@ -19,7 +19,7 @@ TITLE = "compiling kernels for this CPU, once"
 _lock = threading.RLock()
 _show: bool | None = None
 _sink: Callable[[str | None], None] | None = None
-_asked = _done = 0
+_expected = _done = 0
 
 
 def show_compiling(show: bool | None = None) -> None:
@@ -59,7 +59,10 @@ def report_to(sink: Callable[[str | None], None]) -> Iterator[None]:
     The function is called from the threads that compile.
     """
     global _sink
-    before, _sink = _sink, sink
+    with _lock:
+        if _sink is None and _done < _expected and is_shown() and sys.stderr.isatty():
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)  # the function's reports take the place of the line
+        before, _sink = _sink, sink
     try:
         yield
     finally:
@@ -68,10 +71,10 @@ def report_to(sink: Callable[[str | None], None]) -> Iterator[None]:
 
 def add(count: int) -> None:
     """Tells of kernels that are to be compiled."""
-    global _asked
+    global _expected
     with _lock:
-        begins = _done == _asked
-        _asked += count
+        begins = _done == _expected
+        _expected += count
         _report(begins)
 
 
@@ -86,12 +89,12 @@ def finish(count: int = 1) -> None:
 def counts() -> tuple[int, int]:
     """Kernels that this process has compiled, and those that it was to compile until now."""
     with _lock:
-        return _done, _asked
+        return _done, _expected
 
 
 def _report(begins: bool) -> None:
-    ends = _done >= _asked
-    text = f"{TITLE}: {_done} of {_asked}"
+    ends = _done >= _expected
+    text = f"{TITLE}: {_done} of {_expected}"
     if not is_shown():
         return
     if _sink is not None:
@@ -104,8 +107,8 @@ def _report(begins: bool) -> None:
 
 def _forget() -> None:
     """A forked child counts anew, and has no thread that could hold the lock."""
-    global _lock, _asked, _done
-    _lock, _asked, _done = threading.RLock(), 0, 0
+    global _lock, _expected, _done
+    _lock, _expected, _done = threading.RLock(), 0, 0
 
 
 if hasattr(os, "register_at_fork"):

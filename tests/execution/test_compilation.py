@@ -184,7 +184,7 @@ def test_a_number_of_jobs_that_is_none(monkeypatch, text):
 def test_progress_is_for_a_terminal(cache, monkeypatch, capfd):
     """It counts, on stderr alone, before the first module is compiled; and says nothing of modules that are cached."""
     monkeypatch.setenv("WRT_COMPILE_JOBS", "1")  # so that the first to be compiled is the first to read
-    monkeypatch.setattr(compile_progress, "_asked", 0)
+    monkeypatch.setattr(compile_progress, "_expected", 0)
     monkeypatch.setattr(compile_progress, "_done", 0)
     module_compiler.load_modules([Module(cache, "unseen")], CPU, 1)
     assert capfd.readouterr() == ("", ""), "no terminal"
