@@ -48,7 +48,7 @@ def test_scaling(tmp_path):
     assert result.exit_code == 0, result.output
     assert "build kdtree" in result.output
     jobs = json.loads((tmp_path / "figures.json").read_text())["jobs"]
-    assert [job["job"] for job in jobs] == ["view 16 x 16", "random 2,000", "build bvh", "build kdtree"]
+    assert [job["job"] for job in jobs] == ["view 16 x 16", "random 2,000", "build kdtree", "build bvh"]
     for job in jobs:
         assert job["names"] == ["1 thread", "2 threads", "3 threads"]
         assert job["gains"][0] == 1.0

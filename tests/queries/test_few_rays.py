@@ -178,3 +178,15 @@ def test_rays_after_an_update():
     scene.update(0, vertices=np.add(mesh.vertices, (50.0, 0.0, 0.0)))
     assert not scene.occluded(*down)
     assert scene.count(*down) == 0
+
+
+@pytest.mark.parametrize("origin", [(3e4, -1e4, 2e4 - 5.0), (3e4 + 1e-5, -1e4, 2e4 - 5.0), (1e300, 0, 0), (np.nan, 0, 0)])
+def test_a_shared_float64_origin(scene, origin):
+    """Subtracting the scene's centre from one origin on the host gives the bits that the kernel gives for many."""
+    _, directions = mixed_rays(wrt.TriangleMesh.concatenate(scene.meshes), 3000)
+    shared, spread = np.array(origin), np.tile(origin, (len(directions), 1))
+    spread[-1] += 1.0  # not to be detected as shared
+    one, many = scene.intersect(shared, directions), scene.intersect(spread, directions)
+    for name in ("t", "uv", "primitive_id", "geometry_id"):
+        np.testing.assert_array_equal(getattr(one, name)[:-1], getattr(many, name)[:-1], err_msg=name)
+    assert one.is_hit[:-1].any() == (abs(origin[0]) < 1e5)

@@ -149,6 +149,9 @@ def _vectors(
         values = values if values.ndim == 1 else values.flatten()
     else:
         values, stride = flatten_shared(values, shape, (3,))
+        if len(values) == 1 and values.dtype == np.float64 and device.is_cpu:  # a launch would take longer
+            with np.errstate(over="ignore"):
+                values = (values - center).astype(np.float32)
         dtype = wp.vec3f if values.dtype == np.float32 else wp.vec3d
         values = _upload(values, dtype, device)
     if values.dtype is wp.vec3d:

@@ -91,6 +91,7 @@ def take_turns(
     *,
     budget: float = float("inf"),
     settle: float = 0.0,
+    warm: float = 0.0,
     clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> dict[str, Timing]:
@@ -102,6 +103,8 @@ def take_turns(
         rounds: how often each has its turn, at least once.
         budget: seconds for each contender; one whose next turn would exceed it sits out the rounds that are left.
         settle: a turn of a contender whose last call took less than so many seconds starts with an untimed call.
+        warm: such a turn goes on with untimed calls until so many seconds have passed. Threads that the operating system has to
+            wake, and cores that it has to bring to their frequency, are slow for some milliseconds.
         clock: seconds, from any start.
         on_turn: told the name of the contender before each warm-up and each turn.
     """
@@ -126,7 +129,10 @@ def take_turns(
                 continue
             on_turn(contender.name)
             if last[contender.name] < settle:
+                until = clock() + warm
                 contender.run()
+                while clock() < until:
+                    contender.run()
             last[contender.name] = time_call(contender.run, clock)
             timing.seconds.append(last[contender.name])
     return timings

@@ -29,7 +29,8 @@ VIEWS = (256, 1024)
 RANDOM = (1 << 16, 1 << 21)
 """Rays."""
 
-BUILDS = ("bvh", "kdtree")
+BUILDS = ("kdtree", "bvh")
+"""The kd-tree first: threads of Embree 4 that has built spin for as long as it lives, and take the cores from others."""
 
 COMPARED = ("far", "near", "random")
 """Workloads that Embree traces, too."""
@@ -38,7 +39,10 @@ COMPARED_SIZE = 1024
 """Of these workloads: pixels a side; `random` has as many rays."""
 
 SETTLE = 0.05
-"""Calls shorter than so many seconds are preceded by an untimed one."""
+"""Calls shorter than so many seconds are preceded by untimed ones."""
+
+WARM = 0.02
+"""Seconds of untimed calls: after a turn with fewer threads, the others sleep."""
 
 OnTurn = Callable[[str], None]
 Prepare = Callable[[int], Callable[[], Any]]
@@ -211,7 +215,7 @@ def measure_schedules(mesh: TriangleMesh, threads: int, rounds: int, on_turn: On
 def run_turns(job: Job, contenders: Sequence[Contender], rounds: int, on_turn: OnTurn) -> dict[str, Timing]:
     """Times a job's contenders in turn. Where Embree builds, every turn begins with an untimed call (`EmbreeTurns`)."""
     settle = float("inf") if job.peers and not job.amount else SETTLE
-    timings = take_turns(contenders, rounds, settle=settle, on_turn=lambda name: on_turn(f"{job.name}, {name}"))
+    timings = take_turns(contenders, rounds, settle=settle, warm=WARM, on_turn=lambda name: on_turn(f"{job.name}, {name}"))
     for name, timing in timings.items():
         if timing.error is not None:
             raise RuntimeError(f"{job.name}, {name}: {timing.error}")
