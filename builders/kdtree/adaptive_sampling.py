@@ -11,9 +11,8 @@ triangles are searched exactly (`exact_planes`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, which calls `place_samples`,
-`count_samples` and `search_axis` for each axis. Classify and partition: `reference_lists.divide`, one pass
-over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of `kdtree_subtrees` for inner nodes.
+**Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis. Classify and
+partition: one pass over the references.
 
 **Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
 
@@ -30,12 +29,13 @@ import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.scan.split_clipping import partition_clipping
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -169,9 +169,24 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return best
 
 
+def method(config: KdTreeConfig) -> Method:
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
+
+
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     values = values_for(int(EXACT))
     return build_scanning(
-        triangles, config, uniform_scan(search, triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES))
+        triangles,
+        config,
+        uniform_scan(method(config), triangles, config, values, bins=int(UNIFORM) + 1, counters=2 * int(SAMPLES)),
     )

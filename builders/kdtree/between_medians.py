@@ -9,9 +9,7 @@ chosen as in `medians`.
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, which calls `search_axis` and `try_box_faces`.
-Classify and partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves,
-the loop of `kdtree_subtrees` for inner nodes.
+**Phases** of a node: `method`. Search: `search_axis` and `try_box_faces`. Classify and partition: one pass over the references.
 
 **Complexity.** O(N) per level: a selection for the object median, and a scan.
 
@@ -32,11 +30,12 @@ from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_split, no_sp
 from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.scan.split_clipping import partition_clipping
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
@@ -83,6 +82,21 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     return try_box_faces(cost, frame, split)
 
 
+def method(config: KdTreeConfig) -> Method:
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
+
+
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(search, triangles, config, values=None, counters=2 * int(SAMPLES)))
+    return build_scanning(
+        triangles, config, uniform_scan(method(config), triangles, config, values=None, counters=2 * int(SAMPLES))
+    )

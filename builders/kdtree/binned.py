@@ -9,9 +9,8 @@ threads share, each of which builds a subtree depth first (`kdtree_subtrees`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search`, by bins or exactly. Classify and partition:
-`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
-`kdtree_subtrees` for inner nodes. The same phases of large nodes are the kernels of `reference_levels`.
+**Phases** of a large node: `split_level`; of the others: `method`. Search: by bins or exactly. Classify and partition: one pass
+over the references.
 
 **Complexity.** O(N) per level, with sequential memory access only.
 
@@ -31,14 +30,14 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, sample_step
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scan_method import scanning
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, sample_step
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import Scan, build_scanning
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.scan.split_clipping import partition_clipping
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import get_num_threads
 
@@ -72,8 +71,25 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
 
 
 def method(config: KdTreeConfig) -> Method:
-    """How subtrees are built."""
-    return scanning(search, config.split_clipping)
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
+
+
+def split_level(levels: ReferenceLevels) -> None:
+    """Splits all large nodes of a level, parallel over chunks of their references."""
+    levels.search()
+    levels.stop()
+    levels.classify()
+    levels.emit()
+    levels.partition()
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -82,4 +98,5 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
     if config.split_clipping:  # the levels that clip must not depend on the number of threads
         large = CLIPPED_LARGE
-    return build_scanning(triangles, config, Scan(method(config), LevelRules(large, BINS, SAMPLED), values_for(BINS)))
+    rules = LevelRules(large, BINS, SAMPLED)
+    return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), split_level=split_level))

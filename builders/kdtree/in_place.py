@@ -13,8 +13,8 @@ or ends is tried.
 in the tasks, sorted events per node (`event_lists`).
 
 **Phases.** Sort: `sorted_events`. Top levels: `search`, `stop`, `emit` and `classify` of `InPlaceBuilder`, for one level after
-the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: search, stop, classify,
-partition and emit of `kdtree_subtrees`. Assembly: `assemble`.
+the other; no triangle is moved. Fill: `make_tasks` copies events and triangles to the tasks. Subtrees: the phases of `method`.
+Assembly: `assemble`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -37,8 +37,8 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree.events.clipped_events import arrays_of, events_method, lists_for
-from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for, partition_clipping
+from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
 from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
@@ -47,9 +47,16 @@ from wrt.builders.kdtree.phases import level_members as members_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, build_tasks, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import (
+    Frame,
+    Method,
+    Reservation,
+    build_tasks,
+    emit_inner,
+    make_build_subtrees,
+)
 from wrt.builders.kdtree.phases.membership import Membership
-from wrt.builders.tree import KdTree, Phases, StopLimits
+from wrt.builders.tree import KdTree, Phases, StopLimits, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.struct_arrays import array_of_structs
 from wrt.kernels.runtime.launch import get_num_threads, launch, load, specialise
@@ -103,7 +110,20 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_in_place(triangles, config, task_target(triangles.count, config))
+    return build_in_place(triangles, config, method(config), task_target(triangles.count, config))
+
+
+def method(config: KdTreeConfig) -> Method:
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=EventLists,
+        search=search,
+        stop=stop,
+        classify=classify,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
 
 
 def task_target(count: int, config: KdTreeConfig) -> TaskTarget:
@@ -114,16 +134,16 @@ def task_target(count: int, config: KdTreeConfig) -> TaskTarget:
     return TaskTarget(max(threads, min(4 * threads, MIN_TASKS)), int(LARGEST_SHARE * count / threads))
 
 
-def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, target: TaskTarget) -> KdTree:
-    """Builds the tree; levels are split together until the live nodes meet the target."""
+def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Method, target: TaskTarget) -> KdTree:
+    """Builds the tree; levels are split together until the live nodes meet the target. method: what tasks do with a node."""
     builder = InPlaceBuilder(triangles, config)
-    load((*KERNELS, specialise(make_build_subtrees, builder.method)), builder.device)
+    load((*KERNELS, specialise(make_build_subtrees, method)), builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
         membership = builder.build_levels(events, target)
     tasks = partial(builder.make_tasks, events, membership)
-    reservation, lists, results = build_tasks(builder.method, triangles, config, tasks, SPARE_MEMORY, builder.phase, "fill")
+    reservation, lists, results = build_tasks(method, triangles, config, tasks, SPARE_MEMORY, builder.phase, "fill")
     work = [events.position, events.value, membership.node, membership.shared, *arrays_of(lists)]
     return assemble(triangles, config, builder.phase, builder.levels[:-1], (reservation, results), work)
 
@@ -146,7 +166,6 @@ class InPlaceBuilder:
         self.cost: SplitCost = config.cost.struct()
         self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.width = config.cost.width
-        self.method = events_method(config)
         self.phase = Phases(self.device)
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""

@@ -9,9 +9,8 @@ which no plane divides the node is skipped.
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `search_space` or `search_objects`. Classify and
-partition: `reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
-`kdtree_subtrees` for inner nodes.
+**Phases** of a node: `method`. Search: `search_space` or `search_objects`. Classify and partition: one pass over
+the references.
 
 **Complexity.** O(N) per level: one scan of the node for the spatial median; a selection by partition (Hoare 1961), O(N) on
 average, for the object median.
@@ -30,10 +29,11 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, measure_sides
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, emit_leaf, measure_sides, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.scan.split_clipping import partition_clipping
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime.options import exact_module
@@ -125,11 +125,24 @@ def search_objects(cost: SplitCost, lists: ReferenceLists, number: int, frame: F
     return split
 
 
+def method(search: wp.Function, config: KdTreeConfig) -> Method:
+    """What is done with a node, search aside. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=search,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
+
+
 def build_spatial(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of spatial medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(search_space, triangles, config, values=1))
+    return build_scanning(triangles, config, uniform_scan(method(search_space, config), triangles, config, values=1))
 
 
 def build_object(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree of object medians on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(search_objects, triangles, config, values=None))
+    return build_scanning(triangles, config, uniform_scan(method(search_objects, config), triangles, config, values=None))

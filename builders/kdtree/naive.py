@@ -7,9 +7,7 @@
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search: `exact_planes.search_exactly`. Classify and partition:
-`reference_lists.divide`, one pass over the references. Emit: `reference_lists.emit_leaf` for leaves, the loop of
-`kdtree_subtrees` for inner nodes.
+**Phases** of a node: `method`. Search: `search_exactly`. Classify and partition: one pass over the references.
 
 **Complexity.** O(N^2), too slow for more than a few ten thousand triangles. The builder shows the benefit of sorting, and
 reproduces the tree of the sorting builders by an independent method.
@@ -24,12 +22,28 @@ References:
 """
 
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.scan.split_clipping import partition_clipping
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
+
+
+def method(config: KdTreeConfig) -> Method:
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=ReferenceLists,
+        search=search_exactly,
+        stop=stop,
+        classify=in_partition,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_scanning(triangles, config, uniform_scan(search_exactly, triangles, config, values_for(triangles.count)))
+    return build_scanning(triangles, config, uniform_scan(method(config), triangles, config, values_for(triangles.count)))

@@ -9,8 +9,7 @@ task and no levels above it, on one thread. It is the baseline for all other bui
 
 **Data.** One list of sorted events per axis and node (`event_lists`).
 
-**Phases** of a node. Stop: `wrt.builders.tree.stop`. Search, classify, partition, emit: `search`, `classify`,
-`partition` and `emit_leaf` of `event_lists`; the loop of `kdtree_subtrees` writes inner nodes.
+**Phases** of a node: `method`.
 
 **Complexity.** O(N log N): the sort, then O(N) per level.
 
@@ -23,14 +22,30 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
+from wrt.builders.kdtree.events.clipped_events import partition_clipping
+from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
 from wrt.builders.kdtree.in_place import TaskTarget, build_in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import KdTree
+from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner
+from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import use_threads
+
+
+def method(config: KdTreeConfig) -> Method:
+    """What is done with a node. `kdtree_subtrees` calls these phases."""
+    return Method(
+        memory=EventLists,
+        search=search,
+        stop=stop,
+        classify=classify,
+        partition=partition_clipping if config.split_clipping else partition,
+        emit_inner=emit_inner,
+        emit_leaf=emit_leaf,
+    )
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes, on one thread."""
     with use_threads(1):
-        return build_in_place(triangles, config, TaskTarget(tasks=1, triangles=triangles.count))
+        return build_in_place(triangles, config, method(config), TaskTarget(tasks=1, triangles=triangles.count))

@@ -17,14 +17,10 @@ from wrt.builders.bvh.phases.bvh_levels import make_search_planes
 from wrt.builders.bvh.phases.bvh_subtrees import make_build_subtrees as make_bvh_subtrees
 from wrt.builders.bvh.phases.collapse import make_pick_children, make_solve
 from wrt.builders.bvh.projected_binned import PROJECTED
-from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, medians
-from wrt.builders.kdtree.events.clipped_events import CLIPPED_EVENTS
-from wrt.builders.kdtree.events.event_lists import EVENTS
+from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, in_place, medians, naive
+from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
-from wrt.builders.kdtree.scan import exact_planes
 from wrt.builders.kdtree.scan.reference_levels import make_decide
-from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.launch import CUDA_BLOCK
@@ -50,20 +46,12 @@ from wrt.kernels.triangle.support.block_packing import make_kernel as make_packi
 
 ARCHITECTURE = 75
 
-KDTREE_SEARCHES = (
-    binned.search,
-    exact_planes.search_exactly,
-    medians.search_space,
-    medians.search_objects,
-    between_medians.search,
-    adaptive_sampling.search,
+WHOLE, CLIPPED = KdTreeConfig(), KdTreeConfig(split_clipping=True)
+SCANNING_METHODS = (
+    *(builder.method(WHOLE) for builder in (binned, naive, between_medians, adaptive_sampling)),
+    *(medians.method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
 )
-KDTREE_METHODS = (
-    EVENTS,
-    CLIPPED_EVENTS,
-    *(scanning(search) for search in KDTREE_SEARCHES),
-    scanning(binned.search, clipping=True),
-)
+KDTREE_METHODS = (in_place.method(WHOLE), in_place.method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED))
 
 
 def modules_with_kernels() -> list[str]:
@@ -104,9 +92,9 @@ def test_kdtree_subtrees(method, tmp_path):
     assert ".entry" in compile_to_ptx(make_build_subtrees(method).module, tmp_path)
 
 
-@pytest.mark.parametrize("search", KDTREE_SEARCHES, ids=lambda search: search.key)
-def test_kdtree_levels(search, tmp_path):
-    assert ".entry" in compile_to_ptx(make_decide(ReferenceLists, search).module, tmp_path)
+@pytest.mark.parametrize("method", SCANNING_METHODS, ids=lambda method: method.search.key)
+def test_kdtree_levels(method, tmp_path):
+    assert ".entry" in compile_to_ptx(make_decide(method.memory, method.search).module, tmp_path)
 
 
 @pytest.mark.parametrize("dtype", [wp.vec3, wp.vec3d])

@@ -27,10 +27,10 @@ References:
 import warp as wp
 
 from wrt.builders.cost import Split
-from wrt.builders.kdtree.events.event_lists import EVENTS, EventLists, classify, emit_leaf, search
+from wrt.builders.kdtree.events.event_lists import EventLists
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, Task
 from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET
@@ -160,7 +160,7 @@ def merge_new_events(lists: EventLists, new_first: int, count: int, begin: int, 
 
 
 @wp.func
-def partition(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
+def partition_axis(lists: EventLists, sides_first: int, axis: int, begin: int, count: int, to_left: int, to_right: int):
     """Splits one axis' events [begin, begin + count) between the children, except those of straddlers, which are stored.
     Returns the counts of both children and, on the first axis, the number of straddlers.
 
@@ -201,9 +201,8 @@ def add_straddlers(lists: EventLists, sides_first: int, straddlers: int, child: 
 
 
 @wp.func
-def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classifies, partitions, clips and merges: gives the children their lists."""
-    classify(lists, task.triangles_first, frame, split)
+def partition_clipping(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """`event_lists.partition`, with clipping of the straddlers."""
     append_left = split.left < split.right
     to = int(frame.top)
     straddlers = int(0)
@@ -212,7 +211,7 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
             left.first[axis] = to
         else:
             right.first[axis] = to
-        count = partition(
+        count = partition_axis(
             lists, task.triangles_first, axis, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
         )
         left.count[axis] = count[0]
@@ -225,14 +224,6 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
     right.triangles = wp.max(split.right - straddlers, 0)
     add_straddlers(lists, task.triangles_first, straddlers, left)
     add_straddlers(lists, task.triangles_first, straddlers, right)
-
-
-CLIPPED_EVENTS = Method(EventLists, search, divide, emit_leaf)
-
-
-def events_method(config: KdTreeConfig) -> Method:
-    """The method of a builder that keeps sorted events."""
-    return CLIPPED_EVENTS if config.split_clipping else EVENTS
 
 
 def lists_for(reservation: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:

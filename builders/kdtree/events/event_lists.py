@@ -16,7 +16,7 @@ from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.events.least_plane import LeastPlane, find_least_plane
 from wrt.builders.kdtree.events.sweep_planes import Sweep, close_planar, start_sweep, sweep_event
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Parts, Task
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Task
 from wrt.kernels.layout.unchecked import load_byte, load_pair, store_byte, store_pair
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
@@ -64,7 +64,7 @@ def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int
 
 @wp.func
 def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
-    """The best plane of a node: one sweep per axis, starting at the block of least cost if that is known."""
+    """Phase "search": the best plane of a node, by a sweep per axis. It starts at the block of least cost if that is known."""
     best = no_split()
     for axis in range(3):
         along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
@@ -86,16 +86,16 @@ def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
 
 
 @wp.func
-def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
-    """Marks the children of every triangle of the node, from its events along the split axis. A triangle that starts on the
-    left is marked for both, until its end turns out to be on the left too."""
+def classify(lists: EventLists, task: Task, frame: Frame, split: Split):
+    """Phase "classify": marks the children of every triangle of the node, from its events along the split axis. A triangle that
+    starts on the left is marked for both, until its end turns out to be on the left too."""
     position = split.position
     begin = frame.first[split.axis]
     for i in range(begin, begin + frame.count[split.axis]):
         event = load_pair(lists.event, i)
         at = wp.cast(event[0], wp.float32)
         kind = event[1] & 3
-        place = sides_first + (event[1] >> 2)
+        place = task.triangles_first + (event[1] >> 2)
         before = at < position or (at == position and (kind == END or (kind == PLANAR and split.planar_left)))
         # known values are written again: no branch on the kind to mispredict
         known = load_byte(lists.side, place)
@@ -105,7 +105,7 @@ def classify(lists: EventLists, sides_first: int, frame: Frame, split: Split):
 
 
 @wp.func
-def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
+def partition_axis(lists: EventLists, sides_first: int, begin: int, count: int, to_left: int, to_right: int):
     """Splits one axis' events [begin, begin + count) between the children. Returns their counts.
 
     One of `to_left` and `to_right` equals `begin`: that child's events are compacted in place."""
@@ -123,9 +123,8 @@ def partition(lists: EventLists, sides_first: int, begin: int, count: int, to_le
 
 
 @wp.func
-def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classifies and partitions: gives the children their lists."""
-    classify(lists, task.triangles_first, frame, split)
+def partition(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Phase "partition": gives the children their lists."""
     append_left = split.left < split.right
     to = int(frame.top)
     for axis in range(3):
@@ -133,7 +132,7 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
             left.first[axis] = to
         else:
             right.first[axis] = to
-        count = partition(
+        count = partition_axis(
             lists, task.triangles_first, frame.first[axis], frame.count[axis], left.first[axis], right.first[axis]
         )
         left.count[axis] = count[0]
@@ -148,7 +147,7 @@ def divide(lists: EventLists, task: Task, frame: Frame, split: Split, left: wp.r
 
 @wp.func
 def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
-    """Lists the node's triangles by their start in x."""
+    """Phase "emit" of a leaf: lists the node's triangles by their start in x."""
     to = int(begin)
     end = begin + frame.triangles  # the count of the search, which may differ from the lists if there is NaN
     for i in range(frame.first[0], frame.first[0] + frame.count[0]):
@@ -159,6 +158,3 @@ def emit_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: 
     while to < end:
         parts.primitive[to] = -1
         to += 1
-
-
-EVENTS = Method(EventLists, search, divide, emit_leaf)

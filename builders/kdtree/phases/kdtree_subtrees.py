@@ -1,12 +1,11 @@
 """The lower part of a build: one task builds one subtree, depth first, on its own copy of the lists. Shared by all builders.
 
-A node's triangles are kept in lists in the task's range of a memory: sorted events, or references that are scanned. The
-builder-specific parts are a `Method`: search for the best plane, division of the lists, output of a leaf. The larger child's
+A node's triangles are kept in lists in the task's range of a memory: sorted events, or references that are scanned. What is
+done with a node is a `Method`, which each builder's file lists: search, stop, classify, partition, emit. The larger child's
 lists are compacted in place, the smaller one's are appended, so a task needs little more than twice the memory of its own
 lists. The right child is pushed on a stack, so nodes are written in depth-first order.
 
-Phases of a node: search, stop, classify, partition, emit. A task that runs out of memory reports it and stops. The build is
-then repeated with more memory (`Reservation`).
+A task that runs out of memory reports it and stops. The build is then repeated with more memory (`Reservation`).
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -24,9 +23,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.builders.cost import SplitCost, no_split
+from wrt.builders.cost import Split, SplitCost, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.tree import PathState, StopLimits, stop
+from wrt.builders.tree import PathState, StopLimits
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.struct_arrays import with_known_layout
@@ -97,25 +96,37 @@ class Frame:
 
 @dataclass(frozen=True)
 class Method:
-    """The builder-specific part of a task.
+    """What a task does with a node: search and stop, then emit_leaf, or emit_inner, classify and partition.
 
     Attributes:
         memory: a Warp struct with the lists of all tasks and scratch memory.
         search: (cost, memory, task number, frame) -> Split, the node's best plane, or `no_split()`.
-        divide: (memory, task, frame, split, left, right): turns two copies of the frame into its children.
+        stop: (limits, cost, depth, triangles, path, split, size of the box) -> PathState, see `wrt.builders.tree.stop`.
+        classify: (memory, task, frame, split): finds the side of each triangle; `in_partition` if partition does.
+        partition: (memory, task, frame, split, left, right): turns two copies of the frame into its children.
+        emit_inner: (parts, index, split): writes an inner node.
         emit_leaf: (memory, task, frame, parts, first lane): lists the node's triangles.
     """
 
     memory: type
     search: wp.Function
-    divide: wp.Function
+    stop: wp.Function
+    classify: wp.Function
+    partition: wp.Function
+    emit_inner: wp.Function
     emit_leaf: wp.Function
+
+
+@wp.func
+def in_partition(memory: Any, task: Task, frame: Frame, split: Split):
+    """Phase "classify" of methods whose partition finds the side of a triangle when it moves it: nothing."""
 
 
 @cache
 def make_build_subtrees(method: Method) -> wp.Kernel:
     """The kernel that builds the tasks' subtrees. Item i: the task order[i]. frames: (tasks,) roots. stack: (tasks, STACK)."""
-    memory_type, search, divide, emit_leaf = method.memory, method.search, method.divide, method.emit_leaf
+    memory_type, search, stop = method.memory, method.search, method.stop
+    classify, partition, emit_inner, emit_leaf = method.classify, method.partition, method.emit_inner, method.emit_leaf
 
     def build_subtrees(
         first: int,
@@ -166,7 +177,7 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
                 if building:
                     frame = stack[number, waiting]
             else:
-                parts.nodes[task.nodes_first + index] = kdtree.inner_node(split.axis, split.position, 0)
+                emit_inner(parts, task.nodes_first + index, split)
                 left = frame
                 right = frame
                 left.high[split.axis] = split.position
@@ -177,13 +188,20 @@ def make_build_subtrees(method: Method) -> wp.Kernel:
                 right.depth += 1
                 left.parent = -1
                 right.parent = index
-                divide(memory, task, frame, split, left, right)
+                classify(memory, task, frame, split)
+                partition(memory, task, frame, split, left, right)
                 stack[number, waiting] = right
                 waiting += 1
                 frame = left
         results[number] = result
 
     return specialised_kernel(build_subtrees)
+
+
+@wp.func
+def emit_inner(parts: Parts, index: int, split: Split):
+    """Phase "emit" of an inner node, whose right child is not known yet."""
+    parts.nodes[index] = kdtree.inner_node(split.axis, split.position, 0)
 
 
 @wp.func

@@ -1,6 +1,7 @@
 """The top levels of a build that scans references: all large nodes of a level at once, parallel over chunks of references.
 
-    search      every chunk bins its references (`kdtree_bins`); every node merges the bins of its chunks, and stops or splits
+    search      every chunk bins its references (`kdtree_bins`)
+    stop        every node merges the bins of its chunks, and stops, or splits at the best plane between bins
     classify    every chunk counts its references on both sides of its node's plane, and computes their boxes
     emit        the host lists the children and computes the write positions of the chunks; the only host round trip of a level
     partition   every chunk moves its references to the next level's buffer, in order
@@ -9,16 +10,17 @@ A node that is small enough, or is a leaf, waits for the end of the levels; its 
 minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same split as in a
 task.
 
-A builder may search without bins (`make_decide`): then one thread searches each node.
+A builder's file calls these phases of `ReferenceLevels`. It may search without bins (`make_decide`): then one thread searches
+each node.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
         scenes. Computer Graphics Forum 26(3), 2007.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -27,7 +29,7 @@ from wrt.builders.cost import Split, SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, make_binning, merge_bins
-from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, partition
+from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, move_range
 from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.builders.triangle_references import copy_references, write_references
@@ -217,7 +219,7 @@ def move_chunks(
     if node.finished:
         copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
     else:
-        partition(
+        move_range(
             references,
             chunk.begin,
             chunk.count,
@@ -244,23 +246,81 @@ class TopLevels:
     references: wp.array
 
 
-Decide = Callable[[np.ndarray, wp.array, wp.array, wp.array], None]
-"""(nodes of the level, the same and their chunks on the device, their references): finds splits, and stops or splits."""
+class ReferenceLevels:
+    """The top levels while they are split. The phases of a level are called in this order.
 
+    Args:
+        triangles: boxes of the mesh's triangles.
+        config: cost model and stop rules.
+        rules: which nodes are split, and how they are binned.
+    """
 
-def split_top(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules, decide: Decide | None = None) -> TopLevels:
-    """Makes the references and splits large nodes until there are none; decide: None for a search by bins."""
-    count, device = triangles.count, triangles.boxes.low.device
-    references = wp.empty(8 * count, dtype=float, device=device)
-    inputs = [triangles.boxes, count, CHUNK, references]
-    launch(make_references, -(-count // CHUNK), inputs, device=device, chunk=1, chunks_per_thread=UNIFORM_CHUNKS_PER_THREAD)
-    nodes = root_level(triangles, rules)
-    levels = []
-    while not nodes["finished"].all():
-        nodes, children, references = split_level(nodes, references, decide or binning(triangles, config, rules), rules.large)
-        levels.append(nodes)
-        nodes = children
-    return TopLevels([*levels, nodes], references)
+    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> None:
+        count, self.device = triangles.count, triangles.boxes.low.device
+        self.cost, self.limits, self.rules = config.cost.struct(), config.stop.limits(count, triangles.size), rules
+        self.levels: list[np.ndarray] = []
+        """The levels that are split."""
+        self.nodes = root_level(triangles, rules)
+        """The current level."""
+        self.references = wp.empty(8 * count, dtype=float, device=self.device)
+        """The lists of its nodes."""
+        self.run(make_references, -(-count // CHUNK), triangles.boxes, count, CHUNK, self.references)
+
+    def run(self, kernel: wp.Kernel, count: int, *inputs: object) -> None:
+        """Launches a kernel whose items all cost the same."""
+        launch(kernel, count, inputs, device=self.device, chunk=1, chunks_per_thread=UNIFORM_CHUNKS_PER_THREAD)
+
+    def any_large(self) -> bool:
+        """Whether a node of the current level is to be split; if not, the nodes are the roots of tasks."""
+        return not self.nodes["finished"].all()
+
+    def search(self) -> None:
+        """Every chunk bins its references."""
+        self._cut()
+        slots, rules = len(self.chunks), self.rules
+        self.counter = wp.empty((slots + len(self.nodes), counters_for(rules.bins)), dtype=int, device=self.device)
+        self.run(bin_chunks, slots, rules.bins, rules.sampled, self.references, self.live, self.parts, self.counter)
+
+    def stop(self) -> None:
+        """Every node merges the bins of its chunks, and becomes a leaf, or is split at the best plane between bins."""
+        bins, sampled = self.rules.bins, self.rules.sampled
+        inputs = [self.cost, self.limits, bins, sampled, self.live, self.counter, len(self.chunks)]
+        launch(decide, len(self.nodes), inputs, device=self.device, chunk=max(1, MIN_PLANES_PER_ITEM // bins))
+
+    def search_and_stop(self, kernel: wp.Kernel, memory: Any) -> None:
+        """In place of both: one thread searches a node as a task does. kernel: of `make_decide`; memory: as of `Method`."""
+        self._cut()
+        inputs = [self.cost, self.limits, memory, self.live]
+        launch(kernel, len(self.nodes), inputs, device=self.device, chunk=1)
+
+    def classify(self) -> None:
+        """Every chunk counts its references on both sides of its node's plane, and computes their boxes."""
+        measured = wp.empty(len(self.chunks), dtype=Sides, device=self.device)
+        self.run(measure_chunks, len(self.chunks), self.references, self.live, self.parts, measured)
+        self.nodes, self.sides = self.live.numpy(), measured.numpy()
+
+    def emit(self) -> None:
+        """Lists the nodes of the next level, and computes where each chunk writes. The host does."""
+        self.children = next_level(self.nodes, self.sides, self.rules.large)
+        place_chunks(self.chunks, self.nodes, self.children, self.sides)
+
+    def partition(self) -> None:
+        """Every chunk moves its references; the next level is then the current one."""
+        target = wp.empty(8 * int(self.children["frame"]["count"][:, 0].sum()), dtype=float, device=self.device)
+        parts = wp.array(self.chunks, dtype=Chunk, device=self.device)
+        self.run(move_chunks, len(self.chunks), self.references, self.live, parts, target)
+        self.levels.append(self.nodes)
+        self.nodes, self.references = self.children, target
+
+    def finished(self) -> TopLevels:
+        """The levels, when no node is to be split any more."""
+        return TopLevels([*self.levels, self.nodes], self.references)
+
+    def _cut(self) -> None:
+        """Divides the nodes' lists into chunks."""
+        self.chunks = cut_chunks(self.nodes)
+        self.live = wp.array(self.nodes, dtype=LiveRange, device=self.device)
+        self.parts = wp.array(self.chunks, dtype=Chunk, device=self.device)
 
 
 def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
@@ -274,43 +334,6 @@ def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
     frame["parent"] = -1
     nodes["finished"] = triangles.count <= rules.large
     return nodes
-
-
-def binning(triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> Decide:
-    """A search by bins, in parallel over chunks."""
-
-    def search(nodes: np.ndarray, live: wp.array, parts: wp.array, references: wp.array) -> None:
-        device, slots = references.device, len(parts)
-        counter = wp.empty((slots + len(nodes), counters_for(rules.bins)), dtype=int, device=device)
-        sampling = [rules.bins, rules.sampled]
-        inputs = [*sampling, references, live, parts, counter]
-        launch(bin_chunks, slots, inputs, device=device, chunk=1, chunks_per_thread=UNIFORM_CHUNKS_PER_THREAD)
-        rule = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), *sampling]
-        launch(
-            decide, len(nodes), [*rule, live, counter, slots], device=device, chunk=max(1, MIN_PLANES_PER_ITEM // rules.bins)
-        )
-
-    return search
-
-
-def split_level(nodes: np.ndarray, references: wp.array, decide: Decide, large: int) -> tuple[np.ndarray, np.ndarray, wp.array]:
-    """Splits one level; returns its nodes with their splits, the next level's nodes, and their references."""
-    device = references.device
-    chunks = cut_chunks(nodes)
-    slots = len(chunks)
-    live = wp.array(nodes, dtype=LiveRange, device=device)
-    parts = wp.array(chunks, dtype=Chunk, device=device)
-    measured = wp.empty(slots, dtype=Sides, device=device)
-    uniform = {"device": device, "chunk": 1, "chunks_per_thread": UNIFORM_CHUNKS_PER_THREAD}
-    decide(nodes, live, parts, references)
-    launch(measure_chunks, slots, [references, live, parts, measured], **uniform)
-    nodes, sides = live.numpy(), measured.numpy()
-    children = next_level(nodes, sides, large)
-    place_chunks(chunks, nodes, children, sides)
-    target = wp.empty(8 * int(children["frame"]["count"][:, 0].sum()), dtype=float, device=device)
-    parts = wp.array(chunks, dtype=Chunk, device=device)
-    launch(move_chunks, slots, [references, live, parts, target], **uniform)
-    return nodes, children, target
 
 
 def cut_chunks(nodes: np.ndarray) -> np.ndarray:

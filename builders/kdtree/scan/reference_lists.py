@@ -1,9 +1,9 @@
 """References as a node's list: the common part of builders that scan a node's triangles instead of sorting them.
 
 A node has one list, of the references (`wrt.builders.triangle_references`) of its triangles, in the order of their ids.
-Partition moves every reference to the side or sides of the plane on which its box lies, and computes the boxes of both sides in
-the same pass. The counts of a split may be estimates (bins, samples); those of the children are counted here, by the plane
-itself.
+Partition moves every reference to the side or sides of the plane on which its box lies (`CLASSIFY`), and computes the boxes of
+both sides in the same pass. The counts of a split may be estimates (bins, samples); those of the children are counted here, by
+the plane itself.
 """
 
 import warp as wp
@@ -67,13 +67,13 @@ class Sides:
     right_high: wp.vec3
 
 
-_SIDE = """
+CLASSIFY = """
         const float low = from[axis], high = -from[4 + axis];
         const bool planar = low == position && high == position;
         const int left = planar ? planar_left : low < position;
         const int right = planar ? !planar_left : high > position;
 """
-"""C++: the sides of the reference at `from`, 1 or 0 each."""
+"""C++, phase "classify": the sides of the reference at `from`, 1 or 0 each."""
 
 _GROW = """
         const float a = left ? -INFINITY : INFINITY, b = right ? -INFINITY : INFINITY;  // lifts the others out of the minimum
@@ -108,7 +108,7 @@ _FINISH = """
     sides.right = 0;
     for (int i = 0; i < count; ++i, from += 8) {
 """
-    + _SIDE
+    + CLASSIFY
     + """
         float reference[W];
         memcpy(reference, from, sizeof(reference));
@@ -143,7 +143,7 @@ def measure_sides(
     float* high_end = target.data + (size_t)to_right * 8;
     for (int i = 0; i < count; ++i, from += 8) {
 """
-    + _SIDE
+    + CLASSIFY
     + """
         float reference[W];
         memcpy(reference, from, sizeof(reference));
@@ -160,7 +160,7 @@ def measure_sides(
 """
     + _FINISH
 )
-def partition(
+def move_range(
     references: wp.array(dtype=float),
     begin: int,
     count: int,
@@ -178,8 +178,8 @@ def partition(
 
 
 @wp.func
-def divide(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """Classifies and partitions: gives the children their lists."""
+def partition(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
+    """Phases "classify" and "partition", in one pass over the references: gives the children their lists."""
     append_left = split.left < split.right
     begin = frame.first[0]
     to_left = wp.where(append_left, frame.top, begin)
@@ -187,7 +187,7 @@ def divide(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: 
     sides = Sides()
     source = lists.reference
     count = frame.count[0]
-    partition(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
+    move_range(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
     top = frame.top + wp.where(append_left, sides.left, sides.right)
     set_list(left, to_left, sides.left, wp.max(left.low, sides.left_low), wp.min(left.high, sides.left_high))
     set_list(right, to_right, sides.right, wp.max(right.low, sides.right_low), wp.min(right.high, sides.right_high))
@@ -208,5 +208,5 @@ def set_list(frame: wp.ref[Frame], first: int, count: int, inner_low: wp.vec3, i
 
 @wp.func
 def emit_leaf(lists: ReferenceLists, task: Task, frame: Frame, parts: Parts, begin: int):
-    """Lists the node's triangles by id."""
+    """Phase "emit" of a leaf: lists the node's triangles by id."""
     write_order(lists.reference, frame.first[0], frame.count[0], parts.primitive, begin)

@@ -1,11 +1,12 @@
 """A build that scans references: all threads split the top levels together, then each task of a pool builds one subtree.
 
 This is the common part of the builders that search by scanning. `reference_levels` splits large nodes, `kdtree_subtrees` builds
-the others with the builder's own search, and `assembly` combines the parts. A search that is not divided into chunks runs
-on one thread per large node; then all threads divide the node's list (`uniform_scan`). So only the search of the root keeps the
-other threads waiting.
+the others by the phases that the builder's file lists, and `assembly` combines the parts. A search that is not divided into
+chunks runs on one thread per large node; then all threads divide the node's list (`uniform_scan`). So only the search of the
+root keeps the other threads waiting.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -16,9 +17,8 @@ from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
-from wrt.builders.kdtree.scan.reference_levels import Decide, LevelRules, TopLevels, bin_chunks, make_decide, split_top
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels, bin_chunks, make_decide
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
-from wrt.builders.kdtree.scan.scan_method import scanning
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import KdTree, Phases
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -65,26 +65,26 @@ class Scan:
         levels: how the top is split.
         values: floats that a search in a node writes; None for as many as the node has triangles, but at least MIN_VALUES.
         counters: counters that it needs in addition to those of the bins.
-        search: the search of `method`, if large nodes are searched by it too; None for bins.
+        split_level: calls the phases of a level; None if large nodes are searched by the search of `method` too.
     """
 
     method: Method
     levels: LevelRules
     values: int | None
     counters: int = 0
-    search: wp.Function | None = None
+    split_level: Callable[[ReferenceLevels], None] | None = None
 
 
 def uniform_scan(
-    search: wp.Function, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
+    method: Method, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
 ) -> Scan:
-    """A build that searches nodes of all sizes in the same way; values, bins, counters: as of `Scan`.
+    """A build that searches nodes of all sizes in the same way; method, values, counters: as of `Scan`.
 
     Only tasks clip: where that is asked for, the whole tree is one task, lest the number of threads show in the result."""
     threads, large = get_num_threads(), triangles.count
     if threads > 1 and not config.split_clipping:
         large = max(MIN_LARGE, large // (TASKS_PER_THREAD * threads))
-    return Scan(scanning(search, config.split_clipping), LevelRules(large, bins, sampled=0), values, counters, search)
+    return Scan(method, LevelRules(large, bins, sampled=0), values, counters)
 
 
 def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> KdTree:
@@ -92,25 +92,32 @@ def build_scanning(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -
     phase = Phases(triangles.boxes.low.device)
     load((bin_chunks, copy_lists, copy_subtrees, specialise(make_build_subtrees, scan.method)), phase.device)
     with phase("top levels"):
-        top = split_top(triangles, config, scan.levels, large_node_search(triangles, config, scan))
+        top = split_top(triangles, config, scan)
     tasks = partial(make_tasks, top, triangles, config, scan)
     reservation, lists, results = build_tasks(scan.method, triangles, config, tasks, SPARE_MEMORY, phase)
     work = [top.references, lists.reference, lists.counter, lists.value]
     return assemble(triangles, config, phase, top.levels[:-1], (reservation, results), work)
 
 
-def large_node_search(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> Decide | None:
-    """How large nodes are searched; None for bins."""
-    if scan.search is None:
-        return None
-    kernel = specialise(partial(make_decide, ReferenceLists), scan.search)
+def split_top(triangles: TriangleBoxes, config: KdTreeConfig, scan: Scan) -> TopLevels:
+    """Splits large nodes, level after level, until there are none."""
+    levels = ReferenceLevels(triangles, config, scan.levels)
+    while levels.any_large():
+        if scan.split_level:
+            scan.split_level(levels)
+        else:
+            split_level_by_search(levels, config, scan)
+    return levels.finished()
 
-    def decide(nodes: np.ndarray, live: wp.array, parts: wp.array, references: wp.array) -> None:
-        lists = search_lists(references, nodes["frame"]["triangles"], config, scan)
-        inputs = [config.cost.struct(), config.stop.limits(triangles.count, triangles.size), lists, live]
-        launch(kernel, len(nodes), inputs, device=references.device, chunk=1)
 
-    return decide
+def split_level_by_search(levels: ReferenceLevels, config: KdTreeConfig, scan: Scan) -> None:
+    """Splits a level whose nodes are searched as in a task, each by one thread."""
+    kernel = specialise(partial(make_decide, ReferenceLists), scan.method.search)
+    lists = search_lists(levels.references, levels.nodes["frame"]["triangles"], config, scan)
+    levels.search_and_stop(kernel, lists)
+    levels.classify()
+    levels.emit()
+    levels.partition()
 
 
 def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, scan: Scan) -> ReferenceLists:

@@ -35,7 +35,7 @@ import warp as wp
 
 from wrt.builders.cost import Split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Task
-from wrt.builders.kdtree.scan.reference_lists import HEAD, ReferenceLists, Sides, partition, set_list
+from wrt.builders.kdtree.scan.reference_lists import HEAD, ReferenceLists, Sides, move_range, set_list
 from wrt.builders.triangle_references import ID_OFFSET
 from wrt.kernels.runtime.options import exact_module
 
@@ -145,8 +145,10 @@ def clip_list(lists: ReferenceLists, frame: wp.ref[Frame], begin: int, count: in
 
 
 @wp.func
-def divide_clipping(lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]):
-    """`divide` with clipping of the straddlers."""
+def partition_clipping(
+    lists: ReferenceLists, task: Task, frame: Frame, split: Split, left: wp.ref[Frame], right: wp.ref[Frame]
+):
+    """`reference_lists.partition`, with clipping of the straddlers."""
     append_left = split.left < split.right
     begin = frame.first[0]
     to_left = wp.where(append_left, frame.top, begin)
@@ -154,7 +156,7 @@ def divide_clipping(lists: ReferenceLists, task: Task, frame: Frame, split: Spli
     sides = Sides()
     source = lists.reference
     count = frame.count[0]
-    partition(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
+    move_range(source, begin, count, split.axis, split.position, split.planar_left, source, to_left, to_right, sides)
     clip_list(lists, left, to_left, sides.left, split.axis, True)
     clip_list(lists, right, to_right, sides.right, split.axis, False)
     top = frame.top + wp.where(append_left, left.triangles, right.triangles)
