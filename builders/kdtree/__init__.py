@@ -22,6 +22,7 @@ from wrt.builders.kdtree import (
     in_place,
     medians,
     naive,
+    nested,
     sorting_sweep,
     streaming,
     sweep,
@@ -59,14 +60,15 @@ class KdTreeBuilder:
 
 WALD_HAVRAN = "Wald, Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N) (2006)"
 
+CHOI = "Choi et al.: Parallel SAH k-D tree construction (2010)"
+
 FUSSELL = "Fussell, Subramanian: Fast ray tracing using k-d trees (1988)"
 
 KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
     builder.name: builder
     for builder in (
-        KdTreeBuilder(
-            "in_place", "Choi et al.: Parallel SAH k-D tree construction (2010)", in_place.build, clips=True, least_cost=True
-        ),
+        KdTreeBuilder("in_place", f"{CHOI}, in-place", in_place.build, clips=True, least_cost=True),
+        KdTreeBuilder("nested", f"{CHOI}, nested", nested.build, clips=True, least_cost=True),
         KdTreeBuilder(
             "binned",
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",

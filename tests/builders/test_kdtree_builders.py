@@ -8,9 +8,10 @@ import warp as wp
 from conftest import SCENES, snapped_soup
 
 import wrt
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.phases import event_levels
 from wrt.builders.kdtree.scan import reference_levels, scanning
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -18,7 +19,7 @@ from wrt.kernels.runtime.launch import use_threads
 
 pytestmark = pytest.mark.width
 
-EXACT = ("in_place", "sweep", "naive")
+EXACT = ("in_place", "nested", "sweep", "naive")
 """Builders that evaluate every plane at which a box begins or ends."""
 
 PARALLEL = ("binned", "streaming")
@@ -190,7 +191,7 @@ def test_exact_builders_equal_the_reference_with_options(name, options):
 
 def test_exact_builders_equal_the_reference_on_the_bunny(bunny):
     reference, _ = build(bunny, "sorting_sweep", width=16)
-    for builder in ("in_place", "sweep"):
+    for builder in ("in_place", "nested", "sweep"):
         tree, _ = build(bunny, builder, width=16)
         np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
         np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
@@ -257,7 +258,24 @@ def test_threads_and_chunks_do_not_show(builder, monkeypatch):
         np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
-@pytest.mark.parametrize(("builder", "module"), [("in_place", in_place), ("binned", scanning), ("streaming", streaming)])
+@pytest.mark.parametrize("soup", [snapped_soup, scattered_soup])
+def test_nested_chunks_do_not_show(soup, monkeypatch):
+    """The nested build makes the sequential build's tree bit for bit, wherever its levels end and chunks begin: also between
+    events at one position, of which the snapped soup has many."""
+    mesh = soup(6000, seed=5)
+    reference, _ = build(mesh, "sweep")
+    for threads, chunk, least in ((2, 8192, 2000), (3, 100, 64), (8, 7, 1000)):
+        monkeypatch.setattr(event_levels, "CHUNK", chunk)
+        monkeypatch.setattr(nested, "MIN_LARGE", least)
+        with use_threads(threads):
+            tree, _ = build(mesh, "nested")
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+@pytest.mark.parametrize(
+    ("builder", "module"), [("in_place", in_place), ("nested", nested), ("binned", scanning), ("streaming", streaming)]
+)
 def test_small_shares_are_enlarged(builder, module, monkeypatch):
     """A build that runs out of memory in a task starts over with more, and ends with the same tree."""
     mesh = wrt.scenes.build("teapot_in_stadium", level=4)

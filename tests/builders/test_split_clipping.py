@@ -9,7 +9,7 @@ from test_kdtree_builders import build, hard_meshes, leaf_references
 
 import wrt
 from wrt import scenes
-from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, streaming
+from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
@@ -144,7 +144,12 @@ def test_needles_are_crossed_once(builder, far):
 
 @pytest.mark.parametrize(
     ("builder", "module", "threshold"),
-    [("binned", binned, "CLIPPED_LARGE"), ("in_place", in_place, "CLIPPED_TRIANGLES"), ("streaming", streaming, "EXACT")],
+    [
+        ("binned", binned, "CLIPPED_LARGE"),
+        ("in_place", in_place, "CLIPPED_TRIANGLES"),
+        ("nested", nested, "CLIPPED_LARGE"),
+        ("streaming", streaming, "EXACT"),
+    ],
 )
 def test_the_tree_is_cheaper_for_any_number_of_threads(builder, module, threshold, monkeypatch):
     """Fewer references and a lower cost; where levels are split by several threads, the tree is the same too."""
@@ -212,5 +217,5 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
 
 
 def test_builders_that_do_not_clip_say_so():
-    with pytest.raises(ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, binned"):
+    with pytest.raises(ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"):
         wrt.KdTree(builder="sorting_sweep", split_clipping=True)

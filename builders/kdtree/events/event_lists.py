@@ -49,11 +49,19 @@ class EventLists:
 
 
 @wp.func
-def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int, end: int, least: float, sweep: wp.ref[Sweep]):
+def sweep_until(
+    cost: SplitCost,
+    along: AxisFrame,
+    events: wp.array(dtype=wp.vec2i),
+    begin: int,
+    end: int,
+    least: float,
+    sweep: wp.ref[Sweep],
+):
     """Passes the events begin .. end - 1, or fewer: it stops when it has passed a plane of the least cost."""
     i = int(begin)
     while i < end:
-        event = load_pair(lists.event, i)
+        event = load_pair(events, i)
         position = wp.cast(event[0], wp.float32)
         if sweep.best.cost <= least and position != sweep.best.position:
             break
@@ -63,25 +71,47 @@ def sweep_until(cost: SplitCost, along: AxisFrame, lists: EventLists, begin: int
 
 
 @wp.func
+def sweep_range(
+    cost: SplitCost,
+    along: AxisFrame,
+    events: wp.array(dtype=wp.vec2i),
+    begin: int,
+    end: int,
+    left: int,
+    right: int,
+    any_planar: bool,
+    best: Split,
+):
+    """The better of `best` and the best plane at the events begin .. end - 1: a sweep, from the block of least cost on if that
+    is known.
+
+    left: triangles that have begun before them. right: triangles that have not ended before them. any_planar: whether there may
+    be events of planar triangles."""
+    start = int(begin)
+    sweep = start_sweep(left, right)
+    least = LeastPlane()
+    least.cost = -INFINITY
+    if not any_planar:
+        find_least_plane(cost, along, events, begin, end - begin, left, right, least)
+        start = least.event
+        sweep.left = least.left
+        sweep.right = least.right
+    sweep.best = best
+    if least.cost < best.cost:
+        sweep_until(cost, along, events, start, end, least.cost, sweep)
+    return sweep.best
+
+
+@wp.func
 def search(cost: SplitCost, lists: EventLists, number: int, frame: Frame):
-    """Phase "search": the best plane of a node, by a sweep per axis. It starts at the block of least cost if that is known."""
+    """Phase "search": the best plane of a node, by a sweep per axis."""
     best = no_split()
     for axis in range(3):
         along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
         begin = frame.first[axis]
         end = begin + frame.count[axis]
-        sweep = start_sweep(0, frame.triangles)
-        least = LeastPlane()
-        least.cost = -INFINITY
-        if end - begin == 2 * frame.triangles:  # no triangle is planar
-            find_least_plane(cost, along, lists.event, begin, end - begin, frame.triangles, least)
-            begin = least.event
-            sweep.left = least.left
-            sweep.right = least.right
-        sweep.best = best
-        if least.cost < best.cost:
-            sweep_until(cost, along, lists, begin, end, least.cost, sweep)
-        best = sweep.best
+        any_planar = end - begin != 2 * frame.triangles
+        best = sweep_range(cost, along, lists.event, begin, end, 0, frame.triangles, any_planar, best)
     return best
 
 

@@ -43,12 +43,12 @@ class LeastPlane:
     float least[W];
     int block[W], blocks_left[W], blocks_right[W];
     WRT_FOR_LANES(j) {{ least[j] = WRT_INFINITY; block[j] = 0; blocks_left[j] = 0; blocks_right[j] = 0; }}
-    int left = 0, right = triangles;
+    int left = left_before, right = right_before;
     for (int first = 0; first < count; first += W) {{
         const auto* from = events.data + begin + first;
         const int lanes = count - first < W ? count - first : W;
         int bits[W], lefts[W], rights[W];
-        const int left_before = left, right_before = right;
+        const int block_left = left, block_right = right;
         for (int j = 0; j < lanes; ++j) {{
             const int kind = from[j].c[1] & 3;
             bits[j] = from[j].c[0];
@@ -65,8 +65,8 @@ class LeastPlane:
             const bool better = (candidate < least[j]) & (positions[j] > frame.low) & (positions[j] < frame.high);
             least[j] = better ? candidate : least[j];
             block[j] = better ? first : block[j];
-            blocks_left[j] = better ? left_before : blocks_left[j];
-            blocks_right[j] = better ? right_before : blocks_right[j];
+            blocks_left[j] = better ? block_left : blocks_left[j];
+            blocks_right[j] = better ? block_right : blocks_right[j];
         }}
     }}
     int best = 0;
@@ -84,8 +84,11 @@ def find_least_plane(
     events: wp.array(dtype=wp.vec2i),
     begin: int,
     count: int,
-    triangles: int,
+    left_before: int,
+    right_before: int,
     found: wp.ref[LeastPlane],
 ):
-    """Searches the events begin .. begin + count - 1 of `triangles` triangles, none of which is planar."""
+    """Searches the events begin .. begin + count - 1, none of which is of a planar triangle.
+
+    left_before: triangles that have begun before them. right_before: triangles that have not ended before them."""
     ...
