@@ -217,5 +217,6 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
 
 
 def test_builders_that_do_not_clip_say_so():
-    with pytest.raises(ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"):
+    said = "'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"
+    with pytest.raises(ValueError, match=said):
         wrt.KdTree(builder="sorting_sweep", split_clipping=True)
