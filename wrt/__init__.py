@@ -72,6 +72,7 @@ _HOME = {
     "UpdatePolicy": "wrt.scene.updates",
     "Verification": "wrt.query.verification",
     "analyse": "wrt.known_rays.tree_analysis",
+    "analyse_areas": "wrt.known_rays.tree_analysis",
     "break_even": "wrt.known_rays.break_even",
     "device": "wrt",
     "differentiable_hits": "wrt.query.gradients",

@@ -120,6 +120,50 @@ def test_files(tmp_path):
     assert {row["overlap"] == "" for row in rows if row["leaf"] == "True"} == {True}
 
 
+def volume(boxes) -> np.ndarray:
+    return (boxes.high - boxes.low).prod(axis=1)
+
+
+def test_statistics_of_ones_own(tmp_path):
+    """They stand in rows, levels and files beside the others."""
+    scene = wrt.Scene(SCENES["teapot"](), wrt.Bvh(width=4))
+    found = wrt.analyse(scene, statistics={"volume": volume, "level twice": lambda boxes: 2 * boxes.level})
+    np.testing.assert_array_equal(found.statistics["volume"], volume(found.boxes))
+    assert [row["level twice"] for row in found.rows()] == [2 * row["level"] for row in found.rows()]
+    assert found.levels[0]["volume"] == found.rows()[0]["volume"]
+    assert sum(level["volume"] for level in found.levels) == pytest.approx(sum(row["volume"] for row in found.rows()))
+    found.save_csv(tmp_path / "tree.csv")
+    assert (tmp_path / "tree.csv").read_text().splitlines()[0].endswith(",volume,level twice")
+    with pytest.raises(ValueError, match="choose another name"):
+        wrt.analyse(scene, statistics={"cost": volume})
+    with pytest.raises(ValueError, match=r"statistics\['all'\] returned the shape \(\); it must return"):
+        wrt.analyse(scene, statistics={"all": lambda boxes: boxes.cost.sum()})
+
+
+def test_trees_of_areas():
+    """Each area's tree is measured for the area's rays; the work is that which the break-even analysis counts."""
+    mesh = SCENES["atrium"]()
+    areas = [area_of(mesh, "plane"), area_of(mesh, "point")]
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas))
+    parts = [rays_of(area, 2000) for area in areas]
+    rays = wrt.Rays(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    found = wrt.analyse_areas(scene, rays, statistics={"volume": volume})
+    assert len(found) == len(scene.area_trees) == 2
+    for analysis, state, area in zip(found, scene.area_trees.scenes, areas, strict=True):
+        assert analysis.bytes == state.tree.bytes
+        assert analysis.statistics["volume"][0] > 0.0
+        assert 0 < analysis.passing.rays <= 4000
+        assert analysis.stopping.cost <= analysis.passing.cost
+        alone = wrt.analyse(wrt.Scene(mesh, wrt.ProjectedBvh(areas=area)), area)
+        assert analysis.boxes.hit_probability[0] == alone.boxes.hit_probability[0] == 1.0
+    assert sum(round(a.passing.rays / a.passing.share) for a in found) <= 4000
+    assert all(a.passing is None and a.expected_cost > 0.0 for a in wrt.analyse_areas(scene))
+    with pytest.raises(ValueError, match="no influence areas"):
+        wrt.analyse_areas(wrt.Scene(mesh))
+    with pytest.raises(TypeError, match=r"rays must be a wrt\.Rays"):
+        wrt.analyse_areas(scene, rays=(0, 0, 0))
+
+
 def test_bad_input():
     mesh = SCENES["teapot"]()
     scene = wrt.Scene(mesh)

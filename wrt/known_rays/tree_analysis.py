@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from wrt.execution.area_trees import assign
 from wrt.execution.executor import trace
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import make_plan
@@ -23,8 +25,12 @@ if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.scene.scene import Scene
     from wrt.state.device_hits import DeviceHits
+    from wrt.state.scene_state import SceneState
 
-__all__ = ["CountedWork", "TreeAnalysis", "analyse"]
+__all__ = ["CountedWork", "TreeAnalysis", "analyse", "analyse_areas"]
+
+Statistics = Mapping[str, "Callable[[BoxMeasures], Any]"]
+"""Statistics of one's own, by name: functions from the measures of all boxes to one number for each box."""
 
 BOX_COST = 1.0
 TRIANGLE_COST = 1.2
@@ -63,6 +69,7 @@ class TreeAnalysis:
         hit_share: share of the given rays that hit a triangle; None without rays.
         build_seconds: wall time of the build by phase.
         bytes: bytes of nodes and leaf lists.
+        statistics: the statistics that `analyse` was given: (boxes,) float64 by name.
     """
 
     boxes: BoxMeasures
@@ -74,6 +81,7 @@ class TreeAnalysis:
     hit_share: float | None
     build_seconds: dict[str, float]
     bytes: int
+    statistics: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def error(self) -> float | None:
@@ -82,8 +90,8 @@ class TreeAnalysis:
 
     @cached_property
     def levels(self) -> list[dict[str, Any]]:
-        """Figures by level: nodes, leaves, triangles, expected boxes met, cost, and the overlap of siblings (None if no
-        siblings have an area).
+        """Figures by level: nodes, leaves, triangles, expected boxes met, cost, the overlap of siblings (None if no siblings
+        have an area), and the sum of each of the `statistics`.
         """
         boxes, overlap = self.boxes, self.boxes.overlap_by_level()
         rows = []
@@ -98,6 +106,7 @@ class TreeAnalysis:
                     "expected boxes met": float(boxes.hit_probability[here].sum()),
                     "expected cost": float(boxes.cost[here].sum()),
                     "sibling overlap": None if np.isnan(overlap[level]) else float(overlap[level]),
+                    **{name: float(values[here].sum()) for name, values in self.statistics.items()},
                 }
             )
         return rows
@@ -127,7 +136,8 @@ class TreeAnalysis:
         return result
 
     def rows(self) -> list[dict[str, Any]]:
-        """One row per box, of plain numbers; the overlap of children is None if fewer than two have an area."""
+        """One row per box, of plain numbers, with the `statistics`; the overlap of children is None if fewer than two have an
+        area."""
         boxes, overlap = self.boxes, self.boxes.overlap
         return [
             {
@@ -142,6 +152,7 @@ class TreeAnalysis:
                 "hit_probability": float(boxes.hit_probability[i]),
                 "cost": float(boxes.cost[i]),
                 "overlap": None if np.isnan(overlap[i]) else float(overlap[i]),
+                **{name: float(values[i]) for name, values in self.statistics.items()},
             }
             for i in range(len(boxes.level))
         ]
@@ -170,6 +181,7 @@ def analyse(
     *,
     box_cost: float = BOX_COST,
     triangle_cost: float = TRIANGLE_COST,
+    statistics: Statistics | None = None,
 ) -> TreeAnalysis:
     """Measures the bounding volume hierarchy of a scene.
 
@@ -182,12 +194,14 @@ def analyse(
             surface areas.
         rays: rays whose work is counted; None to trace none.
         box_cost, triangle_cost: cost of testing a ray against a box, and against a triangle; in [0, inf).
+        statistics: statistics of your own, by name: functions from the measures of all boxes (`TreeAnalysis.boxes`) to one
+            number for each box, such as `{"volume": lambda boxes: (boxes.high - boxes.low).prod(axis=1)}`.
 
     Raises:
         TypeError: an argument has a wrong type.
-        ValueError: the scene has another kind of tree, `rays` is empty, or a cost is out of range.
+        ValueError: the scene has another kind of tree, `rays` is empty, a cost is out of range, a statistic has the name of a
+            column that is there already, or does not return one number for each box.
     """
-    from wrt.builders.bvh.bvh_analysis import measure_boxes
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.tree import Bvh
 
@@ -196,6 +210,44 @@ def analyse(
     if area is not None and not isinstance(area, InfluenceArea):
         kind = type(area).__name__
         raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
+    _check(rays, box_cost, triangle_cost)
+    return _measure(scene.state, scene.num_threads, area, rays, (box_cost, triangle_cost), statistics or {})
+
+
+def analyse_areas(
+    scene: Scene,
+    rays: Rays | None = None,
+    *,
+    box_cost: float = BOX_COST,
+    triangle_cost: float = TRIANGLE_COST,
+    statistics: Statistics | None = None,
+) -> tuple[TreeAnalysis, ...]:
+    """Measures the tree of each influence area of a scene, as `analyse` measures the tree over all triangles.
+
+    Args:
+        scene: built with a `wrt.RayAwareBvh`.
+        rays: rays whose work is counted, each in the tree of its area, up to where it leaves the area; None to trace none.
+        box_cost, triangle_cost, statistics: as in `analyse`.
+
+    Returns:
+        An analysis for each area that contains triangles, in the order of the accelerator's areas. Without rays in an area, its
+        `passing` and `stopping` are None.
+
+    Raises:
+        TypeError, ValueError: as `analyse`; the scene has no influence areas.
+    """
+    if scene.area_trees is None:
+        raise ValueError("the scene has no influence areas with triangles; make it with accelerator=wrt.RayAwareBvh(areas=...)")
+    _check(rays, box_cost, triangle_cost)
+    trees, costs = scene.area_trees, (box_cost, triangle_cost)
+    parts = [None] * len(trees) if rays is None else _rays_by_area(scene, rays)
+    return tuple(
+        _measure(state, scene.num_threads, area, part, costs, statistics or {})
+        for state, area, part in zip(trees.scenes, trees.areas, parts, strict=True)
+    )
+
+
+def _check(rays: Rays | None, box_cost: float, triangle_cost: float) -> None:
     if rays is not None and not isinstance(rays, Rays):
         raise TypeError(f"rays must be a wrt.Rays, not {type(rays).__name__}; make one with wrt.Rays(origins, directions)")
     if rays is not None and not len(rays):
@@ -203,12 +255,26 @@ def analyse(
     for name, cost in (("box_cost", box_cost), ("triangle_cost", triangle_cost)):
         if not 0.0 <= cost < float("inf"):
             raise ValueError(f"{name} is {cost}; it must be finite and not negative")
-    boxes = measure_boxes(scene.tree, area, scene.center, box_cost, triangle_cost)
+
+
+def _measure(
+    scene: SceneState,
+    threads: int | None,
+    area: InfluenceArea | None,
+    rays: Rays | None,
+    costs: tuple[float, float],
+    statistics: Statistics,
+) -> TreeAnalysis:
+    """The analysis of a scene's tree; `costs` of a box and of a triangle."""
+    from wrt.builders.bvh.bvh_analysis import measure_boxes
+
+    boxes = measure_boxes(scene.tree, area, scene.center, *costs)
+    own = _own_statistics(statistics, boxes)
     passing = stopping = hit_share = None
     if rays is not None:
         meets = _meets_root(scene, rays)
-        passing, _ = _count(scene, rays, COUNT, meets, (box_cost, triangle_cost))
-        stopping, hits = _count(scene, rays, CLOSEST, meets, (box_cost, triangle_cost))
+        passing, _ = _count(scene, threads, rays, COUNT, meets, costs)
+        stopping, hits = _count(scene, threads, rays, CLOSEST, meets, costs)
         hit_share = float((hits.primitive.numpy() >= 0).mean())
     return TreeAnalysis(
         boxes=boxes,
@@ -220,16 +286,47 @@ def analyse(
         hit_share=hit_share,
         build_seconds=dict(scene.tree.stats.seconds),
         bytes=scene.tree.bytes,
+        statistics=own,
     )
 
 
-def _count(
-    scene: Scene, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]
-) -> tuple[CountedWork, DeviceHits]:
-    """Work of the rays that meet the root's box, and the hits of all rays."""
+COLUMNS = frozenset("box parent level leaf triangles area hit_probability cost overlap nodes leaves".split()) | {
+    f"{end}_{axis}" for end in ("low", "high") for axis in "xyz"
+}
+"""Names of columns of `TreeAnalysis.rows` and `TreeAnalysis.levels`, which statistics of one's own cannot have."""
+
+
+def _own_statistics(statistics: Statistics, boxes: BoxMeasures) -> dict[str, np.ndarray]:
+    """(boxes,) float64 of each statistic."""
+    found = {}
+    for name, function in statistics.items():
+        if name in COLUMNS:
+            raise ValueError(f"statistics[{name!r}] has the name of a column that is there already; choose another name")
+        values = np.asarray(function(boxes), dtype=np.float64)
+        if values.shape != boxes.level.shape:
+            raise ValueError(f"statistics[{name!r}] returned the shape {values.shape}; it must return {boxes.level.shape}")
+        found[name] = values
+    return found
+
+
+def _rays_by_area(scene: Scene, rays: Rays) -> list[Rays | None]:
+    """The rays of each area, limited to where they leave it; None for an area without rays."""
     with use_threads(scene.num_threads):
         buffers = to_device(rays, scene.device, scene.center)
-        hits, work = trace(scene.state, make_plan(scene.state, buffers, "single", "auto", query), buffers, query, counters=True)
+        cuts = assign(scene.state, buffers.batch)
+    area, cut = cuts.area.numpy(), cuts.cut.numpy()
+    origins, directions, t_min, _ = _flat(rays)
+    chosen = [np.flatnonzero(area == number) for number in range(len(scene.area_trees))]
+    return [Rays(origins[i], directions[i], t_min[i], cut[i]) if len(i) else None for i in chosen]
+
+
+def _count(
+    scene: SceneState, threads: int | None, rays: Rays, query: str, meets: np.ndarray, costs: tuple[float, float]
+) -> tuple[CountedWork, DeviceHits]:
+    """Work of the rays that meet the root's box, and the hits of all rays."""
+    with use_threads(threads):
+        buffers = to_device(rays, scene.device, scene.center)
+        hits, work = trace(scene, make_plan(scene, buffers, "single", "auto", query), buffers, query, counters=True)
     counts = work.numpy()
     boxes = scene.tree.width * float(counts["nodes"][meets].mean()) if meets.any() else 0.0
     triangles = float(counts["triangles"][meets].mean()) if meets.any() else 0.0
@@ -237,16 +334,20 @@ def _count(
     return CountedWork(int(meets.sum()), float(meets.mean()), boxes, triangles, cost), hits
 
 
-def _meets_root(scene: Scene, rays: Rays) -> np.ndarray:
+def _meets_root(scene: SceneState, rays: Rays) -> np.ndarray:
     """(rays,) whether each meets the box of all triangles between t_min and t_max, in float64."""
-    origins, directions, t_min, t_max = (
-        np.asarray(a.numpy() if hasattr(a, "numpy") else a, dtype=np.float64)
-        for a in (rays.origins, rays.directions, rays.t_min, rays.t_max)
-    )
-    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
-    origins, directions = (np.broadcast_to(a, (*shape, 3)) for a in (origins, directions))
-    t_min, t_max = (np.broadcast_to(a, shape).ravel() for a in (t_min, t_max))
+    origins, directions, t_min, t_max = (values.astype(np.float64) for values in _flat(rays))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = (scene.bounds[:, None] - origins.reshape(-1, 3)) / directions.reshape(-1, 3)
+        ends = (scene.bounds[:, None] - origins) / directions
     entry, leave = np.fmin(*ends).max(axis=-1), np.fmax(*ends).min(axis=-1)
     return np.maximum(entry, t_min) <= np.minimum(leave, t_max)
+
+
+def _flat(rays: Rays) -> tuple[np.ndarray, ...]:
+    """(N, 3) origins, (N, 3) directions, (N,) t_min and (N,) t_max of rays."""
+    origins, directions, t_min, t_max = (
+        np.asarray(a.numpy() if hasattr(a, "numpy") else a) for a in (rays.origins, rays.directions, rays.t_min, rays.t_max)
+    )
+    shape = np.broadcast_shapes(origins.shape[:-1], directions.shape[:-1], t_min.shape, t_max.shape)
+    vectors = (np.broadcast_to(a, (*shape, 3)).reshape(-1, 3) for a in (origins, directions))
+    return *vectors, *(np.broadcast_to(a, shape).ravel() for a in (t_min, t_max))
