@@ -290,7 +290,7 @@ def _measure(
     )
 
 
-COLUMNS = frozenset("box parent level leaf triangles area hit_probability cost overlap nodes leaves".split()) | {
+COLUMNS = {"box", "parent", "level", "leaf", "triangles", "area", "hit_probability", "cost", "overlap", "nodes", "leaves"} | {
     f"{end}_{axis}" for end in ("low", "high") for axis in "xyz"
 }
 """Names of columns of `TreeAnalysis.rows` and `TreeAnalysis.levels`, which statistics of one's own cannot have."""
