@@ -10,8 +10,8 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-MAX_BINS = 32
-"""Most bins along an axis; sizes the scratch memory."""
+MAX_BINS = 40
+"""Most bins along an axis, as many as Falcone (2024) has; sizes the scratch memory."""
 
 MIN_GRAIN = 4
 """Least capacity, in triangles, of a leaf of the binary tree; applies where blocks are narrower."""
@@ -45,7 +45,7 @@ class BvhConfig:
     Attributes:
         cost: the cost model. Its width, at least 2, is that of blocks and of nodes. `traversal` is the cost of visiting a node
             of W children; `empty_factor` is not used.
-        bins: bins along an axis, 2 to 32, for builders that bin.
+        bins: bins along an axis, 2 to 40, for builders that bin.
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
         reinsertion: most rounds of `wrt.builders.bvh.phases.reinsertion`, 0 to 1000. With at least one, leaves of the binary
             tree hold half a block.

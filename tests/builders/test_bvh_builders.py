@@ -295,7 +295,7 @@ def test_report_names_the_phases():
     ("make", "name"),
     [
         (lambda: BvhConfig(bins=1), "bins"),
-        (lambda: BvhConfig(bins=33), "bins"),
+        (lambda: BvhConfig(bins=41), "bins"),
         (lambda: BvhConfig(max_leaf_triangles=0), "max_leaf_triangles"),
         (lambda: BvhConfig(max_leaf_triangles=64), "max_leaf_triangles"),
         (lambda: BvhConfig(cost=SurfaceAreaCost(width=1)), "width"),

@@ -35,7 +35,7 @@ class ProjectedBvh:
         traversal_cost: cost of visiting a node.
         block_cost: cost of testing one block of `width` triangles; None for the default of `wrt.Bvh`.
         triangle_cost: cost of testing one triangle, in place of blocks; None for blocks.
-        bins: bins along an axis, 2 to 32.
+        bins: bins along an axis, 2 to 40.
         max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
         leaf_cost, leaf_area, leaf_probability: a node becomes a leaf if its cost, area or hit probability is at most this,
             and it has no more triangles than a leaf may have.
@@ -82,13 +82,13 @@ class ProjectedBvh:
 
     @classmethod
     def published(cls, areas: Any, **changes: Any) -> ProjectedBvh:
-        """The thesis' configuration: binary nodes, cost 1 for a box and 1.2 for a triangle, two triangles in a leaf, axes
-        that face away from the rays, no other rays.
+        """The thesis' configuration: binary nodes, cost 1 for a box and 1.2 for a triangle, two triangles in a leaf, 40 bins
+        along an axis, axes that face away from the rays, no other rays.
 
-        Bins are 32 along an axis instead of 40. areas: as in the class; changes: other attributes, by name.
+        areas: as in the class; changes: other attributes, by name.
         """
         costs = {"width": 2, "traversal_cost": 2.0, "triangle_cost": 1.2, "max_leaf_triangles": 2}
-        return cls(areas=areas, **costs | {"axes": "facing", "bins": 32, "others": 0.0} | changes)
+        return cls(areas=areas, **costs | {"axes": "facing", "bins": 40, "others": 0.0} | changes)
 
     def config(self, width: int) -> ProjectedConfig:
         """The builder's configuration; `width` is used where the description leaves it open."""

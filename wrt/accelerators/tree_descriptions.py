@@ -115,7 +115,7 @@ class Bvh:
         traversal_cost: cost of visiting a node.
         block_cost: cost of testing one block of `width` triangles; None for 0.5 with 8 lanes or more, whose blocks are
             mostly full, else 1.5.
-        bins: bins along an axis, 2 to 32, for builders that bin.
+        bins: bins along an axis, 2 to 40, for builders that bin.
         max_leaf_triangles: largest number of triangles in a leaf, 1 to 63; None for a default by width.
         reinsertion: rounds of reinsertion, 0 to 1000, each of which moves subtrees to where they cost less; three reach
             most of the gain. For scenes with triangles of very different sizes, such as buildings, traversal becomes up to
