@@ -342,7 +342,7 @@ def test_depths():
         ({"leaf_area": -1.0}, ValueError, "leaf_area is -1.0"),
         ({"max_depth": 0}, ValueError, "max_depth is 0"),
         ({"aware_depth": -1}, ValueError, "aware_depth is -1"),
-        ({"bins": 40}, ValueError, "bins is 40"),
+        ({"bins": 41}, ValueError, "bins is 41"),
         ({"width": 3}, ValueError, "width is 3"),
     ],
 )
