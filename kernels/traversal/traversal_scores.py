@@ -4,8 +4,8 @@ Every entry of `wrt.kernels.traversal.TRAVERSALS` that "auto" may choose has a s
 a number and the reason for choosing the traversal, or None where another one is always better. Among the entries that can
 answer the query, "auto" takes the one with the highest score. A score decides about speed alone and never about hits.
 
-The traversal of single rays scores everywhere. Thresholds are measured: notebooks/records/2026-11-21-plans.md,
-notebooks/records/2026-11-21-instances.md.
+The traversal of single rays scores everywhere. Limits that depend on the CPU are in `LIMITS`. Others are measured, too:
+notebooks/records/2026-11-21-plans.md, notebooks/records/2026-11-21-instances.md, notebooks/records/2026-11-22-auto.md.
 """
 
 from collections.abc import Callable
@@ -14,14 +14,23 @@ from typing import NamedTuple
 from wrt.kernels.traversal.traversal_config import ALL, COUNT, NEAREST_QUERIES
 
 RAYS_PER_TRIANGLE = 0.125
-"""Rays per triangle of the scene from which coherent rays are traced in packets. With fewer, triangles are smaller than the
-distance between rays, the rays of a packet diverge, and streams are faster (notebooks/records/2026-11-21-plans.md).
+"""Rays per triangle from which coherent rays are traced in packets where no sample of them was traced: they are few, or still
+to be made (notebooks/records/2026-11-21-plans.md; through instances, notebooks/records/2026-11-21-instances.md).
 """
 
-TRIANGLES_PER_RAY = 8
-"""Triangles of all instances per ray up to which packets traverse two levels faster than single rays
-(notebooks/records/2026-11-21-instances.md).
+SURE_RAYS_PER_TRIANGLE = 2.0
+"""Rays per triangle from which coherent rays are traced in packets without a sample (notebooks/records/2026-11-22-auto.md)."""
+
+LEAST_SAMPLED = 2048
+"""Number of rays from which a sample pays: it takes as long as some hundred rays."""
+
+LEAST_SAMPLED_THROUGH_INSTANCES = 8192
+"""The same through instances, where packets have to save the time to set them up: such queries are not prepared
+(notebooks/records/2026-11-22-auto.md).
 """
+
+SHORT_WALK = 5.0
+"""Steps of a ray below which a walk is short: a packet then saves more of what each ray costs besides its steps."""
 
 RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 """Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
@@ -29,21 +38,45 @@ RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 """
 
 
-class LeastTriangles(NamedTuple):
-    """Triangles of the scene from which interleaved walks are faster than streams.
+class Overlap(NamedTuple):
+    """What a sample of packets shares (`wrt.kernels.query.packet_overlap`).
 
     Attributes:
-        incoherent: for incoherent rays.
-        coherent: for coherent rays that are too sparse for packets.
+        share: different steps of the sampled rays of a packet over all their steps, from 1 / `PROBED_RAYS` (all rays take the
+            same way) to 1.
+        steps: nodes and leaves that a ray visits.
+    """
+
+    share: float
+    steps: float
+
+
+class Limits(NamedTuple):
+    """What depends on the CPU.
+
+    Attributes:
+        incoherent: triangles of the scene from which interleaved walks are faster than streams for incoherent rays.
+        coherent: the same for coherent rays that part.
+        few: number of incoherent rays below which they are faster in any scene.
+        long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
+        instance_share: the same through instances.
     """
 
     incoherent: float
     coherent: float
+    few: float
+    long_share: float
+    short_share: float
+    instance_share: float
 
 
-INTERLEAVED = {8: LeastTriangles(0, 0), 16: LeastTriangles(100_000, float("inf"))}
-"""`LeastTriangles` for CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-interleaved-rays.md). Fewer lanes are taken for 8; they have not been measured.
+LIMITS = {
+    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2),
+    16: Limits(incoherent=100_000, coherent=500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22),
+}
+"""`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
+(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md). Fewer lanes are taken for 8; they have
+not been measured.
 """
 
 COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
@@ -72,6 +105,7 @@ class Situation(NamedTuple):
         few: whether the rays are so few that detecting their coherence takes as long as tracing them.
         coherent: whether neighbouring rays are similar.
         shared_origin: whether all rays start at the same point.
+        overlap: what a sample of packets shares; None if none was traced.
     """
 
     query: str
@@ -87,6 +121,12 @@ class Situation(NamedTuple):
     few: bool
     coherent: bool
     shared_origin: bool
+    overlap: Overlap | None = None
+
+    @property
+    def limits(self) -> Limits:
+        """What depends on the CPU."""
+        return LIMITS[16 if self.lanes >= 16 else 8]
 
     @property
     def prefers_single(self) -> bool:
@@ -105,9 +145,27 @@ class Situation(NamedTuple):
 
     @property
     def suits_instance_packets(self) -> bool:
-        """Whether rays through instances are alike enough for packets."""
-        alike = self.coherent and self.shared_origin
-        return alike and self.tree == "bvh" and self.query in NEAREST_QUERIES and not self.cull_backfaces
+        """Whether packets can carry out the query through instances, for rays that may be alike enough."""
+        return self.coherent and self.tree == "bvh" and self.query in NEAREST_QUERIES and not self.cull_backfaces
+
+    @property
+    def needs_sample(self) -> bool:
+        """Whether only a sample tells if packets are faster: rays are coherent, and not so dense that packets surely are."""
+        if self.prefers_single or self.tests_each_hit or not self.coherent or self.tree != "bvh":
+            return False
+        sure = self.rays >= SURE_RAYS_PER_TRIANGLE * self.triangles and (self.shared_origin or not self.instances)
+        least = LEAST_SAMPLED_THROUGH_INSTANCES if self.instances else LEAST_SAMPLED
+        return self.rays >= least and not sure
+
+    @property
+    def stays_together(self) -> bool:
+        """Whether the rays of a packet take so much the same way that packets are faster."""
+        if self.overlap is None:
+            return self.rays >= RAYS_PER_TRIANGLE * self.triangles and (self.shared_origin or not self.instances)
+        limits = self.limits
+        if self.instances:
+            return self.overlap.share <= limits.instance_share
+        return self.overlap.share <= (limits.short_share if self.overlap.steps < SHORT_WALK else limits.long_share)
 
 
 Score = Callable[[Situation], tuple[float, str] | None]
@@ -124,7 +182,8 @@ def score_single(situation: Situation) -> tuple[float, str] | None:
         return SINGLE_RAYS, "few rays"
     if situation.instances:
         reason = "two levels, one ray at a time"
-        return SINGLE_RAYS, f"{reason}: triangles are small" if situation.suits_instance_packets else reason
+        small = situation.suits_instance_packets and situation.shared_origin
+        return SINGLE_RAYS, f"{reason}: triangles are small" if small else reason
     if situation.tests_each_hit:
         return SINGLE_RAYS, f"the traversal that finds {situation.kinds_of_hits} on a kd-tree"
     return SINGLE_RAYS, "any rays"
@@ -142,8 +201,8 @@ def score_packet(situation: Situation) -> tuple[float, str] | None:
     if situation.prefers_single or not situation.coherent:
         return None
     if situation.instances:
-        dense = situation.rays * TRIANGLES_PER_RAY >= situation.triangles
-        return (PACKETS, f"two levels, {COHERENT_REASON}") if dense and situation.suits_instance_packets else None
+        suits = situation.suits_instance_packets and situation.stays_together
+        return (PACKETS, f"two levels, {COHERENT_REASON}") if suits else None
     return score_box_packet(situation) if situation.tree == "bvh" else (BY_PLANES, COHERENT_REASON)
 
 
@@ -153,9 +212,9 @@ def score_wide_packet(situation: Situation) -> tuple[float, str] | None:
 
 
 def score_box_packet(situation: Situation) -> tuple[float, str] | None:
-    """Packets on boxes suit coherent rays that are dense."""
-    dense = situation.rays >= RAYS_PER_TRIANGLE * situation.triangles
-    return None if situation.prefers_single or not (situation.coherent and dense) else (PACKETS, COHERENT_REASON)
+    """Packets on boxes suit coherent rays that stay together."""
+    suits = situation.coherent and situation.stays_together and not situation.prefers_single
+    return (PACKETS, COHERENT_REASON) if suits else None
 
 
 def score_stream(situation: Situation) -> tuple[float, str] | None:
@@ -165,7 +224,7 @@ def score_stream(situation: Situation) -> tuple[float, str] | None:
     if not situation.instances:
         return score_box_stream(situation)
     least = (RAYS_PER_INSTANCE if situation.coherent else SCATTERED_PER_INSTANCE) * situation.instances
-    if situation.suits_instance_packets or situation.rays < least:
+    if situation.rays < least or (situation.suits_instance_packets and situation.shared_origin):
         return None
     return STREAMS, "two levels, rays sorted by instance"
 
@@ -188,8 +247,11 @@ def score_interleaved(situation: Situation) -> tuple[float, str] | None:
     """Interleaved walks suit rays that streams suit, if there are enough triangles for the rays to part."""
     if situation.prefers_single or situation.tests_each_hit or situation.instances or situation.tree != "bvh":
         return None
-    least = INTERLEAVED[16 if situation.lanes >= 16 else 8]
-    enough = situation.triangles >= (least.coherent if situation.coherent else least.incoherent)
+    limits = situation.limits
+    if situation.coherent:
+        enough = situation.triangles >= limits.coherent
+    else:
+        enough = situation.triangles >= limits.incoherent or situation.rays < limits.few
     return (INTERLEAVED_RAYS, reason_for_streams(situation)) if enough else None
 
 

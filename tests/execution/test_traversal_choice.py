@@ -21,7 +21,7 @@ from wrt.planning.planner import choose_culling, choose_traversal
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
 QUERIES = ("closest", "any", "count", "all")
-TRIANGLES = (500, 1_000_000)
+TRIANGLES = (500, 400_000, 1_000_000)
 
 SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 SINGLE_RAYS = "two levels, one ray at a time"
@@ -43,7 +43,8 @@ def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float
 
 def make_rays(count: int, coherent: bool, shared: bool) -> SimpleNamespace:
     """The facts about rays that a choice depends on."""
-    return SimpleNamespace(count=count, coherent=coherent, arrays_or_batch=SimpleNamespace(origin_stride=0 if shared else 1))
+    arrays = SimpleNamespace(origin_stride=0 if shared else 1)
+    return SimpleNamespace(count=count, coherent=coherent, arrays_or_batch=arrays, to_sample=lambda: None)
 
 
 def expected(
@@ -77,11 +78,12 @@ def expected(
         if kind == "bvh":
             return "stream", f"{hits} of many rays"
         return "single", f"the traversal that finds {hits} on a kd-tree"
+    enough = triangles >= 100_000 or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
     if kind != "bvh" and not is_wide:
         return ("packet", SIMILAR) if coherent else ("lockstep", DISSIMILAR)
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
-    if kind == "bvh" and (width < 16 or (not coherent and triangles >= 100_000)):
+    if kind == "bvh" and (width < 16 or (coherent and triangles >= 500_000) or (not coherent and enough)):
         stream = "interleaved"
     if not coherent:
         return stream, DISSIMILAR

@@ -11,6 +11,7 @@ from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.traversal_scores import Situation
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import can_answer, check_answer, check_origins
+from wrt.planning.packet_sample import measure_overlap
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.planning.plan_checks import check_plan, fits
 from wrt.state.query_kinds import ALL, AUTO, CLOSEST, COUNT, FEW_RAYS, Query
@@ -50,6 +51,12 @@ CACHED_BYTES = 1 << 24
 """Bytes of triangle records that the caches of a core hold. Rays are not sorted for scenes with fewer."""
 
 
+CHOICE_USES = 64
+"""Queries after which a choice for many rays is made again: it may depend on a sample of the rays, and a camera moves. A sample
+takes some 0.2 ms (notebooks/records/2026-11-22-auto.md).
+"""
+
+
 def make_plan(
     scene: SceneState,
     rays: RayBuffers,
@@ -86,7 +93,8 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
     if chosen is not None:
         return chosen
     plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
-    return scene.cache.keep_choice(key, chosen_plan(scene, plan, rays, kind))
+    uses = float("inf") if each_alone else CHOICE_USES
+    return scene.cache.keep_choice(key, chosen_plan(scene, plan, rays, kind), uses)
 
 
 def chosen_plan(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
@@ -111,7 +119,7 @@ def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
     """Whether the plan depends on what came before: on how much of a tree is built, or on whether a wide form pays."""
     if scene.lazy_tree is not None:
         return True
-    return rays.count > FEW_RAYS and not scene.device.is_cuda and (bool(scene.instances) or can_be_wide(scene))
+    return rays.count > FEW_RAYS and not scene.device.is_cuda and can_be_wide(scene)
 
 
 def choose_plan(
@@ -166,9 +174,9 @@ def choose_traversal(scene: SceneState, rays: RayBuffers, query: str, cull_backf
     return name, reason
 
 
-def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool) -> Situation:
-    """What the scores of traversals depend on."""
-    return Situation(
+def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces: bool = False) -> Situation:
+    """What the scores of traversals depend on; traces a sample of the rays if only that can tell."""
+    situation = Situation(
         query=query,
         cull_backfaces=cull_backfaces,
         is_cuda=scene.device.is_cuda,
@@ -183,6 +191,10 @@ def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces
         coherent=rays.coherent,
         shared_origin=rays.arrays_or_batch.origin_stride == 0,
     )
+    sample = rays.to_sample() if situation.needs_sample else None
+    if sample is None:
+        return situation
+    return situation._replace(overlap=measure_overlap(scene, sample, PACKET_VECTORS * scene.width, query))
 
 
 def tree_for(traversal: Traversal, scene: SceneState) -> str:

@@ -46,6 +46,14 @@ class RayBuffers:
         """The rays as kernels read them. A caller may modify it; it then replaces the arrays."""
         return self.given.batch() if isinstance(self.given, RayArrays) else self.given
 
+    def to_sample(self) -> RayBatch:
+        """The rays as kernels read them, for a look at some of them: the arrays stay what they are."""
+        if "batch" in self.__dict__ or not isinstance(self.given, RayArrays):
+            return self.batch
+        batch = self.given.batch()
+        batch.columns = self.columns
+        return batch
+
     @property
     def arrays_or_batch(self) -> RayArrays | RayBatch:
         """The arrays, or the batch once it was made; both have `count` and tell whether rays share their origin."""

@@ -49,7 +49,7 @@ class QueryCache:
         self.missed_savings = 0.0
         self.tables: dict[tuple[str, str], Any] = {}
         self._plans: dict[Hashable, Any] = {}
-        self._choices: dict[Hashable, Any] = {}
+        self._choices: dict[Hashable, list[Any]] = {}
         _caches.add(self)
 
     @property
@@ -72,15 +72,20 @@ class QueryCache:
         return plan
 
     def choice(self, key: Hashable) -> Any | None:
-        """The plan that was chosen before for queries and rays of a key; None if it is not known."""
-        return self._choices.get(key)
+        """The plan that was chosen before for queries and rays of a key; None if it is not known, or was used often enough."""
+        kept = self._choices.get(key)
+        if kept is None:
+            return None
+        kept[1] -= 1
+        return kept[0] if kept[1] >= 0 else None
 
-    def keep_choice(self, key: Hashable, plan: Any) -> Any:
-        """Keeps which plan was chosen, and returns it. Batches of many shapes share few plans, so these are kept apart."""
+    def keep_choice(self, key: Hashable, plan: Any, uses: float = float("inf")) -> Any:
+        """Keeps which plan was chosen, for so many uses, and returns it. Batches of many shapes share few plans, so these are
+        kept apart."""
         with self.lock:
             if len(self._choices) >= MAX_CHOICES:
                 self._choices.clear()
-            self._choices[key] = plan
+            self._choices[key] = [plan, uses]
         return plan
 
     def clear(self) -> None:
