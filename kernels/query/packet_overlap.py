@@ -1,13 +1,13 @@
 """How much of a tree the rays of a packet share: a sample of packets, traced ray by ray, that decides how the batch is traced.
 
-**Problem.** Packets are fast where their rays visit the same nodes, and slow where they part. Directions alone do not tell: what
-counts is how far rays lie apart where they hit something, against the size of the triangles there. In a room with a finely
+**Problem.** Packets are fast where their rays visit the same nodes, and slow where they part. Directions alone do not tell:
+what counts is how far rays lie apart where they hit something, against the size of the triangles there. In a room with a finely
 tessellated statue, most triangles are small, and most rays hit large ones.
 
-**Idea.** Some packets, evenly spread over the batch, are traced: of each, a few rays, one by one. The overlap of a packet is the
-number of its different steps (nodes and leaves visited by at least one of the rays) over the number of all steps of its rays:
-1 / `PROBED_RAYS` if all rays take the same way, 1 if each takes its own. Hits are found with Möller and Trumbore's test, without
-care for edges, since nothing depends on them but this estimate.
+**Idea.** Some packets, evenly spread over the batch, are traced: of each, a few rays, one by one. The overlap is the number of
+different steps (nodes and leaves visited by at least one of a packet's rays) over the number of all steps of the rays: 1 /
+`SAMPLED_RAYS` if all rays of a packet take the same way, 1 if each takes its own. Hits are found with Möller and Trumbore's
+test, without care for edges, since nothing depends on them but this estimate.
 
 **Cost.** notebooks/records/2026-11-22-auto.md.
 """
@@ -28,7 +28,7 @@ from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 
 exact_module(__name__)
 
-PROBED_PACKETS, PROBED_RAYS = 16, 8
+SAMPLED_PACKETS, SAMPLED_RAYS = 16, 8
 """Packets of the sample, and rays of each that are traced."""
 
 GOLDEN = wp.constant(wp.float64(0.6180339887498949))
@@ -59,8 +59,8 @@ class SampledScene:
     """A scene of one level, or of two."""
 
     part: SampledTree
-    """The tree of a scene of one level; of two levels, the upper tree. Its `primitive` then has the instance of each leaf, at the
-    first element of its block, and there are no vertices and faces."""
+    """The tree of a scene of one level; of two levels, the upper tree. Its `primitive` then has the instance of each leaf, at
+    the first element of its block, and there are no vertices and faces."""
     placements: wp.array(dtype=Placement)
     """(instances,); (0,) in a scene of one level."""
     parts: wp.array(dtype=SampledTree)
@@ -219,7 +219,7 @@ def make_kernel(config: SampleConfig) -> wp.Kernel:
     ):
         """Counts the steps of the sampled rays and, packet by packet, the different ones. Item: the whole sample.
 
-        packets, sampled: `PROBED_PACKETS` and `PROBED_RAYS`, as arguments, since Warp unrolls loops over constants.
+        packets, sampled: `SAMPLED_PACKETS` and `SAMPLED_RAYS`, as arguments, since Warp unrolls loops over constants.
         """
         steps = wp.vec2i(0, 0)
         rays_met = int(0)

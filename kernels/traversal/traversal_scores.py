@@ -42,7 +42,7 @@ class Overlap(NamedTuple):
     """What a sample of packets shares (`wrt.kernels.query.packet_overlap`).
 
     Attributes:
-        share: different steps of the sampled rays of a packet over all their steps, from 1 / `PROBED_RAYS` (all rays take the
+        share: different steps of the sampled rays of a packet over all their steps, from 1 / `SAMPLED_RAYS` (all rays take the
             same way) to 1.
         steps: nodes and leaves that a ray visits.
     """

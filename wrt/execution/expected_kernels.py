@@ -20,8 +20,8 @@ from wrt.kernels.query.coherence_detection import measure_coherence
 from wrt.kernels.runtime import board
 from wrt.kernels.runtime.launch import get_num_threads, specialise
 from wrt.kernels.simd.lanes import native_width
-from wrt.planning.plan import kernel_factory, plan_for_query, traversal_config
 from wrt.planning.packet_sample import sample_kernel
+from wrt.planning.plan import kernel_factory, plan_for_query, traversal_config
 from wrt.planning.planner import choose_plan, situation_of
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS
 
@@ -114,5 +114,6 @@ def query_kernels(
         kernel = specialise(kernel_factory(plan, scene), traversal_config(plan, scene, expected.kind, False))
         found += [kernel, record_kernel(plan)]
         found += [measure_coherence] if expected.count > FEW_RAYS else []
-        found += [sample_kernel(scene)] if traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample else []
+        sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample
+        found += [sample_kernel(scene)] if sampled else []
     return [*dict.fromkeys(found), center_float64_points]

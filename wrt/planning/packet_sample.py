@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
-from wrt.kernels.query.packet_overlap import PROBED_PACKETS, PROBED_RAYS, SampleConfig, SampledScene, SampledTree, make_kernel
+from wrt.kernels.query.packet_overlap import SAMPLED_PACKETS, SAMPLED_RAYS, SampleConfig, SampledScene, SampledTree, make_kernel
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, specialise
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.memory import keep_alive
@@ -33,7 +33,7 @@ def measure_overlap(scene: SceneState, rays: RayBatch, packet: int, query: str) 
     """
     found = np.zeros(3, dtype=np.int32)
     result = wp.array(found, dtype=int, device=scene.device, copy=False)
-    inputs = [sampled_scene(scene), rays, packet, PROBED_PACKETS, PROBED_RAYS, int(query == ANY), result]
+    inputs = [sampled_scene(scene), rays, packet, SAMPLED_PACKETS, SAMPLED_RAYS, int(query == ANY), result]
     PreparedLaunch(sample_kernel(scene), inputs, scene.device).run(1, Chunks())
     steps, different, count = found.tolist()
     return Overlap(different / steps, steps / count) if count else Overlap(1.0, 0.0)

@@ -30,6 +30,7 @@ COMPARISONS = {
     "scheduling": ("scaling_command", "scheduling_command"),
     "shadows": ("shadows_command", "shadows_command"),
     "animation": ("animation_command", "animation_command"),
+    "auto": ("auto_command", "auto_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
 
@@ -94,10 +95,11 @@ def bench(
     "engines" are wrt's own traversals, one by one. With --target x86-64-v3, Embree's C library is limited to AVX2, too; embreex
     and Open3D choose for themselves.
 
-    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders, `wrt
-    bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
-    build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench scaling
-    [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to divide work among them; each has options of its own.
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders,
+    `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
+    build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench auto
+    [MODEL]` what "auto" chooses, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
+    divide work among them; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import print_report

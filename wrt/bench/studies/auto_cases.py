@@ -47,15 +47,23 @@ class Case:
 
     Attributes:
         kind: one of `KINDS`.
-        query: "closest" or "occlusion".
-        rays: the rays.
-        count: their number.
+        workload: the rays as flat arrays, for peers.
+        rays: the same as wrt takes them.
     """
 
     kind: str
-    query: str
+    workload: Workload
     rays: Rays
-    count: int
+
+    @property
+    def is_occlusion(self) -> bool:
+        """Whether the query is for any hit."""
+        return self.workload.query == OCCLUSION
+
+    @property
+    def rays_count(self) -> int:
+        """Number of rays."""
+        return len(self.workload)
 
 
 def cases(mesh: TriangleMesh, kinds: Sequence[str] = KINDS, sizes: Sequence[int] = SIZES) -> Iterator[Case]:
@@ -70,28 +78,28 @@ def cases(mesh: TriangleMesh, kinds: Sequence[str] = KINDS, sizes: Sequence[int]
         rows, tiles = (WorkloadMaker(mesh, size=size, order=order) for order in ("rows", "tiles"))
         makers: dict[str, Callable[[], Workload]] = {
             "view": lambda rows=rows: rows.view("far"),
+            "scan": lambda size=size: scan(mesh, max(size * size // BEAMS, 1)),
             "random": lambda tiles=tiles: tiles.random("random"),
             "shadow": lambda tiles=tiles: tiles.shadow("shadow"),
             "ao": lambda tiles=tiles: tiles.ambient("ao"),
         }
         for kind in kinds:
-            if kind == "scan":
-                yield Case(kind, CLOSEST, scan(mesh, max(size * size // BEAMS, 1)), BEAMS * max(size * size // BEAMS, 1))
-                continue
             made = makers[kind]()
             if len(made):
                 origins = made.origins[0] if made.shares_origin else made.origins
-                rays = Rays(origins, made.directions, 0.0, made.t_max)
-                yield Case(kind, OCCLUSION if made.query == OCCLUSION else CLOSEST, rays, len(made))
+                shape = (BEAMS, -1, 3) if kind == "scan" else (-1, 3)
+                yield Case(kind, made, Rays(origins, made.directions.reshape(shape), 0.0, made.t_max))
 
 
-def scan(mesh: TriangleMesh, columns: int) -> Rays:
-    """A turn of a spinning lidar at the centre of a mesh, about z: (64, columns) rays from one point."""
+def scan(mesh: TriangleMesh, columns: int) -> Workload:
+    """A turn of a spinning lidar at the centre of a mesh, about z: 64 beams, one after the other, of so many rays."""
     elevation = np.radians(np.linspace(HIGHEST, LOWEST, BEAMS))[:, None]
     azimuth = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)[None, :]
     level = np.cos(elevation)
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation) + 0.0 * azimuth], axis=-1)
-    return Rays(mesh.center.astype(np.float32), directions.astype(np.float32))
+    directions = directions.reshape(-1, 3).astype(np.float32)
+    origins = np.broadcast_to(mesh.center.astype(np.float32), directions.shape)
+    return Workload("scan", CLOSEST, origins, directions, shares_origin=True)
 
 
 def copies(model: TriangleMesh) -> list[Instance]:
@@ -101,7 +109,7 @@ def copies(model: TriangleMesh) -> list[Instance]:
     instances = [Instance(ground)]
     for turn in np.arange(BUNNIES) * 2.0 * np.pi / BUNNIES:
         transform = np.diag([scale, scale, scale, 1.0])
-        place = ground.center + [5.0 * np.cos(turn), 3.0 * np.sin(turn), 0.0]
+        place = ground.center + np.array([5.0 * np.cos(turn), 3.0 * np.sin(turn), 0.0])
         transform[:3, 3] = place - scale * model.center
         instances.append(Instance(model, transform))
     return instances
@@ -124,14 +132,15 @@ def city(blocks: int = BLOCKS) -> TriangleMesh:
     return TriangleMesh(np.concatenate([vertices, ground]).astype(np.float32), faces.astype(np.int32), name="city")
 
 
-COMPOSED: dict[str, Callable[[TriangleMesh], list[Instance]]] = {"world": copies, "instances": copies}
-"""Scenes of an atrium and copies of a model: in one tree, and as instances."""
+SCENES = ("model", "world", "instances", "city")
+"""A model alone; an atrium with copies of it in one tree, and the same as instances; a city without it."""
 
 
-def scene_of(name: str, model: TriangleMesh, threads: int | None) -> tuple[Scene, TriangleMesh]:
-    """A scene of a name in `COMPOSED`, or of the model alone, and its triangles as one mesh."""
-    if name not in COMPOSED:
-        return Scene(model, device="cpu", num_threads=threads), model
-    scene = Scene(COMPOSED[name](model), device="cpu", num_threads=threads)
-    mesh = scene.flattened()
-    return (scene, mesh) if name == "instances" else (Scene(mesh, device="cpu", num_threads=threads), mesh)
+def scene_of(name: str, model: TriangleMesh, threads: int | None = None) -> tuple[Scene, TriangleMesh]:
+    """A scene of `SCENES` on the CPU, and its triangles as one mesh."""
+    if name in ("world", "instances"):
+        scene = Scene(copies(model), device="cpu", num_threads=threads)
+        mesh = scene.flattened()
+        return (scene, mesh) if name == "instances" else (Scene(mesh, device="cpu", num_threads=threads), mesh)
+    mesh = city() if name == "city" else model
+    return Scene(mesh, device="cpu", num_threads=threads), mesh
