@@ -122,8 +122,8 @@ def city(blocks: int = BLOCKS) -> TriangleMesh:
     corner[:, 2] = 0.0
     size = np.array([1.0 - STREET, 1.0 - STREET, 0.0]) + rng.exponential(1.5, len(corner))[:, None] * [0.0, 0.0, 1.0]
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
-    sides = [(0, 2, 3), (0, 3, 1), (4, 5, 7), (4, 7, 6), (0, 1, 5), (0, 5, 4), (2, 6, 7), (2, 7, 3), (0, 4, 6), (0, 6, 2)]
-    sides += [(1, 3, 7), (1, 7, 5)]
+    sides = [(0, 3, 2), (0, 1, 3), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5), (2, 7, 6), (2, 3, 7), (0, 6, 4), (0, 2, 6)]
+    sides += [(1, 7, 3), (1, 5, 7)]
     vertices = (corner[:, None] + unit * size[:, None]).reshape(-1, 3)
     faces = (8 * np.arange(len(corner))[:, None, None] + np.array(sides)).reshape(-1, 3)
     half = blocks / 2.0

@@ -43,9 +43,9 @@ class Choice:
         auto: the engine that "auto" chose, and why.
         reason: as of the plan.
         best: the fastest engine.
-        ratio: time of "auto" over the time of the best, by medians.
-        milliseconds: median time of each engine; hopeless ones are left out.
-        open3d: median time of Open3D, in milliseconds; None if it did not take part.
+        ratio: time of "auto" over the time of the best.
+        milliseconds: least time of each engine, which other work on the machine changes least; hopeless ones are left out.
+        open3d: the same of Open3D; None if it did not take part.
     """
 
     scene: str
@@ -106,7 +106,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         contenders.append(Contender("Open3D", query.run))
     timings: dict[str, Timing] = take_turns(contenders, rounds, settle=SETTLE, on_turn=on_turn)
     beside = timings.pop("Open3D", None)
-    times = {engine: 1e3 * timing.median for engine, timing in timings.items()}
+    times = {engine: 1e3 * timing.spread[0] for engine, timing in timings.items()}
     best = min(times, key=times.__getitem__)
     return Choice(
         scene=name,
@@ -118,7 +118,7 @@ def compare(name: str, scene: Scene, case: Case, rounds: int, peer: Any, on_turn
         best=best,
         ratio=times[chosen] / times[best],
         milliseconds=times,
-        open3d=None if beside is None else 1e3 * beside.median,
+        open3d=None if beside is None else 1e3 * beside.spread[0],
     )
 
 
