@@ -13,7 +13,7 @@ import pytest
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
 
-# scene, triangles, instances, kind of rays, rays, neighbours; share of different steps : steps a ray, and choice, with 16 lanes;
+# scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, and choice;
 # the same with 8
 GRID = """
 bunny         69630  0 view      4096 coherent 0.327:2.1   stream      0.399:2.7   interleaved
@@ -125,9 +125,12 @@ def test_choices(lanes, monkeypatch):
     for scene, triangles, instances, kind, rays, coherent, found in CASES:
         overlap, expected = found[lanes]
         asked = []
-        monkeypatch.setattr(
-            planner, "measure_overlap", lambda *args, asked=asked, overlap=overlap: asked.append(args) or overlap
-        )
+
+        def measure(*args, asked=asked, overlap=overlap):
+            asked.append(args)
+            return overlap
+
+        monkeypatch.setattr(planner, "measure_overlap", measure)
         state = SimpleNamespace(
             device=SimpleNamespace(is_cuda=False, is_cpu=True),
             only_single=False,
@@ -147,8 +150,5 @@ def test_choices(lanes, monkeypatch):
 def test_the_grid_has_all_kinds():
     """Each traversal for rays on a BVH is somewhere the best."""
     assert len(CASES) == 90
-    for lanes, names in (
-        (8, {"single", "packet", "interleaved", "stream"}),
-        (16, {"single", "packet", "interleaved", "stream"}),
-    ):
-        assert {found[lanes][1] for *_, found in CASES} == names
+    for lanes in (8, 16):
+        assert {found[lanes][1] for *_, found in CASES} == {"single", "packet", "interleaved", "stream"}
