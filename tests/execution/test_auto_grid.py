@@ -13,7 +13,7 @@ import pytest
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
 
-# scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, and choice;
+# scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8
 GRID = """
 bunny         69630  0 view      4096 coherent 0.327:2.1   stream      0.399:2.7   interleaved
