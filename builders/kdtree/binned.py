@@ -33,7 +33,8 @@ from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, sample_step
+from wrt.builders.kdtree.scan.reference_chunks import sample_step
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import Scan, build_scanning
 from wrt.builders.kdtree.scan.split_clipping import partition_clipping
@@ -53,9 +54,6 @@ TASKS_PER_THREAD = 2
 MIN_LARGE = 1 << 15
 """Triangles below which a single thread builds a node: the host's fixed cost per level exceeds the gain of splitting it
 together (notebooks/records/2026-11-22-binned-kdtree-tasks.md)."""
-
-CLIPPED_LARGE = 1 << 14
-"""The same bound if triangles are clipped, which only tasks do; fixed, so that the tree does not depend on the threads."""
 
 
 @wp.func
@@ -96,7 +94,5 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
-    if config.split_clipping:  # the levels that clip must not depend on the number of threads
-        large = CLIPPED_LARGE
     rules = LevelRules(large, BINS, SAMPLED)
     return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), split_level=split_level))

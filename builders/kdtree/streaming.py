@@ -16,8 +16,9 @@ of `method`. Assembly: `assemble`.
 **Complexity.** O(N log N), of which the sequential top takes O(N) per level.
 
 **What we changed.** The next level is sampled in a separate pass, because the samples divide the box of a node's triangles,
-which is known only after the copy. The paper samples the node's box while it copies. Boxes are not clipped. The paper assigns
-whole subtrees to threads; here the levels above them are parallel too. The tree is the same for any number of threads.
+which is known only after the copy. The paper samples the node's box while it copies. Clipping is an option, in the levels too
+(`clipped_chunks`). The paper assigns whole subtrees to threads; here the levels above them are parallel too. The tree is the
+same for any number of threads.
 
 References:
     S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
@@ -43,7 +44,8 @@ from wrt.builders.kdtree.phases.kdtree_subtrees import (
     emit_inner,
     make_build_subtrees,
 )
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels, bin_chunks
+from wrt.builders.kdtree.scan.reference_chunks import bin_chunks
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
 from wrt.builders.tree import KdTree, Phases, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch, load, specialise

@@ -11,6 +11,7 @@ import wrt
 from wrt import scenes
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.scan import scanning
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
 
@@ -145,14 +146,15 @@ def test_needles_are_crossed_once(builder, far):
 @pytest.mark.parametrize(
     ("builder", "module", "threshold"),
     [
-        ("binned", binned, "CLIPPED_LARGE"),
+        ("binned", binned, "MIN_LARGE"),
+        ("adaptive_sampling", scanning, "MIN_LARGE"),
         ("in_place", in_place, "CLIPPED_TRIANGLES"),
         ("nested", nested, "CLIPPED_LARGE"),
         ("streaming", streaming, "EXACT"),
     ],
 )
 def test_the_tree_is_cheaper_for_any_number_of_threads(builder, module, threshold, monkeypatch):
-    """Fewer references and a lower cost; where levels are split by several threads, the tree is the same too."""
+    """Fewer references and a lower cost. Several threads split levels, which a single one does not; the tree is the same."""
     mesh = scenes.build("random_triangles", count=2000, size=0.3, seed=6)
     monkeypatch.setattr(module, threshold, 700)
     trees = []
@@ -217,6 +219,7 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
 
 
 def test_builders_that_do_not_clip_say_so():
-    said = "'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(
+        ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"
+    ):
         wrt.KdTree(builder="sorting_sweep", split_clipping=True)

@@ -20,7 +20,7 @@ from wrt.builders.bvh.projected_binned import PROJECTED
 from wrt.builders.kdtree import adaptive_sampling, between_medians, binned, in_place, medians, naive
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
-from wrt.builders.kdtree.scan.reference_levels import make_decide
+from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.launch import CUDA_BLOCK

@@ -50,7 +50,8 @@ from wrt.builders.kdtree.lazy.triangle_clusters import Clusters, count_cells, le
 from wrt.builders.kdtree.phases.assembly import copy_subtrees
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.exact_planes import values_for
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, LiveRange, TopLevels
+from wrt.builders.kdtree.scan.reference_chunks import LiveRange
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels
 from wrt.builders.kdtree.scan.scanning import Scan, make_tasks
 from wrt.builders.tree import MAX_GROWTH, KdTree, Phases, StopLimits, StopRules
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes

@@ -6,9 +6,8 @@
     emit        the host lists the children and computes the write positions of the chunks; the only host round trip of a level
     partition   every chunk moves its references to the next level's buffer, in order
 
-A node that is small enough, or is a leaf, waits for the end of the levels; its references are copied unchanged. Counts and
-minima do not depend on the grouping. So the result does not depend on chunks or threads, and a node gets the same split as in a
-task.
+A node that is small enough, or is a leaf, waits for the end of the levels; its references are copied unchanged. The kernels are
+in `reference_chunks`, those that clip triangles to cells in `clipped_chunks`.
 
 A builder's file calls these phases of `ReferenceLevels`. It may search without bins (`make_decide`): then one thread searches
 each node.
@@ -19,25 +18,26 @@ References:
 """
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wrt.builders.cost import Split, SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, counters_for, make_binning, merge_bins
-from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, move_range
-from wrt.builders.tree import StopLimits, stop
-from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
-from wrt.builders.triangle_references import copy_references, write_references
-from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.builders.kdtree.scan.clipped_chunks import clipped_mesh, measure_clipped_chunks, move_clipped_chunks
+from wrt.builders.kdtree.scan.kdtree_bins import counters_for
+from wrt.builders.kdtree.scan.reference_chunks import (
+    Chunk,
+    LiveRange,
+    bin_chunks,
+    decide,
+    make_references,
+    measure_chunks,
+    move_chunks,
+)
+from wrt.builders.kdtree.scan.reference_lists import Sides
+from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-
-exact_module(__name__)
 
 CHUNK = 8192
 """References in a chunk; the last chunk of a node has fewer."""
@@ -62,175 +62,6 @@ class LevelRules:
     large: int
     bins: int
     sampled: int
-
-
-@with_known_layout
-@wp.struct
-class LiveRange:
-    """A node of the current level. Its list is the frame.count[0] references from frame.first[0] on."""
-
-    frame: Frame
-    split: Split
-    finished: bool
-    """Whether it waits for the end of the levels."""
-    left: int
-    """Index of its left child on the next level (the right one follows); of itself if it is finished."""
-    chunk_first: int
-    """First chunk; the chunks of a node are contiguous."""
-    chunk_count: int
-
-
-@with_known_layout
-@wp.struct
-class Chunk:
-    """A part of a node's references."""
-
-    node: int
-    begin: int
-    count: int
-    to_left: int
-    """Position to which its references on the left of the plane are written; all of them if the node is finished."""
-    to_right: int
-
-
-@wp.func
-def sample_step(triangles: int, sampled: int):
-    """Step of the sample: every step-th triangle of a node is counted."""
-    step = int(1)
-    if sampled > 0 and triangles >= sampled:
-        rest = triangles / 100
-        while rest > 0:
-            rest /= 10
-            step += 1
-    return step
-
-
-@wp.kernel
-def make_references(first: int, boxes: Boxes, triangles: int, size: int, references: wp.array(dtype=float)):
-    """Item: a chunk of `size` triangles. Writes their references."""
-    begin = (first + wp.tid()) * size
-    write_references(boxes, begin, wp.min(triangles, begin + size), references)
-
-
-@wp.kernel
-def bin_chunks(
-    first: int,
-    bins: int,
-    sampled: int,
-    references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
-    chunks: wp.array(dtype=Chunk),
-    counter: wp.array2d(dtype=int),
-):
-    """Item: a chunk. Bins its references in its slot of counters."""
-    slot = first + wp.tid()
-    chunk = chunks[slot]
-    node = nodes[chunk.node]
-    if not node.finished:
-        step = sample_step(node.frame.triangles, sampled)
-        behind = (chunk.begin - node.frame.first[0]) % step
-        skip = (step - behind) % step
-        node_binning = make_binning(node.frame, bins)
-        bin_range(references, chunk.begin + skip, chunk.count - skip, step, node_binning, counter, slot)
-
-
-@wp.kernel
-def decide(
-    first: int,
-    cost: SplitCost,
-    limits: StopLimits,
-    bins: int,
-    sampled: int,
-    nodes: wp.array(dtype=LiveRange),
-    counter: wp.array2d(dtype=int),
-    merged: int,
-):
-    """Item: a live node. Merges its bins, and stops or splits. Slots from `merged` on hold the bins of nodes."""
-    index = first + wp.tid()
-    node = nodes[index]
-    if not node.finished:
-        slot = merged + index
-        merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
-        step = sample_step(node.frame.triangles, sampled)
-        node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
-        frame = node.frame
-        path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-        node.finished = path.bad_splits < 0
-        if path.bad_splits >= 0:
-            node.frame.path = path
-        nodes[index] = node
-
-
-@cache
-def make_decide(memory_type: type, search: wp.Function) -> wp.Kernel:
-    """The kernel whose item is a live node, and which searches it as a task does; search: as of `subtrees.Method`."""
-
-    def decide_by_search(
-        first: int, cost: SplitCost, limits: StopLimits, memory: memory_type, nodes: wp.array(dtype=LiveRange)
-    ):
-        index = first + wp.tid()
-        node = nodes[index]
-        if not node.finished:
-            node.split = search(cost, memory, index, node.frame)
-            frame = node.frame
-            path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
-            node.finished = path.bad_splits < 0
-            if path.bad_splits >= 0:
-                node.frame.path = path
-            nodes[index] = node
-
-    return specialised_kernel(decide_by_search)
-
-
-@wp.kernel
-def measure_chunks(
-    first: int,
-    references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
-    chunks: wp.array(dtype=Chunk),
-    measured: wp.array(dtype=Sides),
-):
-    """Item: a chunk. Measures the sides of its node's plane. In a finished node everything is on the left."""
-    slot = first + wp.tid()
-    chunk = chunks[slot]
-    node = nodes[chunk.node]
-    sides = Sides()
-    if node.finished:
-        sides.left = chunk.count
-    else:
-        split = node.split
-        measure_sides(references, chunk.begin, chunk.count, split.axis, split.position, split.planar_left, sides)
-    measured[slot] = sides
-
-
-@wp.kernel
-def move_chunks(
-    first: int,
-    references: wp.array(dtype=float),
-    nodes: wp.array(dtype=LiveRange),
-    chunks: wp.array(dtype=Chunk),
-    target: wp.array(dtype=float),
-):
-    """Item: a chunk. Moves its references to the next level's buffer."""
-    chunk = chunks[first + wp.tid()]
-    node = nodes[chunk.node]
-    split = node.split
-    sides = Sides()
-    if node.finished:
-        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
-    else:
-        move_range(
-            references,
-            chunk.begin,
-            chunk.count,
-            split.axis,
-            split.position,
-            split.planar_left,
-            target,
-            chunk.to_left,
-            chunk.to_right,
-            sides,
-        )
 
 
 @dataclass
@@ -258,6 +89,8 @@ class ReferenceLevels:
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> None:
         count, self.device = triangles.count, triangles.boxes.low.device
         self.cost, self.limits, self.rules = config.cost.struct(), config.stop.limits(count, triangles.size), rules
+        self.mesh = clipped_mesh(triangles) if config.split_clipping else None
+        """The triangles to clip; None if they are not clipped."""
         self.levels: list[np.ndarray] = []
         """The levels that are split."""
         self.nodes = root_level(triangles, rules)
@@ -294,9 +127,14 @@ class ReferenceLevels:
         launch(kernel, len(self.nodes), inputs, device=self.device, chunk=1)
 
     def classify(self) -> None:
-        """Every chunk counts its references on both sides of its node's plane, and computes their boxes."""
+        """Every chunk counts its references on both sides of its node's plane, and computes their boxes. If straddlers
+        are clipped, they are counted by their parts."""
         measured = wp.empty(len(self.chunks), dtype=Sides, device=self.device)
-        self.run(measure_chunks, len(self.chunks), self.references, self.live, self.parts, measured)
+        inputs = [self.references, self.live, self.parts, measured]
+        if self.mesh:
+            self.run(measure_clipped_chunks, len(self.chunks), self.mesh, *inputs)
+        else:
+            self.run(measure_chunks, len(self.chunks), *inputs)
         self.nodes, self.sides = self.live.numpy(), measured.numpy()
 
     def emit(self) -> None:
@@ -308,7 +146,11 @@ class ReferenceLevels:
         """Every chunk moves its references; the next level is then the current one."""
         target = wp.empty(8 * int(self.children["frame"]["count"][:, 0].sum()), dtype=float, device=self.device)
         parts = wp.array(self.chunks, dtype=Chunk, device=self.device)
-        self.run(move_chunks, len(self.chunks), self.references, self.live, parts, target)
+        inputs = [self.references, self.live, parts, target]
+        if self.mesh:
+            self.run(move_clipped_chunks, len(self.chunks), self.mesh, *inputs)
+        else:
+            self.run(move_chunks, len(self.chunks), *inputs)
         self.levels.append(self.nodes)
         self.nodes, self.references = self.children, target
 

@@ -75,7 +75,7 @@ CLASSIFY = """
 """
 """C++, phase "classify": the sides of the reference at `from`, 1 or 0 each."""
 
-_GROW = """
+GROW = """
         const float a = left ? -INFINITY : INFINITY, b = right ? -INFINITY : INFINITY;  // lifts the others out of the minimum
         WRT_FOR_LANES(j) {
             const float x = reference[j] > a ? reference[j] : a, y = reference[j] > b ? reference[j] : b;
@@ -83,14 +83,16 @@ _GROW = """
             high_side[j] = y < high_side[j] ? y : high_side[j];
         }
 """
+"""C++: adds `reference` to the boxes of its sides."""
 
-_START = """
+SIDES_START = """
     const float* from = references.data + (size_t)begin * 8;
     float low_side[W], high_side[W];
     WRT_FOR_LANES(j) { low_side[j] = INFINITY; high_side[j] = INFINITY; }
 """
+"""C++: the first reference of a range, and empty boxes of both sides."""
 
-_FINISH = """
+SIDES_END = """
     for (int j = 0; j < 3; ++j) {
         sides.left_low[j] = low_side[j];
         sides.left_high[j] = -low_side[4 + j];
@@ -98,11 +100,12 @@ _FINISH = """
         sides.right_high[j] = -high_side[4 + j];
     }
 """
+"""C++: stores the boxes of both sides."""
 
 
 @wp.func_native(
     HEAD
-    + _START
+    + SIDES_START
     + """
     sides.left = 0;
     sides.right = 0;
@@ -113,13 +116,13 @@ _FINISH = """
         float reference[W];
         memcpy(reference, from, sizeof(reference));
 """
-    + _GROW
+    + GROW
     + """
         sides.left += left;
         sides.right += right;
     }
 """
-    + _FINISH
+    + SIDES_END
 )
 def measure_sides(
     references: wp.array(dtype=float),
@@ -136,7 +139,7 @@ def measure_sides(
 
 @wp.func_native(
     HEAD
-    + _START
+    + SIDES_START
     + """
     float unwanted[W];
     float* low_end = target.data + (size_t)to_left * 8;
@@ -152,13 +155,13 @@ def measure_sides(
         memcpy(right ? high_end : unwanted, reference, sizeof(reference));
         high_end += right ? 8 : 0;
 """
-    + _GROW
+    + GROW
     + """
     }
     sides.left = (int)((low_end - target.data) / 8 - to_left);
     sides.right = (int)((high_end - target.data) / 8 - to_right);
 """
-    + _FINISH
+    + SIDES_END
 )
 def move_range(
     references: wp.array(dtype=float),

@@ -17,7 +17,8 @@ from wrt.builders.kdtree.kdtree_config import ROUND_ROBIN, KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, Reservation, Task, build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.kdtree_bins import counters_for
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels, bin_chunks, make_decide
+from wrt.builders.kdtree.scan.reference_chunks import bin_chunks, make_decide
+from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels, TopLevels
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.builders.tree import KdTree, Phases
@@ -78,11 +79,9 @@ class Scan:
 def uniform_scan(
     method: Method, triangles: TriangleBoxes, config: KdTreeConfig, values: int | None, bins: int = 1, counters: int = 0
 ) -> Scan:
-    """A build that searches nodes of all sizes in the same way; method, values, counters: as of `Scan`.
-
-    Only tasks clip: where that is asked for, the whole tree is one task, lest the number of threads show in the result."""
+    """A build that searches nodes of all sizes in the same way; method, values, counters: as of `Scan`."""
     threads, large = get_num_threads(), triangles.count
-    if threads > 1 and not config.split_clipping:
+    if threads > 1:
         large = max(MIN_LARGE, large // (TASKS_PER_THREAD * threads))
     return Scan(method, LevelRules(large, bins, sampled=0), values, counters)
 

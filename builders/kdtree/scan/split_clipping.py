@@ -18,9 +18,10 @@ that leaf contains the hit's t: the leaf is visited before a later hit ends the 
 (`wrt.kernels.traversal.crossings`), which does not depend on the pad. Triangle tests that are not `accurate` may lose hits
 beside needles.
 
-**Limits.** Levels that several threads split together do not clip; the tasks below clip their straddlers. The build takes 2 to
-3 times as long (notebooks/records/2026-11-21-split-clipping.md). The choice of planes is greedy: smaller boxes make single
-splits cheaper, and usually, but not always, the tree.
+Levels that several threads split together clip to the same boxes (`clipped_chunks`).
+
+**Limits.** The build takes 2 to 3 times as long (notebooks/records/2026-11-21-split-clipping.md). The choice of planes is
+greedy: smaller boxes make single splits cheaper, and usually, but not always, the tree.
 
 References:
     I. E. Sutherland, G. W. Hodgman: Reentrant polygon clipping. Communications of the ACM 17(1), 1974.

@@ -1,0 +1,196 @@
+"""Split clipping in the top levels of a build that scans references (`reference_levels`).
+
+A chunk finds the sides of its references as without clipping. A straddler is then clipped to both children's cells, and enters
+each with the box of its part there, or not at all (`split_clipping`). The counts say where chunks write, so the references are
+clipped twice: once to be counted, once to be moved. Few of them straddle a plane. Tasks clip the same references to the same
+boxes, so the tree does not depend on the level at which tasks begin.
+
+References:
+    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
+        IEEE Symposium on Interactive Ray Tracing 2006.
+"""
+
+import warp as wp
+
+from wrt.builders.kdtree.scan.reference_chunks import Chunk, LiveRange
+from wrt.builders.kdtree.scan.reference_lists import CLASSIFY, GROW, HEAD, SIDES_END, SIDES_START, Sides
+from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
+from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.builders.triangle_references import ID_OFFSET, copy_references
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+
+@wp.struct
+class ClippedMesh:
+    """The triangles to clip."""
+
+    vertices: wp.array(dtype=wp.vec3)
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """Enlargement of cells and boxes, in scene units."""
+
+
+@wp.func_native(
+    HEAD
+    + SIDES_START
+    + """
+    const auto part_in = [&](const auto& low, const auto& high, float* box) {
+        const float pad = lists.pad;
+"""
+    + CLIP
+    + f"""
+        int bits;
+        memcpy(&bits, box + 3, 4);
+        return clip(box, bits - {ID_OFFSET});
+    }};
+    float unwanted[W];
+    const auto write = [&](const float* box, int left, int right) {{
+        if (moving) {{
+            memcpy(left ? target.data + (size_t)(to_left + sides.left) * 8 : unwanted, box, sizeof(unwanted));
+            memcpy(right ? target.data + (size_t)(to_right + sides.right) * 8 : unwanted, box, sizeof(unwanted));
+        }}
+        sides.left += left;
+        sides.right += right;
+    }};
+    sides.left = 0;
+    sides.right = 0;
+    for (int i = 0; i < count; ++i, from += 8) {{
+"""
+    + CLASSIFY
+    + """
+        float reference[W];
+        if (left & right) {
+            memcpy(reference, from, sizeof(reference));
+            if (part_in(cell_low, left_high, reference)) {
+                const int left = 1, right = 0;
+"""
+    + GROW
+    + """
+                write(reference, left, right);
+            }
+            memcpy(reference, from, sizeof(reference));
+            if (part_in(right_low, cell_high, reference)) {
+                const int left = 0, right = 1;
+"""
+    + GROW
+    + """
+                write(reference, left, right);
+            }
+            continue;
+        }
+        memcpy(reference, from, sizeof(reference));
+"""
+    + GROW
+    + """
+        write(reference, left, right);
+    }
+"""
+    + SIDES_END
+)
+def clip_range(
+    lists: ClippedMesh,
+    references: wp.array(dtype=float),
+    begin: int,
+    count: int,
+    axis: int,
+    position: float,
+    planar_left: bool,
+    cell_low: wp.vec3,
+    left_high: wp.vec3,
+    right_low: wp.vec3,
+    cell_high: wp.vec3,
+    moving: bool,
+    target: wp.array(dtype=float),
+    to_left: int,
+    to_right: int,
+    sides: wp.ref[Sides],
+):
+    """Clips the straddlers of a range to the cells (cell_low, left_high) and (right_low, cell_high), counts the references of
+    both sides, and computes their boxes. Writes them to the target if they are `moving`."""
+    ...
+
+
+@wp.func
+def clip_chunk(
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    node: LiveRange,
+    chunk: Chunk,
+    moving: bool,
+    target: wp.array(dtype=float),
+    sides: wp.ref[Sides],
+):
+    """`clip_range` of a chunk of a node that is split."""
+    split = node.split
+    left_high = node.frame.high
+    right_low = node.frame.low
+    left_high[split.axis] = split.position
+    right_low[split.axis] = split.position
+    clip_range(
+        mesh,
+        references,
+        chunk.begin,
+        chunk.count,
+        split.axis,
+        split.position,
+        split.planar_left,
+        node.frame.low,
+        left_high,
+        right_low,
+        node.frame.high,
+        moving,
+        target,
+        chunk.to_left,
+        chunk.to_right,
+        sides,
+    )
+
+
+@wp.kernel
+def measure_clipped_chunks(
+    first: int,
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveRange),
+    chunks: wp.array(dtype=Chunk),
+    measured: wp.array(dtype=Sides),
+):
+    """Item: a chunk. `measure_chunks` of `reference_chunks`, with clipping."""
+    slot = first + wp.tid()
+    chunk = chunks[slot]
+    node = nodes[chunk.node]
+    sides = Sides()
+    if node.finished:
+        sides.left = chunk.count
+    else:
+        clip_chunk(mesh, references, node, chunk, False, references, sides)
+    measured[slot] = sides
+
+
+@wp.kernel
+def move_clipped_chunks(
+    first: int,
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    nodes: wp.array(dtype=LiveRange),
+    chunks: wp.array(dtype=Chunk),
+    target: wp.array(dtype=float),
+):
+    """Item: a chunk. `move_chunks` of `reference_chunks`, with clipping."""
+    chunk = chunks[first + wp.tid()]
+    node = nodes[chunk.node]
+    sides = Sides()
+    if node.finished:
+        copy_references(references, chunk.begin, chunk.count, target, chunk.to_left)
+    else:
+        clip_chunk(mesh, references, node, chunk, True, target, sides)
+
+
+def clipped_mesh(triangles: TriangleBoxes) -> ClippedMesh:
+    """The triangles to clip."""
+    mesh = ClippedMesh()
+    mesh.vertices, mesh.faces = triangles.vertices, triangles.faces
+    mesh.pad = PAD * triangles.size
+    return mesh
