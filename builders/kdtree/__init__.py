@@ -99,7 +99,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             start=lazy.start,
         ),
         KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True, least_cost=True),
-        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build, least_cost=True),
+        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build, clips=True, least_cost=True),
         KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True, least_cost=True),
         KdTreeBuilder(
             "between_medians",

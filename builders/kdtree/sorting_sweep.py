@@ -4,12 +4,15 @@
 
 **Algorithm.** Per node and axis: list the events of its triangles (end, planar, start), sort them by position, sweep over them
 with the counts N_L, N_P, N_R, and keep the plane of least cost. A node takes over nothing from its parent except the list of
-its triangles.
+its triangles and their boxes. If triangles are clipped, those that straddle the plane are clipped to both children's cells
+(`split_clipping`), and enter them with the boxes of their parts.
 
-**Data.** A list of triangle ids per node on the path from the root, and the events of the current node and axis (`Workspace`).
+**Data.** A list of triangle ids and boxes per node on the path from the root, and the events of the current node and axis
+(`Workspace`).
 
 **Phases** of a node, called by `build_serially`: `search` (`list_events`, `merge_sort` and `sweep_axis` for each axis),
-`wrt.builders.tree.stop`, then `partition`, which calls `classify` for each triangle, and `emit_inner`, or `emit_leaf`.
+`wrt.builders.tree.stop`, then `partition`, which calls `classify` for each triangle and `clip` for straddlers, and
+`emit_inner`, or `emit_leaf`.
 
 **Complexity.** O(N log^2 N): a sort of O(N log N) at each of O(log N) levels. One thread.
 
@@ -17,8 +20,8 @@ its triangles.
 adds the ends to it. The counts must follow every plane: after the evaluation, N_L grows by the planar and the starting
 triangles.
 
-The build shares only the cost model and the stop rules with the other builders. If it makes the same tree as they do, their
-sorted lists, counts across chunks, classification and assembly are right.
+The build shares only the cost model, the stop rules and the clipping of a triangle with the other builders. If it makes the
+same tree as they do, their sorted lists, counts across chunks, classification and assembly are right.
 
 References:
     I. Wald, V. Havran: On building fast kd-trees for ray tracing, and on doing that in O(N log N).
@@ -33,6 +36,7 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
@@ -65,6 +69,14 @@ class Workspace:
 
     triangle: wp.array(dtype=int)
     """Lists of the nodes on the path from the root to the current one."""
+    box: wp.array(dtype=float)
+    """Their boxes, 8 floats each: low, 0, -high, 0."""
+    clipping: bool
+    """Whether triangles are clipped to cells. The members `vertices`, `faces` and `pad` are for clipping."""
+    vertices: wp.array(dtype=wp.vec3)
+    faces: wp.array(dtype=wp.vec3i)
+    pad: float
+    """Enlargement of cells and boxes, in scene units."""
     position: wp.array(dtype=float)
     """Events of the current node and axis, in two buffers of equal size for the sort."""
     value: wp.array(dtype=int)
@@ -114,13 +126,25 @@ def merge_sort(work: Workspace, count: int):
 
 
 @wp.func
-def list_events(boxes: Boxes, work: Workspace, node: PendingNode, axis: int):
+def box_low(work: Workspace, i: int, axis: int):
+    """Lower end of a listed triangle's box."""
+    return work.box[8 * i + axis]
+
+
+@wp.func
+def box_high(work: Workspace, i: int, axis: int):
+    """Upper end of a listed triangle's box. Adding 0 turns -0 into +0."""
+    return 0.0 - work.box[8 * i + 4 + axis]
+
+
+@wp.func
+def list_events(work: Workspace, node: PendingNode, axis: int):
     """Writes the events of the node's triangles; returns their number."""
     count = int(0)
     for i in range(node.first, node.first + node.triangles):
         triangle = work.triangle[i]
-        low = boxes.low[axis, triangle]
-        high = boxes.high[axis, triangle]
+        low = box_low(work, i, axis)
+        high = box_high(work, i, axis)
         work.position[count] = low
         work.value[count] = (triangle << 2) | wp.where(low < high, START, PLANAR)
         count += 1
@@ -164,11 +188,11 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
 
 
 @wp.func
-def search(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode):
+def search(cost: SplitCost, work: Workspace, node: PendingNode):
     """The best plane of a node."""
     best = no_split()
     for axis in range(3):
-        events = list_events(boxes, work, node, axis)
+        events = list_events(work, node, axis)
         first = merge_sort(work, events)
         along = axis_frame(cost, axis, node.low, node.high, node.triangles)
         best = sweep_axis(cost, along, work, first, events, node.triangles, best)
@@ -176,32 +200,53 @@ def search(cost: SplitCost, boxes: Boxes, work: Workspace, node: PendingNode):
 
 
 @wp.func
-def classify(boxes: Boxes, triangle: int, split: Split):
-    """The children that contain a triangle: 1 for the left one, plus 2 for the right one."""
-    low = boxes.low[split.axis, triangle]
-    high = boxes.high[split.axis, triangle]
+def classify(work: Workspace, i: int, split: Split):
+    """The children that contain a listed triangle: 1 for the left one, plus 2 for the right one."""
+    low = box_low(work, i, split.axis)
+    high = box_high(work, i, split.axis)
     if not (low < high) and low == split.position:  # planar
         return wp.where(split.planar_left, 1, 2)
     return wp.where(low < split.position, 1, 0) + wp.where(high > split.position, 2, 0)
 
 
+@wp.func_native(
+    """
+    const auto* from = lists.box.data + (size_t)source * 8;
+    auto* const to = lists.box.data + (size_t)target * 8;
+    lists.triangle.data[target] = lists.triangle.data[source];
+    if (to != from) memcpy(to, from, 8 * sizeof(float));
+"""
+)
+def copy_entry(lists: Workspace, source: int, target: int):
+    """Lists a triangle and its box a second time."""
+    ...
+
+
+@wp.func_native(CLIP + "return clip(lists.box.data + (size_t)i * 8, lists.triangle.data[i]);")
+def clip(lists: Workspace, i: int, pad: float, low: wp.vec3, high: wp.vec3) -> bool:
+    """Shrinks the box of a listed triangle to its part in a cell; False if there is none."""
+    ...
+
+
 @wp.func
-def partition(
-    boxes: Boxes, work: Workspace, node: PendingNode, split: Split, left: wp.ref[PendingNode], right: wp.ref[PendingNode]
-):
+def partition(work: Workspace, node: PendingNode, split: Split, left: wp.ref[PendingNode], right: wp.ref[PendingNode]):
     """Lists the triangles of the children. The right child's list replaces the node's, the left child's is appended."""
     left.first = node.first + node.triangles
     left.triangles = 0
     right.triangles = 0
     for i in range(node.first, node.first + node.triangles):
-        triangle = work.triangle[i]
-        sides = classify(boxes, triangle, split)
+        sides = classify(work, i, split)
+        clipped = work.clipping and sides == 3
         if (sides & 1) != 0:
-            work.triangle[left.first + left.triangles] = triangle
-            left.triangles += 1
+            to = left.first + left.triangles
+            copy_entry(work, i, to)
+            if not clipped or clip(work, to, work.pad, left.low, left.high):
+                left.triangles += 1
         if (sides & 2) != 0:
-            work.triangle[right.first + right.triangles] = triangle
-            right.triangles += 1
+            to = right.first + right.triangles
+            copy_entry(work, i, to)
+            if not clipped or clip(work, to, work.pad, right.low, right.high):
+                right.triangles += 1
 
 
 @wp.func
@@ -232,7 +277,7 @@ def link_right(work: Workspace, parent: int, index: int):
 
 
 @wp.kernel
-def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes, root: PendingNode, work: Workspace):
+def build_serially(first: int, cost: SplitCost, limits: StopLimits, root: PendingNode, work: Workspace):
     """One item: the whole build. The caller has listed all triangles as the root's."""
     width = 1 << cost.width_bits
     node = root
@@ -250,7 +295,7 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
             break
         if node.parent >= 0:
             link_right(work, node.parent, nodes)
-        split = search(cost, boxes, work, node)
+        split = search(cost, work, node)
         path = stop(limits, cost, node.depth, node.triangles, node.path, split, node.high - node.low)
         if path.bad_splits < 0:
             lanes = emit_leaf(work, node, nodes, lanes, width)
@@ -262,9 +307,9 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
             emit_inner(work, nodes, split)
             left = node
             right = node
-            partition(boxes, work, node, split, left, right)
             left.high[split.axis] = split.position
             right.low[split.axis] = split.position
+            partition(work, node, split, left, right)
             left.path = path
             right.path = path
             left.depth += 1
@@ -280,9 +325,15 @@ def build_serially(first: int, cost: SplitCost, limits: StopLimits, boxes: Boxes
 
 
 @wp.kernel
-def list_all(first: int, triangle: wp.array(dtype=int)):
+def list_all(first: int, boxes: Boxes, work: Workspace):
     """Item: a triangle. Lists it in the root."""
-    triangle[first + wp.tid()] = first + wp.tid()
+    i = first + wp.tid()
+    work.triangle[i] = i
+    for axis in range(3):
+        work.box[8 * i + axis] = boxes.low[axis, i]
+        work.box[8 * i + 4 + axis] = -boxes.high[axis, i]
+    work.box[8 * i + 3] = 0.0
+    work.box[8 * i + 7] = 0.0
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -297,14 +348,18 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     while True:
         work = Workspace()
         work.triangle = wp.empty(capacity, dtype=int, device=device)
+        work.box = wp.empty(8 * capacity, dtype=float, device=device)
+        work.clipping = config.split_clipping
+        if config.split_clipping:
+            work.vertices, work.faces, work.pad = triangles.vertices, triangles.faces, PAD * triangles.size
         work.position = wp.empty(4 * count, dtype=float, device=device)
         work.value = wp.empty(4 * count, dtype=int, device=device)
         work.stack = wp.empty(STACK, dtype=PendingNode, device=device)
         work.nodes = wp.empty(capacity, dtype=wp.vec2i, device=device)
         work.primitive = wp.empty(capacity + capacity % width + width, dtype=int, device=device)
         work.used = wp.zeros(3, dtype=int, device=device)
-        launch(list_all, count, [work.triangle], device=device, chunk=4096)
-        inputs = [config.cost.struct(), config.stop.limits(count, triangles.size), triangles.boxes, root, work]
+        launch(list_all, count, [triangles.boxes, work], device=device, chunk=4096)
+        inputs = [config.cost.struct(), config.stop.limits(count, triangles.size), root, work]
         launch(build_serially, 1, inputs, device=device)
         nodes, lanes, overflow = map(int, work.used.numpy())
         if not overflow:
@@ -319,6 +374,6 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         stats=BuildStats(),
     )
     boxes = triangles.boxes
-    tree.stats.reserve(boxes.low, boxes.high, work.triangle, work.position, work.value, work.nodes, work.primitive)
+    tree.stats.reserve(boxes.low, boxes.high, work.triangle, work.box, work.position, work.value, work.nodes, work.primitive)
     tree.stats.seconds["build"] = perf_counter() - start
     return tree

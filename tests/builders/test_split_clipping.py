@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import SCENES
@@ -175,11 +177,13 @@ EXACT_CASES = SCENES | {name: lambda name=name: hard_meshes()[name] for name in 
 @pytest.mark.parametrize("options", [{}, {"width": 1, "block_cost": 1.5}], ids=["lanes", "one"])
 @pytest.mark.parametrize("name", [name for name in EXACT_CASES if name not in ("stadium", "atrium", "wood")])
 def test_merged_events_make_the_naive_tree(name, options):
-    """Lists that are merged and lists that are scanned give the same nodes to the bit, and the same leaves."""
+    """Lists that are merged, sorted and scanned give the same nodes to the bit, and the same leaves."""
     mesh = EXACT_CASES[name]()
-    tree, reference = (build(mesh, builder, split_clipping=True, **options)[0] for builder in ("sweep", "naive"))
-    np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
-    np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
+    reference, _ = build(mesh, "naive", split_clipping=True, **options)
+    for builder in ("sweep", "sorting_sweep"):
+        tree, _ = build(mesh, builder, split_clipping=True, **options)
+        np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+        np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
 
 
 @pytest.mark.parametrize(("size", "share"), [(0.1, 0.96), (0.3, 0.55), (0.5, 0.35)])
@@ -218,7 +222,8 @@ def test_small_shares_are_enlarged(builder, module, spare, monkeypatch):
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
-def test_builders_that_do_not_clip_say_so():
+def test_builders_that_do_not_clip_say_so(monkeypatch):
+    monkeypatch.setitem(KDTREE_BUILDERS, "sorting_sweep", replace(KDTREE_BUILDERS["sorting_sweep"], clips=False))
     with pytest.raises(
         ValueError, match=r"'sorting_sweep' does not support split_clipping; choose from in_place, nested, binned"
     ):
