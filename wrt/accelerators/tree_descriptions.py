@@ -36,7 +36,7 @@ class KdTree:
         axis: "longest" or "round_robin": the axis that the builders `spatial_median` and `object_median` split; the others
             try all three.
         split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides. The tree usually has
-            fewer references and a lower cost, and takes longer to build. All builders but `sorting_sweep` support it.
+            fewer references and a lower cost, and takes longer to build. All builders support it.
             Counts and inside tests are then exact for rays that start within about 20 scene sizes of the scene.
 
     Raises:
