@@ -46,6 +46,7 @@ class KdTreeBuilder:
         clips: whether it clips triangles to cells if the config asks for it.
         least_cost: whether it finds the plane of least cost in a node of few triangles, among all planes at which a box begins
             or ends. If not, it chooses planes by another rule and leaves only the decision to stop to the cost.
+        chooses_axes: whether it searches the axes that the config names (`searched_axes`); the others search what they search.
         start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
     """
 
@@ -55,6 +56,7 @@ class KdTreeBuilder:
     most_triangles: int = MAX_INDEX
     clips: bool = False
     least_cost: bool = False
+    chooses_axes: bool = False
     start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
 
@@ -89,6 +91,7 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             adaptive_sampling.build,
             clips=True,
             least_cost=True,
+            chooses_axes=True,
         ),
         KdTreeBuilder(
             "lazy",

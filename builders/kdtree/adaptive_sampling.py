@@ -5,13 +5,13 @@
 **Algorithm.** Let C_L and C_R be the numbers of triangles to the left and to the right of a plane. A first scan of the node
 takes 8 evenly spaced samples per axis. C_L - C_R increases from -n to n, and 8 more samples go where it increases most: of 8
 levels evenly spaced from -n to n, each adds one sample to the segment in which it is crossed, and the samples of a segment
-divide it evenly. A second scan counts at all 16 samples. Between two samples C_L and C_R are interpolated linearly. The areas
-of both sides are linear too, so the cost is a quadratic, whose minimum is tried along with the samples. Nodes of at most 36
-triangles are searched exactly (`exact_planes`).
+divide it evenly. A second scan counts at all 16 samples, on all axes or on the longest one (`KdTreeConfig.searched_axes`).
+Between two samples C_L and C_R are interpolated linearly. The areas of both sides are linear too, so the cost is a quadratic,
+whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis. Classify and
+**Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched. Classify and
 partition: one pass over the references.
 
 **Complexity.** O(N) per level: two scans, the second of which compares with 16 planes at a time.
@@ -29,6 +29,7 @@ import warp as wp
 
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.medians import longest_axis
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
@@ -38,6 +39,7 @@ from wrt.builders.kdtree.scan.split_clipping import partition_clipping
 from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
@@ -154,6 +156,15 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
 
 
 @wp.func
+def sample_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
+    """The best of `best` and the planes of one axis, after the first scan."""
+    at = 6 * lists.rules.bins  # the second scan's counts lie behind those of the first
+    place_samples(lists, number, frame, axis)
+    count_samples(lists, number, frame.first[0], frame.triangles, axis, at)
+    return search_axis(cost, lists, number, frame, axis, at, best)
+
+
+@wp.func
 def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     """The best plane of a node."""
     if frame.triangles <= EXACT:
@@ -161,11 +172,12 @@ def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
     bins = lists.rules.bins
     bin_range(lists.reference, frame.first[0], frame.triangles, 1, make_binning(frame, bins), lists.counter, number)
     best = no_split()
-    for axis in range(3):
-        place_samples(lists, number, frame, axis)
-        # the first scan's counts of later axes lie behind those of this one and of earlier ones
-        count_samples(lists, number, frame.first[0], frame.triangles, axis, 6 * bins)
-        best = search_axis(cost, lists, number, frame, axis, 6 * bins, best)
+    longest = longest_axis(frame)
+    if frame.triangles >= lists.rules.longest_from:
+        best = sample_axis(cost, lists, number, frame, longest, best)
+    if best.cost == INFINITY:
+        for axis in range(3):
+            best = sample_axis(cost, lists, number, frame, axis, best)
     return best
 
 

@@ -43,13 +43,19 @@ exact_module(__name__)
 
 
 @wp.func
+def longest_axis(frame: Frame):
+    """The axis along which a node is longest."""
+    size = frame.high - frame.low
+    longest = wp.where(size[1] > size[0], 1, 0)
+    return wp.where(size[2] > size[longest], 2, longest)
+
+
+@wp.func
 def first_axis(lists: ReferenceLists, frame: Frame):
     """The axis to split, if a plane on it divides the node."""
     if lists.rules.round_robin:
         return frame.depth % 3
-    size = frame.high - frame.low
-    longest = wp.where(size[1] > size[0], 1, 0)
-    return wp.where(size[2] > size[longest], 2, longest)
+    return longest_axis(frame)
 
 
 @wp.func

@@ -13,6 +13,7 @@ from wrt.builders.kdtree.events.event_sort import sorted_events
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
 from wrt.builders.kdtree.phases import event_levels
 from wrt.builders.kdtree.scan import reference_levels, scanning
+from wrt.builders.kdtree.update.subtree_exchange import subtree_end
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import use_threads
@@ -284,6 +285,32 @@ def test_small_shares_are_enlarged(builder, module, monkeypatch):
     tree, _ = build(mesh, builder)
     np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
+
+
+@pytest.mark.parametrize("axes", ["longest", "mixed"])
+def test_searched_axes(axes):
+    """Large nodes are split along their longest axis, and small ones along any; the hits are those of brute force."""
+    soup = scattered_soup(4000, seed=3)
+    upper = np.repeat(soup.vertices[::3, 1] > 20, 3)  # above an empty slab, at which the longest axis is not the best one
+    mesh = wrt.TriangleMesh(soup.vertices * [1.4, 1, 1] + np.outer(upper, [0, 15, 0]), soup.faces)
+    tree, _ = build(mesh, "adaptive_sampling", searched_axes=axes)
+    flat = unpack(tree)
+    size = flat.high - flat.low
+    owner, inner = leaf_references(tree)[0], np.flatnonzero(~flat.is_leaf)
+    ends = np.array([subtree_end(flat, int(node)) for node in inner])
+    held = np.searchsorted(owner, ends) - np.searchsorted(owner, inner)  # at least the node's triangles
+    along_longest = size[inner, flat.axis[inner]] == size[inner].max(axis=1)
+    assert along_longest[held > 1500].all()
+    assert not along_longest[held < 36].all()
+    every, _ = build(mesh, "adaptive_sampling")
+    assert (unpack(every).axis[0], flat.axis[0]) == (1, 0)
+    rng = np.random.default_rng(1)
+    origins, directions = rng.random((200, 3)) * 55, rng.normal(size=(200, 3))
+    scene = wrt.Scene(mesh, wrt.KdTree(builder="adaptive_sampling", searched_axes=axes), device="cpu")
+    hits, brute = (scene.intersect(origins, directions, traversal=way) for way in ("single", "brute"))
+    np.testing.assert_array_equal(hits.t, brute.t)
+    np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id)
+    assert brute.is_hit.any()
 
 
 @pytest.mark.parametrize("builder", KDTREE_BUILDERS)

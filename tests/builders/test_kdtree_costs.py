@@ -124,6 +124,8 @@ def test_mailboxes_pay_for_straddlers():
         lambda: wrt.KdTree(builder="none such"),
         lambda: wrt.KdTree(width=5),
         lambda: wrt.KdTree(builder="spatial_median", axis="shortest"),
+        lambda: wrt.KdTree(builder="adaptive_sampling", searched_axes="shortest"),
+        lambda: wrt.KdTree(builder="sweep", searched_axes="longest"),
     ],
 )
 def test_bad_configurations(make):

@@ -17,7 +17,7 @@ from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
 from wrt.builders.convert.node_layouts import LAYOUTS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.kdtree_config import AXES
+from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
@@ -39,6 +39,7 @@ TABLES: dict[str, Iterable[str]] = {
     "kd-tree builders": KDTREE_BUILDERS,
     "Termination": TERMINATIONS,
     "Axes of medians": AXES,
+    "Searched axes": SEARCHED_AXES,
     "Layouts": LAYOUTS,
     "Weights of boxes": COSTS,
     "Axes to split": AXIS_CHOICES,
@@ -61,6 +62,7 @@ DEFAULTS = {
     "kd-tree builders": wrt.KdTree().builder,
     "Termination": wrt.KdTree().termination,
     "Axes of medians": wrt.KdTree().axis,
+    "Searched axes": wrt.KdTree().searched_axes,
     "Triangle tests": DEFAULT_TEST,
     "Schedules": DEFAULT_SCHEDULE,
     "Integrators": "path",

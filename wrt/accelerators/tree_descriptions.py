@@ -38,10 +38,12 @@ class KdTree:
         split_clipping: whether triangles that straddle a plane are clipped to the cells on both sides. The tree usually has
             fewer references and a lower cost, and takes longer to build. All builders support it.
             Counts and inside tests are then exact for rays that start within about 20 scene sizes of the scene.
+        searched_axes: "all", "longest" or "mixed": the axes on which the builder `adaptive_sampling` takes samples: all three,
+            the node's longest one, or that in nodes of more than 1,000 triangles. The other builders take "all" only.
 
     Raises:
         ValueError: an unknown builder, axis or termination, a value out of its range, or a builder that does not support
-            clipping.
+            clipping or a choice of axes.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -59,6 +61,7 @@ class KdTree:
     mailbox: bool = False
     axis: str = "longest"
     split_clipping: bool = False
+    searched_axes: str = "all"
 
     def __post_init__(self) -> None:
         from wrt.builders.kdtree import KDTREE_BUILDERS
@@ -66,6 +69,9 @@ class KdTree:
         if self.split_clipping and not lookup(KDTREE_BUILDERS, self.builder, "builder").clips:
             able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.clips)
             raise ValueError(f"builder {self.builder!r} does not support split_clipping; choose from {able}, or leave it off")
+        if self.searched_axes != "all" and not lookup(KDTREE_BUILDERS, self.builder, "builder").chooses_axes:
+            able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.chooses_axes)
+            raise ValueError(f"builder {self.builder!r} does not support searched_axes; choose from {able}, or leave it out")
         lookup(KDTREE_BUILDERS, self.builder, "builder")
         self.config(width=8)
 
@@ -83,7 +89,7 @@ class KdTree:
             mailbox=self.mailbox,
         )
         stop = StopRules(self.max_depth, self.bad_splits, self.termination, self.leaf_triangles, self.least_size)
-        return KdTreeConfig(cost, stop, self.axis, self.split_clipping)
+        return KdTreeConfig(cost, stop, self.axis, self.split_clipping, self.searched_axes)
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""

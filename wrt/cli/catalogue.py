@@ -25,6 +25,10 @@ PAPERS: dict[str, dict[str, str]] = {
     "axes of medians": dict.fromkeys(
         ("longest", "round_robin"), "compared in Wald: Realtime ray tracing and interactive global illumination (2004)"
     ),
+    "searched axes": dict.fromkeys(
+        ("all", "longest", "mixed"),
+        "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
+    ),
     "layouts": dict.fromkeys(("random", "breadth_first", "depth_first", "subtrees"), HAVRAN),
     "weights of boxes": {"pah": FALCONE, "sah": "MacDonald, Booth (1990)"},
     "axes to split": dict.fromkeys(("all", "longest", "facing", "in_turn"), FALCONE),
@@ -116,7 +120,7 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
     from wrt.builders.convert.node_layouts import LAYOUTS
     from wrt.builders.kdtree import KDTREE_BUILDERS
-    from wrt.builders.kdtree.kdtree_config import AXES
+    from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators.render_settings import INTEGRATORS
     from wrt.kernels.runtime.schedules import SCHEDULES
@@ -136,6 +140,7 @@ def all_tables() -> dict[str, Rows]:
         "kd-tree builders": entries(KDTREE_BUILDERS, ("name", "paper")),
         "termination": named("termination", TERMINATIONS),
         "axes of medians": named("axes of medians", AXES),
+        "searched axes": named("searched axes", SEARCHED_AXES),
         "clipping and costs": others("clipping and costs"),
         "layouts": named("layouts", LAYOUTS),
         "trees for known rays": others("trees for known rays"),

@@ -34,6 +34,8 @@ class SearchRules:
     """Triangles of a node from which on only a sample of them is counted; 0: all are counted."""
     round_robin: bool
     """Whether the split axis alternates by level; otherwise the longest axis is split."""
+    longest_from: int
+    """Triangles of a node from which on only its longest axis is searched."""
 
 
 @wp.struct

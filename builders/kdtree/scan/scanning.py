@@ -127,6 +127,7 @@ def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, 
     lists.rules.bins = scan.levels.bins
     lists.rules.sampled = scan.levels.sampled
     lists.rules.round_robin = config.axis == ROUND_ROBIN
+    lists.rules.longest_from = config.longest_from
     lists.reference = references
     lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
     lists.value = wp.empty((count, values), dtype=float, device=device)
