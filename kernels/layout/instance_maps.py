@@ -83,6 +83,15 @@ def ray_mask(rays: RayBatch, i: int):
 
 
 @wp.func
+def ray_environment(rays: RayBatch, i: int):
+    """Environment of ray number i; -1 if it sees the instances of all."""
+    environment = int(-1)
+    if rays.environment.shape[0] > 0:
+        environment = rays.environment[i * rays.environment_stride]
+    return environment
+
+
+@wp.func
 def object_ray(placement: Placement, origin: wp.vec3d, ray: Ray, t_max: float):
     """A valid ray in the geometry's space, up to t_max; invalid if the transformed ray exceeds the range of float32.
 

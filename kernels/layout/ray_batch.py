@@ -71,6 +71,9 @@ class RayBatch:
     mask: wp.array(dtype=wp.uint32)
     """(N,), (1,), or (0,) for rays without masks: see `wrt.kernels.layout.instance_maps`."""
     mask_stride: int
+    environment: wp.array(dtype=int)
+    """(N,), (1,), or (0,) for rays that see the instances of all environments, as those of environment -1 do."""
+    environment_stride: int
     run: int
     """Rays per item, a multiple of the stream length. Used by streams only."""
     center: wp.vec3d

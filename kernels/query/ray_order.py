@@ -122,6 +122,8 @@ def gather_rays(first: int, rays: RayBatch, order: wp.array(dtype=int), sorted_r
         sorted_rays.t_max[place] = rays.t_max[i]
     if rays.mask_stride != 0:
         sorted_rays.mask[place] = rays.mask[i]
+    if rays.environment_stride != 0:
+        sorted_rays.environment[place] = rays.environment[i]
 
 
 @wp.kernel
@@ -203,6 +205,7 @@ def sort_rays(rays: RayBatch, order: wp.array, empty: Callable[[int, type, wp.De
     result = RayBatch()
     result.count, result.center = count, rays.center
     fields = {"origin": wp.vec3, "direction": wp.vec3, "t_min": wp.float32, "t_max": wp.float32, "mask": wp.uint32}
+    fields["environment"] = wp.int32
     for name, dtype in fields.items():
         field = name + "s" if dtype is wp.vec3 else name
         stride = getattr(rays, f"{name}_stride")

@@ -1,9 +1,9 @@
 """The path of a query: rays, plan, prepared query, launch, answers in device memory.
 
 A prepared query is looked up by its plan and the layout of its rays. Queries that cannot be prepared are traced as a batch:
-those that sort rays, count work or have masks; those on lazily built trees or influence areas; those with triangle tests whose
-records depend on the origin of the rays; many rays through instances; and calls inside a graph capture, whose launches Warp
-must see with all their arrays.
+those that sort rays, count work, or have masks or environments; those on lazily built trees or influence areas; those with
+triangle tests whose records depend on the origin of the rays; many rays through instances; and calls inside a graph capture,
+whose launches Warp must see with all their arrays.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from wrt.execution.batch import trace_batch
 from wrt.execution.prepared import PreparedQuery
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
-from wrt.rays.ray_buffers import RayBuffers, set_mask, to_device
+from wrt.rays.ray_buffers import RayBuffers, set_environment, set_mask, to_device
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
 
@@ -56,7 +56,7 @@ def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
 
 
 def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
-    buffers = on_device(scene, rays, query.mask, may_stage(scene, query))
+    buffers = on_device(scene, rays, query, may_stage(scene, query))
     chosen = find_plan(scene, buffers, query)
     hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters)
     return Answer(hits, buffers.form, chosen.plan, work)
@@ -69,18 +69,22 @@ def may_stage(scene: SceneState, query: Query) -> bool:
     return chosen_by_scene and device.is_cpu and not (query.counters or scene.lazy_tree is not None or device.is_capturing)
 
 
-def on_device(scene: SceneState, rays: Rays, mask: Any, staged: bool = False) -> RayBuffers:
-    """The rays on the scene's device, with their masks.
+def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> RayBuffers:
+    """The rays on the scene's device, with the masks and environments of their query.
 
     Raises:
-        ValueError: masks in a scene whose geometries have none.
+        ValueError: masks or environments in a scene whose geometries have none.
     """
-    if mask is None:
+    if query.mask is None and query.environment is None:
         return to_device(rays, scene.device, scene.center, FEW_RAYS if staged else 0)
     if not scene.instances:
-        raise ValueError("mask needs instances, and this scene has none; give masks with wrt.Instance(mesh, mask=...)")
+        name = "environment" if query.mask is None else "mask"
+        raise ValueError(f"{name} needs instances, and this scene has none; make it from wrt.Instance(mesh, {name}=...)")
     buffers = to_device(rays, scene.device, scene.center)
-    set_mask(buffers, mask, scene.device)
+    if query.mask is not None:
+        set_mask(buffers, query.mask, scene.device)
+    if query.environment is not None:
+        set_environment(buffers, query.environment, scene.device)
     return buffers
 
 

@@ -7,6 +7,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, members_of
@@ -18,6 +19,11 @@ MAX_SCALE = 2.0**100
 """Largest factor by which a map may enlarge or shrink, so that ray directions in the mesh's space stay within float32."""
 
 MAX_MASK = (1 << 32) - 1
+
+EVERY = -1
+"""Environment of instances that the rays of all environments see."""
+
+MAX_ENVIRONMENT = (1 << 31) - 1
 
 MIN_RELATIVE_SIZE = 2.0**-40
 """Smallest size of an instance as a share of its distance from the scene's centre: float64 positions within it have 13 bits."""
@@ -36,19 +42,23 @@ class Instance:
         transform: (4, 4) affine map from the mesh's space to the scene's, p -> (transform @ [p, 1])[:3], last row (0, 0, 0,
             1); None for the identity. It may scale, shear and mirror; normals keep pointing outward.
         mask: 0 to 2^32 - 1; a ray sees the instance if its own mask has a bit in common with this one.
+        environment: 0 to 2^31 - 1, one of many worlds in a scene: rays of an environment see the instances of theirs only, and
+            those of environment -1, which all share.
 
     Attributes:
         mesh: the mesh as given.
         transform: (4, 4) float64, read-only.
-        mask: int.
+        mask, environment: int.
 
     Raises:
-        TypeError: the mesh or the mask has a wrong type.
+        TypeError: the mesh, the mask or the environment has a wrong type.
         ValueError: a transform that is not finite, not affine or singular, or that enlarges or shrinks by more than 2^100;
-            a mask out of range.
+            a mask or an environment out of range.
     """
 
-    def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK) -> None:
+    __slots__ = ("environment", "mask", "mesh", "transform")
+
+    def __init__(self, mesh: Any, transform: Any = None, *, mask: int = MAX_MASK, environment: int = EVERY) -> None:
         if not (isinstance(mesh, TriangleMesh) or (hasattr(mesh, "faces") and hasattr(mesh, "vertices"))):
             raise TypeError(
                 f"mesh must be a wrt.TriangleMesh or a trimesh.Trimesh, not {type(mesh).__name__}; pass a trimesh.Scene to "
@@ -57,13 +67,21 @@ class Instance:
         self.mesh = mesh
         self.transform = check_transform(np.eye(4) if transform is None else transform)
         self.mask = check_mask(mask)
+        self.environment = check_environment(environment)
+
+    def moved(self, transform: np.ndarray, mask: int, environment: int) -> Instance:
+        """The mesh elsewhere; the arguments must have been checked."""
+        other = object.__new__(Instance)
+        other.mesh, other.transform, other.mask, other.environment = self.mesh, transform, mask, environment
+        return other
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Arrays in a pickle are writable; the constructor makes the transform read-only again."""
-        return partial(Instance, mask=self.mask), (self.mesh, self.transform)
+        return partial(Instance, mask=self.mask, environment=self.environment), (self.mesh, self.transform)
 
     def __repr__(self) -> str:
-        return f"Instance({self.mesh!r}, mask={self.mask:#x})"
+        environment = "" if self.environment == EVERY else f", environment={self.environment}"
+        return f"Instance({self.mesh!r}, mask={self.mask:#x}{environment})"
 
 
 def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
@@ -93,6 +111,80 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         )
     matrix.flags.writeable = False
     return matrix
+
+
+def check_transforms(transforms: Any, count: int) -> np.ndarray:
+    """(count, 4, 4) float64, read-only, of one matrix for all instances or one for each.
+
+    Args:
+        transforms: (4, 4) or (count, 4, 4), or a Warp array: of matrices, of numbers in one of these shapes, or (count,) of
+            `wp.transform`.
+        count: number of instances.
+
+    Raises:
+        ValueError: another number of matrices, or as `check_transform`.
+    """
+    matrices = matrices_of(transforms) if isinstance(transforms, wp.array) else np.asarray(transforms)
+    if matrices.ndim == 3 and len(matrices) != count:
+        raise ValueError(f"transform holds {len(matrices)} matrices for {count} instances; pass one each, or one for all")
+    if matrices.ndim != 3:
+        return np.broadcast_to(check_transform(matrices), (count, 4, 4))
+    if matrices.dtype.kind not in "fiu" or matrices.shape[1:] != (4, 4):
+        for matrix in matrices:
+            check_transform(matrix)
+    matrices = matrices.astype(np.float64)
+    linear = matrices[:, :3, :3]
+    with np.errstate(all="ignore"):  # a NaN is not below any bound
+        largest = np.sqrt(np.square(linear).sum(axis=(1, 2)))  # at least the largest singular value
+        least = np.abs(np.linalg.det(linear)) / np.square(largest)  # at most the smallest one
+        fine = (largest <= MAX_SCALE) & (least >= 1.0 / MAX_SCALE) & (largest < MAX_CONDITION * least)
+        fine &= (np.abs(matrices[:, 3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all(axis=1) & np.isfinite(matrices[:, :3, 3]).all(
+            axis=1
+        )
+    for number in np.flatnonzero(~fine):
+        check_transform(matrices[number])
+    matrices.flags.writeable = False
+    return matrices
+
+
+def matrices_of(transforms: wp.array) -> np.ndarray:
+    """(..., 4, 4) of a Warp array of matrices, of numbers, or of `wp.transform`: a position and a quaternion x, y, z, w."""
+    if transforms.dtype not in (wp.transformf, wp.transformd):
+        return transforms.numpy()
+    values = transforms.numpy().astype(np.float64)
+    x, y, z, w = np.moveaxis(values[..., 3:] / np.linalg.norm(values[..., 3:], axis=-1, keepdims=True), -1, 0)
+    matrices = np.zeros((*values.shape[:-1], 4, 4))
+    matrices[..., :3, 3], matrices[..., 3, 3] = values[..., :3], 1.0
+    matrices[..., 0, 0], matrices[..., 0, 1], matrices[..., 0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - z * w),
+        2 * (x * z + y * w),
+    )
+    matrices[..., 1, 0], matrices[..., 1, 1], matrices[..., 1, 2] = (
+        2 * (x * y + z * w),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - x * w),
+    )
+    matrices[..., 2, 0], matrices[..., 2, 1], matrices[..., 2, 2] = (
+        2 * (x * z - y * w),
+        2 * (y * z + x * w),
+        1 - 2 * (x * x + y * y),
+    )
+    return matrices
+
+
+def check_environment(environment: Any, name: str = "environment") -> int:
+    """Checks that an environment is an int from -1 to 2^31 - 1.
+
+    Raises:
+        TypeError: not an int.
+        ValueError: out of range.
+    """
+    if isinstance(environment, (bool, np.bool_)) or not isinstance(environment, (int, np.integer)):
+        raise TypeError(f"{name} must be an int, not {type(environment).__name__}")
+    if not EVERY <= environment <= MAX_ENVIRONMENT:
+        raise ValueError(f"{name} is {environment}; it must be from 0 to 2**31 - 1, or -1 for all environments")
+    return int(environment)
 
 
 def check_mask(mask: Any, name: str = "mask") -> int:

@@ -161,7 +161,7 @@ def list_hits(scene: SceneState, rays: Rays, query: Query) -> AllHits:
     """All hits of rays; see `wrt.Scene.intersect_all`."""
     bound = check_max_hits(query.max_hits)
     with use_threads(scene.num_threads):
-        buffers = on_device(scene, rays, query.mask)
+        buffers = on_device(scene, rays, query)
         plan = find_plan(scene, buffers, query).plan
         hits, offsets = find_all(scene, plan, buffers.batch, bound)
     return AllHits(hits, offsets, buffers.form, scene, plan)

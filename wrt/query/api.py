@@ -69,6 +69,9 @@ class Queries:
             t_min, t_max: scalars or (...) arrays; hits count if t_min <= t <= t_max (closed interval). 0 <= t_min < inf.
             mask: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances whose masks have a
                 bit in common with it (`wrt.Instance`); None for all bits.
+            environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
+                environment and those of environment -1; a ray of environment -1, or None, sees those of all. Rays are fast if
+                neighbours have the same environment.
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
                 order. Not all traversals support this; "auto" chooses one that does.
             skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
@@ -119,8 +122,8 @@ class Queries:
         A triangle seen edge-on is not hit. (At an edge, `intersect` may return another of the adjacent triangles.)
 
         Args:
-            origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`; not every
-                traversal and triangle test supports this query.
+            origins, directions, t_min, t_max, mask, environment, cull_backfaces, traversal, triangle_test: as in `intersect`;
+                not every traversal and triangle test supports this query.
             max_hits: largest number of hits kept for each ray, the nearest ones; at least 1, or None for all. This saves
                 memory, not time: all hits are found.
 
@@ -163,7 +166,8 @@ class Queries:
                 with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
                 at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
                 `directions` is left out: items are answered in order, and items larger than a block in parts.
-            mask: as in `intersect`; an array is cut into blocks with the rays. One number if the rays come from an iterator.
+            mask, environment: as in `intersect`; arrays are cut into blocks with the rays. One number if the rays come from an
+                iterator.
             memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
                 ray. A block has at least one row.
             progress: whether to show a progress bar on stderr.
@@ -271,7 +275,7 @@ class Queries:
         """The plan by which these rays would be traced, with the reason for it. Nothing is traced.
 
         Args:
-            origins, directions, t_min, t_max, mask, cull_backfaces, traversal, triangle_test: as in `intersect`.
+            origins, directions, t_min, t_max, mask, environment, cull_backfaces, traversal, triangle_test: as in `intersect`.
             query: "closest" (`intersect`), "any" (`occluded`), "count" or "all" (`intersect_all`).
 
         Raises:
@@ -279,6 +283,6 @@ class Queries:
         """
         check_options(Queries.explain, options)
         rays, scene = as_rays(origins, directions, t_min, t_max), self.state
-        kind, mask = lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, options.pop("mask", None)
+        query = Query(lookup(QUERIES, options.pop("query", CLOSEST), "query").kind, **options)
         with use_threads(scene.num_threads):
-            return find_plan(scene, on_device(scene, rays, mask), Query(kind, **options)).plan
+            return find_plan(scene, on_device(scene, rays, query), query).plan

@@ -72,14 +72,17 @@ class Blocks:
         source: Rays | Iterable[Any],
         memory: int | str,
         progress: bool,
-        mask: Any = None,
+        **each: Any,
     ) -> None:
         self.done = 0
         self._query, self._source, self._progress = query, source, progress
-        self._mask = None if mask is None else mask if np.isscalar(mask) else _sliceable(mask)
-        self._is_masked = np.ndim(mask) > 0
-        if self._is_masked and not isinstance(source, Rays):
-            raise ValueError("mask must be one number if the rays come from an iterator; pass rays and masks as arrays instead")
+        given = {name: values for name, values in each.items() if values is not None}
+        self._each = {name: values if np.isscalar(values) else _sliceable(values) for name, values in given.items()}
+        self._cut = [name for name, values in given.items() if np.ndim(values) > 0]
+        if self._cut and not isinstance(source, Rays):
+            raise ValueError(
+                f"{self._cut[0]} must be one number if the rays come from an iterator; pass rays and masks as arrays instead"
+            )
         self._bytes = parse_memory(memory)
         self.shape: tuple[int, ...] | None = None
         if isinstance(source, Rays):
@@ -143,13 +146,11 @@ class Blocks:
                 del answer  # freed before the next block is computed
 
     def _answer(self, rays: Rays, begin: int, end: int) -> Any:
-        """The answer for some rows, with their masks."""
-        if self._mask is None:
-            return self._query(rays)
-        mask = self._mask
-        if self._is_masked:
-            mask = cut_rows(mask, np.shape(mask), len(self.shape), begin, end)
-        return self._query(rays, mask=mask)
+        """The answer for some rows, with their masks and environments."""
+        each = dict(self._each)
+        for name in self._cut:
+            each[name] = cut_rows(each[name], np.shape(each[name]), len(self.shape), begin, end)
+        return self._query(rays, **each)
 
     def _pieces(self) -> Iterator[tuple[slice, Rays]]:
         """The rays of each block, and their rows in the batch."""
@@ -165,7 +166,7 @@ class Blocks:
     def _ranges(self, shape: tuple[int, ...]) -> range:
         """First row of each block of a batch; the step is the number of rows of a block."""
         a_row = max(math.prod(shape[1:]), 1)
-        each = BYTES_PER_RAY + (MASK_BYTES if self._is_masked else 0)
+        each = BYTES_PER_RAY + (MASK_BYTES * len(self._cut))
         rows = min(self._bytes // each, MAX_RAYS) // a_row
         return range(0, shape[0], max(rows, 1))
 
@@ -176,10 +177,11 @@ def blocks_of(
     memory: int | str = MEMORY,
     progress: bool = False,
     mask: Any = None,
+    environment: Any = None,
     **options: Any,
 ) -> Blocks:
-    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of the mask."""
-    return Blocks(partial(query, **options), source, memory, progress, mask)
+    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of masks."""
+    return Blocks(partial(query, **options), source, memory, progress, mask=mask, environment=environment)
 
 
 def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:

@@ -74,7 +74,7 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     if (query.traversal, query.triangle_test, query.counters, query.cull_backfaces) != (AUTO, AUTO, False, False):
         raise ValueError("precise=True takes no traversal, triangle_test, counters or cull_backfaces; leave them out")
     with use_threads(scene.num_threads):
-        buffers, device = on_device(scene, rays, query.mask), scene.device
+        buffers, device = on_device(scene, rays, query), scene.device
         plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
         hits, mesh = ExactHits(), exact_mesh(scene)
         rounded = DeviceHits.new(EXACT, buffers.count, device)

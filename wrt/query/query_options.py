@@ -37,6 +37,7 @@ class MaskOptions(FacingOptions, total=False):
     """Of queries that trace rays."""
 
     mask: Any
+    environment: Any
 
 
 class ValueOptions(MaskOptions, total=False):
@@ -73,6 +74,7 @@ class BlockOptions(PlanOptions, total=False):
     """Of `occluded_blocks` and `count_blocks`."""
 
     mask: Any
+    environment: Any
     memory: int | str
     progress: bool
 

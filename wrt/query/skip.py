@@ -50,7 +50,7 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
     from wrt.kernels.query.skip_triangle import make_kernel
 
     with use_threads(scene.num_threads):
-        buffers = on_device(scene, rays, query.mask)
+        buffers = on_device(scene, rays, query)
         check_skip(scene, {name: getattr(query, name) for name in ("traversal", "triangle_test", "counters", "precise")})
         skipped = skipped_triangles(query.skip, scene, buffers)
         single = Query(query.kind, "single", AUTO, query.cull_backfaces)

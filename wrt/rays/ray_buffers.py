@@ -129,6 +129,42 @@ def set_mask(buffers: RayBuffers, mask: Any, device: wp.Device) -> None:
     buffers.batch.mask, buffers.batch.mask_stride = wp.array(each, dtype=wp.uint32, device=device), stride
 
 
+def set_environment(buffers: RayBuffers, environment: Any, device: wp.Device) -> None:
+    """Sets the environments of rays: an int for all, or an array of integers that broadcasts to their shape.
+
+    Raises:
+        TypeError: the array does not hold integers.
+        ValueError: values outside -1 .. 2^31 - 1, a shape that does not broadcast, or an array on another device.
+    """
+    batch = buffers.batch
+    if isinstance(environment, wp.array):
+        if environment.dtype is not wp.int32 or environment.device != device:
+            raise ValueError(
+                f"environment must be a Warp array of int32 on {device}, not of {environment.dtype.__name__} on "
+                f"{environment.device}"
+            )
+        stride = 0 if environment.size == 1 else 1
+        if stride and environment.shape != buffers.shape:
+            raise ValueError(
+                f"environment has the shape {environment.shape}, the rays {buffers.shape}; Warp arrays broadcast only from one "
+                "element"
+            )
+        batch.environment, batch.environment_stride = environment.flatten(), stride
+        return
+    values = np.asarray(environment)
+    if values.dtype.kind not in "iu":
+        raise TypeError(f"environment must hold integers, not {values.dtype}")
+    if values.size and (values.min() < -1 or values.max() >= 1 << 31):
+        raise ValueError(f"environment must be from -1 to 2**31 - 1, but ranges from {values.min()} to {values.max()}")
+    try:
+        each, stride = flatten_shared(np.broadcast_to(values.astype(np.int32), buffers.shape), buffers.shape, ())
+    except ValueError:
+        raise ValueError(
+            f"environment has the shape {values.shape}, which does not broadcast to that of the rays, {buffers.shape}"
+        ) from None
+    batch.environment, batch.environment_stride = wp.array(each, dtype=int, device=device), stride
+
+
 def shares_origin(batch: RayBatch) -> bool:
     """Whether all rays are known to start at one point, as a single ray does."""
     return batch.origin_stride == 0 or batch.count <= 1

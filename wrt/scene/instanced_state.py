@@ -1,13 +1,17 @@
 """States of scenes of instances: a tree for each mesh, and a tree over the boxes of the instances.
 
 **What is held.** Each mesh, whatever the number of its instances, has a state of its own, with tree and triangle records
-relative to its own centre. An instance takes 184 bytes for its maps and some 100 of the upper tree, which is a wide BVH over
-the boxes of the instances. Moving instances builds the upper tree again, nothing else.
+relative to its own centre. An instance takes 184 bytes for its maps, some 300 of the host's, and some 100 of the upper level:
+wide BVHs over the boxes of the instances (`wrt.builders.bvh.instance_forest`).
+
+**Updates.** Moving instances gives their boxes to the nodes above them. Where trees of instances have several nodes, they are
+built again once half of those instances have moved. Adding and removing instances builds the upper level again, which takes
+microseconds an instance; trees of meshes stay.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -20,10 +24,10 @@ from wrt.kernels.layout.instance_maps import Geometry, Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import kept, use_threads
 from wrt.memory import keep_alive
-from wrt.meshes.instance import Instance, as_instances, check_extent
+from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center
-from wrt.scene.instance_boxes import InstanceBoxes, build_upper, cover
+from wrt.scene.instance_boxes import InstanceBoxes, UpperTree, build_upper, cover
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -46,7 +50,10 @@ class InstancedState(SceneState):
         geometry_ids: the mesh of each instance.
         mesh_states: the state of each mesh, in its own space.
         covers: for each mesh, points in whose convex hull its triangles are (`wrt.scene.instance_boxes.cover`).
-        stretch: by what the slack of boxes grows for the worst of the maps.
+        boxes: the maps of the instances, and their boxes.
+        table: (N,) `Placement` on the host.
+        given: the mesh of each of `mesh_states` as the caller gave it.
+        moved: instances that moved since the upper level was built, of those in trees of several nodes.
         last_update: of the tree of the mesh whose vertices the last update moved; None if it moved none.
     """
 
@@ -61,7 +68,10 @@ class InstancedState(SceneState):
     geometry_ids: tuple[int, ...] = ()
     mesh_states: tuple[MeshState, ...] = ()
     covers: tuple[np.ndarray, ...] = ()
-    stretch: float = 1.0
+    boxes: InstanceBoxes | None = None
+    table: np.ndarray | None = None
+    given: tuple[Any, ...] = ()
+    moved: int = 0
     last_update: UpdateReport | None = None
 
     @property
@@ -111,7 +121,9 @@ class InstancedState(SceneState):
 
         top = InstanceTree()
         top.tree, top.order = self.tree.struct(), self.tree.primitive
-        top.placements, top.stretch = self.device_mesh.placements, self.stretch
+        top.placements, top.stretch = self.device_mesh.placements, self.boxes.stretch
+        top.environments, top.roots = self.tree.environments, self.tree.roots
+        top.root, top.shared_root = self.tree.forest.root, self.tree.forest.shared_root
         return top
 
     def lower(self, plan: Plan, rays: RayBatch) -> wp.array:
@@ -130,69 +142,143 @@ class InstancedState(SceneState):
                 tables[key] = keep_alive(wp.array(table, dtype=kind, device=self.device), used)
         return tables[key]
 
-    def updated(self, index: Any, vertices: Any, transform: Any, mask: int | None, policy: UpdatePolicy) -> InstancedState:
+    def updated(
+        self,
+        index: Any,
+        vertices: Any,
+        transform: Any,
+        mask: int | None,
+        policy: UpdatePolicy,
+        environment: int | None = None,
+    ) -> InstancedState:
         """The state after instances, or the vertices of a mesh, have moved; as `wrt.Scene.update`."""
-        if vertices is None and transform is None and mask is None:
-            raise TypeError("there is nothing to update; pass vertices, transform or mask")
-        chosen = [check_index(one, len(self.instances), "instance") for one in np.atleast_1d(np.asarray(index)).tolist()]
-        if not chosen:
-            raise ValueError("index is empty; pass the index of an instance, or several")
-        instances = self._replaced(chosen, transform, mask)
-        states, covers, report = self.mesh_states, self.covers, None
+        if vertices is None and transform is None and mask is None and environment is None:
+            raise TypeError("there is nothing to update; pass vertices, transform, mask or environment")
+        chosen = self.chosen(index)
+        matrices = None if transform is None else check_transforms(transform, len(chosen))
+        mask = None if mask is None else check_mask(mask)
+        environment = None if environment is None else check_environment(environment)
+        instances, rows = list(self.instances), chosen.tolist()
+        for place, number in enumerate(rows):
+            old = instances[number]
+            instances[number] = old.moved(
+                old.transform if matrices is None else matrices[place],
+                old.mask if mask is None else mask,
+                old.environment if environment is None else environment,
+            )
         with use_threads(self.num_threads):
             if vertices is not None:
-                number = self.geometry_ids[chosen[0]]
-                if any(self.geometry_ids[one] != number for one in chosen):
-                    raise ValueError(
-                        "index names instances of several meshes; pass vertices for the instances of one mesh at a time"
-                    )
-                part = states[number].updated(0, vertices, None, None, policy)
-                part.complete()
-                report = part.last_update
-                states = (*states[:number], part, *states[number + 1 :])
-                covers = (*covers[:number], cover(part), *covers[number + 1 :])
-                instances = tuple(
-                    Instance(part.meshes[0], one.transform, mask=one.mask) if own == number else one
-                    for one, own in zip(instances, self.geometry_ids, strict=True)
-                )
-            check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
-            placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
-        return replace(placed, last_update=report)
+                return self._bent(tuple(instances), rows, vertices, policy)
+            if environment is not None:
+                return self.with_instances(tuple(instances))
+            return self._moved(tuple(instances), np.unique(chosen))
 
-    def _replaced(self, chosen: list[int], transform: Any, mask: int | None) -> tuple[Instance, ...]:
-        """All instances, the chosen ones with the new transform or mask."""
-        instances = list(self.instances)
-        matrices = np.asarray(transform)
-        if transform is not None and matrices.ndim == 3 and len(matrices) != len(chosen):
-            raise ValueError(
-                f"transform holds {len(matrices)} matrices for {len(chosen)} instances; pass one each, or one for all"
-            )
-        for place, number in enumerate(chosen):
-            old = instances[number]
-            matrix = old.transform if transform is None else matrices[place] if matrices.ndim == 3 else matrices
-            instances[number] = Instance(old.mesh, matrix, mask=old.mask if mask is None else mask)
-        return tuple(instances)
+    def chosen(self, index: Any) -> np.ndarray:
+        """(M,) numbers of the instances that a caller means: an index, or several.
+
+        Raises:
+            TypeError, ValueError: as `wrt.Scene.update`.
+        """
+        values = np.atleast_1d(np.asarray(index))
+        count = len(self.instances)
+        if not (values.ndim == 1 and values.dtype.kind in "iu" and len(values) and values.min() >= 0 and values.max() < count):
+            values = np.array([check_index(one, count, "instance") for one in values.tolist()], dtype=np.int64)
+            if not len(values):
+                raise ValueError("index is empty; pass the index of an instance, or several")
+        return values
+
+    def _bent(self, instances: tuple[Instance, ...], chosen: list[int], vertices: Any, policy: UpdatePolicy) -> InstancedState:
+        """The state after the vertices of a mesh have moved."""
+        states, number = self.mesh_states, self.geometry_ids[chosen[0]]
+        if any(self.geometry_ids[one] != number for one in chosen):
+            raise ValueError("index names instances of several meshes; pass vertices for the instances of one mesh at a time")
+        part = states[number].updated(0, vertices, None, None, policy)
+        part.complete()
+        states = (*states[:number], part, *states[number + 1 :])
+        covers = (*self.covers[:number], cover(part), *self.covers[number + 1 :])
+        instances = tuple(
+            Instance(part.meshes[0], one.transform, mask=one.mask, environment=one.environment) if own == number else one
+            for one, own in zip(instances, self.geometry_ids, strict=True)
+        )
+        check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
+        placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
+        given = (*self.given[:number], part.meshes[0], *self.given[number + 1 :])
+        return replace(placed, given=given, last_update=part.last_update)
+
+    def _moved(self, instances: tuple[Instance, ...], rows: np.ndarray) -> InstancedState:
+        """The state after some instances have moved: the nodes above them get new boxes."""
+        transforms = np.array([instances[row].transform for row in rows])
+        numbers = np.array([self.geometry_ids[row] for row in rows])
+        boxes = self.boxes.with_rows(
+            rows, InstanceBoxes.of(transforms, numbers, [state.center for state in self.mesh_states], self.covers)
+        )
+        if not boxes.are_resolved:
+            check_extent(instances, self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
+        moved = self.moved + int(np.count_nonzero(self.tree.forest.layered[rows]))
+        if 2 * moved > np.count_nonzero(self.tree.forest.layered):
+            tree, moved = None, 0
+        else:
+            tree = self.tree
+        table = self.table.copy()
+        boxes.write(table, rows)
+        table["mask"][rows] = [instances[row].mask for row in rows]
+        return assemble(self, instances, boxes, table, tree, moved)
+
+    def with_instances(self, instances: tuple[Instance, ...]) -> InstancedState:
+        """The state of other instances. Meshes that are here already keep their trees.
+
+        Raises:
+            ValueError: as `wrt.InstancedScene`.
+        """
+        known = {}
+        for given, state, points in zip(self.given, self.mesh_states, self.covers, strict=True):
+            known[id(given)] = known[id(state.meshes[0])] = state, points
+        return place_members(instances, self.settings, None, self.mark, known)
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
     """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
-    instances = as_instances(geometry)
+    return place_members(as_instances(geometry), settings, cache, new_mark(), {})
+
+
+def place_members(
+    instances: tuple[Instance, ...],
+    settings: Settings,
+    cache: Any,
+    mark: str,
+    known: Mapping[int, tuple[MeshState, np.ndarray]],
+) -> InstancedState:
+    """The state of instances. Builds the trees of meshes that are not known.
+
+    Args:
+        instances: the instances.
+        settings, cache, mark: of the scene.
+        known: state and cover of meshes that have trees already, by their id.
+    """
     shared: dict[int, int] = {}
     geometry_ids = tuple(shared.setdefault(id(instance.mesh), len(shared)) for instance in instances)
     given = {id(instance.mesh): instance.mesh for instance in instances}
-    meshes = [mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh) for mesh in given.values()]
-    for number, mesh in enumerate(meshes):
+    meshes = []
+    for number, (key, mesh) in enumerate(given.items()):
+        if key in known:
+            meshes.append(known[key][0].meshes[0])
+            continue
+        meshes.append(mesh if isinstance(mesh, TriangleMesh) else TriangleMesh.from_trimesh(mesh))
         try:
-            find_center((mesh,))
+            find_center((meshes[-1],))
         except ValueError as error:
             raise ValueError(f"mesh {number} of the instances: {error}") from None
     check_extent(instances, geometry_ids, meshes)
-    states = tuple(build_state((mesh,), settings, cache) for mesh in meshes)
-    for state in states:
+    states, covers = [], []
+    for key, mesh in zip(given, meshes, strict=True):
+        state, points = known.get(key) or (build_state((mesh,), settings, cache), None)
         state.complete()  # trees of the lower level cannot grow during a query
-    return place_instances(instances, geometry_ids, states, tuple(map(cover, states)), settings, new_mark())
+        states.append(state)
+        covers.append(cover(state) if points is None else points)
+    placed = place_instances(instances, geometry_ids, tuple(states), tuple(covers), settings, mark)
+    return replace(placed, given=tuple(given.values()))
 
 
 def place_instances(
@@ -208,38 +294,84 @@ def place_instances(
     Raises:
         ValueError: more than `MAX_TRIANGLES` triangles.
     """
-    counts = [states[number].triangle_count for number in geometry_ids]
-    first = np.cumsum([0, *counts])
+    numbers = np.array(geometry_ids)
+    first = np.cumsum([0, *np.array([state.triangle_count for state in states])[numbers].tolist()])
     if first[-1] > MAX_TRIANGLES:
         raise ValueError(
             f"the instances have {int(first[-1]):,} triangles together, and a scene can number "
             f"{MAX_TRIANGLES:,}; make several scenes"
         )
-    device = settings.device
-    boxes = InstanceBoxes.of(instances, geometry_ids, [state.center for state in states], covers)
-    center = (boxes.low.min(axis=0) + boxes.high.max(axis=0)) / 2
-    tree = build_upper(boxes, center, max(states[0].width, 2)).to(device)
+    transforms = np.array([instance.transform for instance in instances])
+    boxes = InstanceBoxes.of(transforms, numbers, [state.center for state in states], covers)
+    table = np.zeros(len(instances), dtype=Placement.numpy_dtype())
+    boxes.write(table, slice(None))
+    table["geometry"], table["first"] = geometry_ids, first[:-1]
+    table["mask"] = [instance.mask for instance in instances]
     mesh = SceneMesh()
-    mesh.center = wp.vec3d(*map(float, center))
-    mesh.low, mesh.high = wp.vec3(*tree.low), wp.vec3(*tree.high)
-    mesh.geometry_first = wp.array(first, dtype=int, device=device)
-    table = boxes.table(center, geometry_ids, first[:-1], [instance.mask for instance in instances])
-    mesh.placements = wp.array(table, dtype=Placement, device=device)
-    mesh.geometries = geometry_table(states, device)
-    return InstancedState(
+    mesh.geometry_first = wp.array(first, dtype=int, device=settings.device)
+    mesh.geometries = geometry_table(states, settings.device)
+    blank = InstancedState(
         settings=settings,
         meshes=tuple(state.meshes[0] for state in states),
-        center=center,
-        built_tree=tree,
+        center=np.zeros(3),
+        built_tree=None,
         device_mesh=mesh,
         instances=instances,
         mark=mark,
         geometry_ids=geometry_ids,
         mesh_states=states,
         covers=covers,
-        stretch=boxes.stretch,
-        cache=QueryCache(),
+        boxes=boxes,
+        table=table,
+        given=tuple(state.meshes[0] for state in states),
     )
+    return assemble(blank, instances, boxes, table, None, 0)
+
+
+def assemble(
+    old: InstancedState,
+    instances: tuple[Instance, ...],
+    boxes: InstanceBoxes,
+    table: np.ndarray,
+    tree: UpperTree | None,
+    moved: int,
+) -> InstancedState:
+    """The state of instances whose meshes are those of another state.
+
+    Args:
+        old: the other state.
+        instances, boxes: the instances, and where they are.
+        table: their placements, without origins.
+        tree: whose nodes are kept; None to build the upper level.
+        moved: as in `InstancedState`.
+    """
+    center, device = boxes.center(), old.settings.device
+    table["origin"] = boxes.origin - center
+    corners = boxes.around(center)
+    if tree is None:
+        depth = max(getattr(state.tree, "depth", 0) for state in old.mesh_states)  # stacks for kd-trees have one size
+        environments = np.array([instance.environment for instance in instances], dtype=np.int32)
+        tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)
+    else:
+        tree = tree.with_boxes(corners)
+    mesh = SceneMesh()
+    mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
+    mesh.center, mesh.low, mesh.high = wp.vec3d(*center.tolist()), tree.low, tree.high
+    mesh.placements = keep_alive(wp.array(table, dtype=Placement, device=device, copy=False), table)
+    state = replace(
+        old,
+        center=center,
+        built_tree=tree,
+        device_mesh=mesh,
+        instances=instances,
+        boxes=boxes,
+        table=table,
+        moved=moved,
+        cache=QueryCache(),
+        last_update=None,
+    )
+    state.cache.tables.update(old.cache.tables)  # of the meshes alone
+    return state
 
 
 def geometry_table(states: Sequence[SceneState], device: wp.Device) -> wp.array:

@@ -37,11 +37,21 @@ class MeshState(SceneState):
 
     last_update: UpdateReport | None = None
 
-    def updated(self, index: Any, vertices: Any, transform: Any, mask: int | None, policy: UpdatePolicy) -> SceneState:
+    def updated(
+        self,
+        index: Any,
+        vertices: Any,
+        transform: Any,
+        mask: int | None,
+        policy: UpdatePolicy,
+        environment: int | None = None,
+    ) -> SceneState:
         """The state after a mesh's vertices have moved; arguments and errors as of `wrt.Scene.update`."""
         self.require("update")
-        if transform is not None or mask is not None:
-            raise ValueError("transform and mask need instances, and this scene has none; make it from wrt.Instance(mesh)")
+        if transform is not None or mask is not None or environment is not None:
+            raise ValueError(
+                "transform, mask and environment need instances, and this scene has none; make it from wrt.Instance(mesh)"
+            )
         index = check_index(index, len(self.meshes), "mesh")
         return self.moved({index: moved_mesh(self.meshes[index], vertices)}, policy)
 

@@ -12,7 +12,7 @@ from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import as_device, check_num_threads, use_threads
-from wrt.meshes.instance import Instance, has_instances
+from wrt.meshes.instance import Instance, as_instances, has_instances
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import as_meshes
 from wrt.query.api import Queries
@@ -99,13 +99,14 @@ class Scene(Queries):
         vertices: Any = None,
         transform: Any = None,
         mask: int | None = None,
+        environment: int | None = None,
         rebuild: str | UpdatePolicy = "auto",
     ) -> None:
         """Moves the vertices of a mesh, whose triangles stay the same, or moves instances.
 
             scene.update(0, vertices=points)                    # mesh 0
             scene.update(3, transform=matrix)                   # instance 3
-            scene.update(range(100), transform=matrices)        # many at once: the upper tree is built once
+            scene.update(range(100), transform=matrices)        # many at once, which takes a few microseconds each
             scene.update(3, vertices=points)                    # of instances: the mesh of instance 3, in all its instances
 
         The tree keeps its nodes, which is faster than a build: a BVH is refitted, the leaves of a kd-tree are filled again. The
@@ -115,10 +116,11 @@ class Scene(Queries):
 
         Args:
             index: index of the mesh (`Hits.geometry_id`); in a scene of instances, index of the instance, or several indices
-                for `transform` and `mask`.
+                for `transform`, `mask` and `environment`.
             vertices: (V, 3), as many as the mesh has; for an instance, in the mesh's own space.
-            transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`.
-            mask: mask of the instance, or of all instances in `index`.
+            transform: transform of the instance, (4, 4), or (N, 4, 4) for N instances, as in `wrt.Instance`; or a Warp array of
+                such matrices, or of (N,) `wp.transform`.
+            mask, environment: of the instance, or of all instances in `index`.
             rebuild: for `vertices`: "auto", "always", "never", or a `wrt.UpdatePolicy`.
 
         Raises:
@@ -127,7 +129,44 @@ class Scene(Queries):
                 spread too far (as for the class), a transform or a mask in a scene without instances, one that `wrt.Instance`
                 refuses, or an unknown name. The scene is then unchanged.
         """
-        self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild))
+        self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)
+
+    def add(self, instances: Any) -> np.ndarray:
+        """Adds instances, after those that are there. Trees of meshes stay; those of new meshes are built.
+
+        Args:
+            instances: a `wrt.Instance`, or several. Instances of one mesh object share its tree with those that are there.
+
+        Returns:
+            (M,) int64, their indices (`Hits.instance_id`).
+
+        Raises:
+            TypeError: something else than instances.
+            ValueError: a scene without instances, or as `wrt.InstancedScene`. The scene is then unchanged.
+        """
+        self.state.require_instances("add")
+        added, first = as_instances(instances), len(self.instances)
+        with use_threads(self.num_threads):
+            self.state = self.state.with_instances((*self.instances, *added))
+        return np.arange(first, first + len(added))
+
+    def remove(self, index: Any) -> None:
+        """Removes instances. Later ones move up, as in a list; trees of meshes stay, unless nobody uses them any more.
+
+        Args:
+            index: index of an instance, or several.
+
+        Raises:
+            TypeError: not ints.
+            ValueError: a scene without instances, no such instance, or no instance would be left. The scene is then unchanged.
+        """
+        self.state.require_instances("remove")
+        gone = set(self.state.chosen(index).tolist())
+        left = tuple(one for number, one in enumerate(self.instances) if number not in gone)
+        if not left:
+            raise ValueError("index names all instances, and a scene has at least one; hide them with mask=0")
+        with use_threads(self.num_threads):
+            self.state = self.state.with_instances(left)
 
     def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
         """Updates the scene in the background while the `with` block queries its previous version.

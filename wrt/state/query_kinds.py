@@ -23,6 +23,7 @@ class Query(NamedTuple):
         cull_backfaces: whether triangles are hit only from their front.
         counters: whether the work for each ray is counted.
         mask: of rays in a scene of instances; None for all bits.
+        environment: of rays in a scene of instances; None for those that see all.
         skip: the triangle that each ray ignores; None for none.
         precise: whether closest hits are computed in float64.
         max_hits: largest number of hits that are listed for each ray; None for all.
@@ -34,6 +35,7 @@ class Query(NamedTuple):
     cull_backfaces: bool = False
     counters: bool = False
     mask: Any = None
+    environment: Any = None
     skip: Any = None
     precise: bool = False
     max_hits: int | None = None

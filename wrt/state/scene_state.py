@@ -174,6 +174,15 @@ class SceneState:
         if feature in self.refused:
             raise ValueError(self.refused[feature])
 
+    def require_instances(self, call: str) -> None:
+        """Refuses a call that needs instances.
+
+        Raises:
+            ValueError: there are none.
+        """
+        if not self.instances:
+            raise ValueError(f"{call} needs instances, and this scene has none; make it from wrt.Instance(mesh)")
+
     def complete(self) -> None:
         """Builds the missing part of a lazily built tree, for code that cannot extend the tree while it walks it."""
         if self.lazy_tree is not None:

@@ -17,7 +17,7 @@ import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.instance_maps import Placement, ray_mask
+from wrt.kernels.layout.instance_maps import Placement, ray_environment, ray_mask
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -34,9 +34,12 @@ from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
-from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
+from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
 exact_module(__name__)
+
+NO_GROUP = wp.constant(-2)
+"""No rays of a packet are left."""
 
 
 @wp.struct
@@ -62,17 +65,23 @@ class PacketMemory:
     """(P,) number of each ray in the batch."""
     bound: wp.array(dtype=float)
     """(P,) t of the best hit of each ray, or its t_max; -inf if it is invalid or done."""
+    waiting: wp.array(dtype=float)
+    """(P,) t_max of each ray whose environment is still to be traced; -inf for the others. Used with environments only."""
     packet: wp.array(dtype=float)
     """The packet (`wrt.kernels.traversal.packet.rays.packet_layout`), first of the scene, then of an instance."""
     walk: wp.array(dtype=int)
     """Memory for the walk through an instance."""
 
 
-@wp.func_native("memory.number = number; memory.bound = bound; memory.packet = packet; memory.walk = walk;")
+_SET = "memory.number = number; memory.bound = bound; memory.waiting = waiting; memory.packet = packet; memory.walk = walk;"
+
+
+@wp.func_native(_SET)
 def set_arrays(
     memory: wp.ref[PacketMemory],
     number: wp.array(dtype=int),
     bound: wp.array(dtype=float),
+    waiting: wp.array(dtype=float),
     packet: wp.array(dtype=float),
     walk: wp.array(dtype=int),
 ):
@@ -152,6 +161,43 @@ def packet_loader(config: TraversalConfig) -> wp.Function:
 
 
 @cache
+def next_group(config: TraversalConfig) -> wp.Function:
+    """`wp.func(batch, memory, turn, bounds) -> root`: the node at which the next rays of a packet start that have the same
+    environment; `NO_GROUP` if none is left. The other rays are inactive meanwhile. Neighbours mostly share their environment,
+    so that a packet has one group.
+    """
+    packet_rays = config.packet.rays
+
+    @wp.func
+    def next_root(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], turn: int, bounds: wp.ref[PacketBounds]):
+        if batch.rays.environment.shape[0] == 0:
+            return wp.where(turn == 0 and bounds.active > 0, batch.top.root, NO_GROUP)
+        root = int(-1)
+        while root == -1:  # rays of environments without instances miss
+            chosen = int(-2)
+            bounds.t_max = -INFINITY
+            for k in range(packet_rays):
+                if turn == 0:
+                    memory.waiting[k] = memory.bound[k]
+                memory.bound[k] = -INFINITY
+                if memory.waiting[k] >= 0.0:
+                    environment = ray_environment(batch.rays, memory.number[k])
+                    if chosen == -2:
+                        chosen = environment
+                    if environment == chosen:
+                        memory.bound[k] = memory.waiting[k]
+                        memory.waiting[k] = -INFINITY
+                        bounds.t_max = wp.max(bounds.t_max, memory.bound[k])
+            root = NO_GROUP
+            if chosen != -2:
+                root = root_of(batch.top, chosen)
+            turn += 1
+        return root
+
+    return next_root
+
+
+@cache
 def merge_packet_hits(config: TraversalConfig) -> wp.Function:
     """`wp.func(batch, memory, placement, slot) -> t_max`: merges the hits of a packet in an instance.
 
@@ -225,6 +271,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
     levels: greatest number of inner nodes on a path of the upper tree.
     """
     load_and_bound, visit, cull = packet_loader(config), make_visit(config), cull_boxes(packet_layout(config))
+    next_root = next_group(config)
     width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 
@@ -249,10 +296,11 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         batch.counters = counters
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
+        waiting = wp.zeros(shape=(packet_rays,), dtype=float)
         room = wp.zeros(shape=(size,), dtype=float)
         walk = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
         memory = PacketMemory()
-        set_arrays(memory, number, bound, room, walk)
+        set_arrays(memory, number, bound, waiting, room, walk)
         keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
         work = Counters()
@@ -261,25 +309,31 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
         while slot < end:
             bounds = PacketBounds()
             load_and_bound(batch, memory, block + slot, bounds)
-            level = wp.where(bounds.active > 0, 0, -1)
-            key = cull(top.tree.bounds, 0, memory.packet, bounds, keys, 0)
-            while level >= 0:
-                if entry_of(key, wp.static(width)) <= bounds.t_max:
-                    lane = key & wp.static(width - 1)
-                    store_int(keys, level * wp.static(width) + lane, NO_CHILD)
-                    child = load_int(top.tree.child, load_int(path, level) * wp.static(width) + lane)
-                    if child >= 0:
-                        level += 1
-                        store_int(path, level, child)
-                        key = cull(top.tree.bounds, child, memory.packet, bounds, keys, level * wp.static(width))
+            turn = int(0)
+            root = next_root(batch, memory, turn, bounds)
+            while root >= 0:
+                level = int(0)
+                store_int(path, 0, root)
+                key = cull(top.tree.bounds, root, memory.packet, bounds, keys, 0)
+                while level >= 0:
+                    if entry_of(key, wp.static(width)) <= bounds.t_max:
+                        lane = key & wp.static(width - 1)
+                        store_int(keys, level * wp.static(width) + lane, NO_CHILD)
+                        child = load_int(top.tree.child, load_int(path, level) * wp.static(width) + lane)
+                        if child >= 0:
+                            level += 1
+                            store_int(path, level, child)
+                            key = cull(top.tree.bounds, child, memory.packet, bounds, keys, level * wp.static(width))
+                        else:
+                            instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
+                            bounds.t_max = visit(batch, memory, instance, slot, work)
+                            key = nearest(keys, level * wp.static(width))
                     else:
-                        instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
-                        bounds.t_max = visit(batch, memory, instance, slot, work)
-                        key = nearest(keys, level * wp.static(width))
-                else:
-                    level -= 1
-                    if level >= 0:
-                        key = nearest(keys, level * wp.static(width))
+                        level -= 1
+                        if level >= 0:
+                            key = nearest(keys, level * wp.static(width))
+                turn += 1
+                root = next_root(batch, memory, turn, bounds)
             slot += wp.static(packet_rays)
 
     return specialised_kernel(packets_through_instances)

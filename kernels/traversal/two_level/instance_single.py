@@ -1,6 +1,7 @@
 """Two-level traversal, one ray at a time: a tree of instances above the trees of their geometries.
 
-The upper tree is a wide BVH over the boxes of the instances in the scene, one instance per leaf.
+The upper tree is a wide BVH over the boxes of the instances in the scene, one instance per leaf. It has a root for each
+environment (`wrt.builders.bvh.instance_forest`), at which the rays of that environment start.
 `wrt.kernels.traversal.single.key_walk` walks it like any other: nearest box first, and nothing beyond the best hit. At a leaf
 the ray is transformed to the geometry's space (`wrt.kernels.layout.instance_maps`), and the geometry's own tree, of either
 kind, is walked by the same function as in a scene of one mesh, with t_max at the best hit so far.
@@ -25,7 +26,7 @@ import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_mask
+from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_environment, ray_mask
 from wrt.kernels.layout.kdtree_nodes import KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int
@@ -51,6 +52,14 @@ class InstanceTree:
     placements: wp.array(dtype=Placement)
     stretch: float
     """Factor of a ray's reach for the slack of the boxes."""
+    root: int
+    """Node above all instances."""
+    shared_root: int
+    """Node above the instances of all environments; -1 if there are none."""
+    environments: wp.array(dtype=int)
+    """(E,) numbers of the environments with instances of their own, ascending."""
+    roots: wp.array(dtype=int)
+    """(E,) node above the instances that rays of each environment see."""
 
 
 @wp.struct
@@ -71,6 +80,25 @@ class KdTreePart:
 
 PARTS = {"bvh": BvhPart, "kdtree": KdTreePart}
 """Struct of a geometry for each tree kind."""
+
+
+@wp.func
+def root_of(top: InstanceTree, environment: int):
+    """The node at which rays of an environment start; -1 if they see no instance."""
+    root = top.root
+    if environment >= 0:
+        root = top.shared_root
+        low = int(0)
+        high = top.environments.shape[0]
+        while high - low > 1:
+            middle = (low + high) / 2
+            if load_int(top.environments, middle) <= environment:
+                low = middle
+            else:
+                high = middle
+        if high > low and load_int(top.environments, low) == environment:
+            root = load_int(top.roots, low)
+    return root
 
 
 @cache
@@ -140,7 +168,7 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
 
 @cache
 def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
-    """`wp.func(top, parts, origin, ray, mask, hits, i, work) -> best` for ray number i, which must be valid.
+    """`wp.func(top, parts, rays, ray, hits, i, work) -> best` for ray number i of a batch, which must be valid.
 
     Args:
         config: the specialisation of the walks through geometries.
@@ -154,21 +182,24 @@ def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.F
     def walk(
         top: InstanceTree,
         parts: wp.array(dtype=Part),
-        origin: wp.vec3d,
+        rays: RayBatch,
         ray: Ray,
-        mask: wp.uint32,
         hits: wp.ref[HitBatch],
         i: int,
         work: wp.ref[Counters],
     ):
+        best = start(ray.t_max)
+        root = root_of(top, ray_environment(rays, i))
+        if root < 0:
+            return best
         slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
         search = InstanceSearch()
         search.top = top
         search.parts = parts
-        search.origin = origin
+        search.origin = centered_origin(rays, i)
         search.ray = ray
-        search.mask = mask
-        return walk_keys(top.tree, 0, slabs, ray.t_min, search, hits, i, start(ray.t_max), work)
+        search.mask = ray_mask(rays, i)
+        return walk_keys(top.tree, root, slabs, ray.t_min, search, hits, i, best, work)
 
     return walk
 
@@ -195,7 +226,7 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), hits, i, work)
+            best = walk(top, parts, rays, ray, hits, i, work)
             if wp.static(storing):
                 hits.begins[i] = hits.begins[i] - (best.primitive + 1)
         store(hits, i, best)

@@ -24,7 +24,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
-from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_mask
+from wrt.kernels.layout.instance_maps import Placement, centered_origin, object_ray, ray_environment, ray_mask
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
@@ -35,7 +35,7 @@ from wrt.kernels.traversal.stream import stream_bvh
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, StreamCounterRows, StreamCounters, store_stream, stream_ray
 from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, TraversalConfig
-from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree
+from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
 exact_module(__name__)
 
@@ -111,7 +111,9 @@ def make_list_instances(width: int, levels: int) -> wp.Kernel:
         passed = float(-INFINITY)
         passed_instance = int(-1)
         waiting = wp.zeros(shape=(stack_size,), dtype=int)
-        left = wp.where(ray.valid, 1, 0)
+        root = root_of(top, ray_environment(rays, i))
+        store_int(waiting, 0, root)
+        left = wp.where(ray.valid and root >= 0, 1, 0)
         bound = wp.where(ray.valid, ray.t_max, -INFINITY)
         if resume:
             last = (MAX_LISTED - 1) * count + place
