@@ -8,8 +8,8 @@ instances, and so have the shared ones. The **root of an environment** is a node
 and the shared tree as one child more (or both as its only children, if there is no free lane). The **root of all** stands above
 all trees, for rays of no environment. So only one node an environment is stored twice, and traversals only start elsewhere.
 
-**Build.** An environment of up to W instances is one node. Larger ones are sorted along a Morton curve and packed evenly, node by
-node and level by level, all of them in the same array operations. Environments of more than `MAX_PACKED` instances, and the
+**Build.** An environment of up to W instances is one node. Larger ones are sorted along a Morton curve and packed evenly, node
+by node and level by level, all of them in the same array operations. Environments of more than `MAX_PACKED` instances, and the
 shared instances, get a tree by the surface area heuristic, as good as that of a scene without environments.
 
 **Update.** Nodes are numbered by their height, greatest first. New boxes go into the lanes of the leaves and upwards level by
@@ -68,14 +68,23 @@ class InstanceForest:
     def __post_init__(self) -> None:
         leaf = (self.child < 0) & (self.child != int(EMPTY_LANE))
         nodes, lanes = np.nonzero(leaf)
-        steps = []
+        instances = ~self.child[nodes, lanes] >> 6
+        by_instance = np.argsort(instances, kind="stable")
+        steps, above = [], np.nonzero(self.child >= 0)
+        by_child = np.argsort(self.child[above], kind="stable")
         for first, end in reversed([*zip(self.level_first, self.level_first[1:], strict=False)]):
             level_nodes, level_lanes = np.nonzero(self.child[first:end] >= 0)
             if len(level_nodes):
                 level_nodes += first
                 steps.append((level_nodes, level_lanes, self.child[level_nodes, level_lanes]))
-        object.__setattr__(self, "_leaves", (nodes, lanes, ~self.child[nodes, lanes] >> 6))
-        object.__setattr__(self, "_steps", steps)
+        known = {
+            "_leaves": (nodes[by_instance], lanes[by_instance], instances[by_instance]),
+            "_leaf_first": np.searchsorted(instances[by_instance], np.arange(len(self.layered) + 1)),
+            "_steps": steps,
+            "_above": (above[0][by_child], above[1][by_child]),
+            "_above_first": np.searchsorted(self.child[above][by_child], np.arange(len(self.child) + 1)),
+        }
+        self.__dict__.update(known)
 
     @property
     def depth(self) -> int:
@@ -92,6 +101,34 @@ class InstanceForest:
             bounds[nodes, :3, lanes] = bounds[children, :3].min(axis=2)
             bounds[nodes, 3:, lanes] = bounds[children, 3:].max(axis=2)
         return bounds
+
+    def moved(self, bounds: np.ndarray, low: np.ndarray, high: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """The boxes after a few instances have moved: those above them are computed again.
+
+        Args:
+            bounds: the old ones, as of `bounds`.
+            low, high: (N, 3) float32, of all instances.
+            rows: (M,) instances that have moved.
+        """
+        bounds = bounds.copy()
+        at = entries(self._leaf_first, rows)
+        nodes, lanes, instances = (values[at] for values in self._leaves)
+        bounds[nodes, :3, lanes], bounds[nodes, 3:, lanes] = low[instances], high[instances]
+        while len(at := entries(self._above_first, np.unique(nodes))):
+            nodes, lanes = (values[at] for values in self._above)
+            children = self.child[nodes, lanes]
+            bounds[nodes, :3, lanes] = bounds[children, :3].min(axis=2)
+            bounds[nodes, 3:, lanes] = bounds[children, 3:].max(axis=2)
+        return bounds
+
+
+def entries(first: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Places of the entries of some rows, one row after the other; first: place of each row's first entry, and the end."""
+    begins = first[rows]
+    counts = first[rows + 1] - begins
+    if len(rows) == 1:
+        return np.arange(begins[0], begins[0] + counts[0])
+    return np.repeat(begins - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
 
 
 def build_forest(low: np.ndarray, high: np.ndarray, environment: np.ndarray, width: int, build: TreeOfBoxes) -> InstanceForest:
@@ -112,7 +149,8 @@ def build_forest(low: np.ndarray, high: np.ndarray, environment: np.ndarray, wid
     if len(packed):
         parts, found = pack(group[packed], low[packed], high[packed], leaf[packed], width)
         filled = sum(map(len, parts))
-        roots[~alone] = found[~alone]
+        whole = np.flatnonzero(~alone)
+        roots[whole] = found[whole]
     for number in np.flatnonzero(alone):
         own = np.flatnonzero(group == number)
         words, box = build(low[own], high[own])

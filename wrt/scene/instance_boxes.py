@@ -8,7 +8,9 @@ are what is mapped: some thousand points, whatever the number of triangles.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders import tree as common
 from wrt.builders.bvh.instance_forest import InstanceForest, build_forest
 from wrt.builders.triangle_boxes import boxes_of
+from wrt.memory import keep_alive
 from wrt.meshes.instance import MIN_RELATIVE_SIZE
 from wrt.meshes.placement import MAX_COORDINATE
 
@@ -30,6 +33,9 @@ CELLS = 8
 MAPPED_AT_ONCE = 64
 """Instances whose points are transformed at a time, which takes some megabytes."""
 
+FEW_MOVED = 16
+"""The boxes above single instances are computed again if at most one of so many has moved."""
+
 CENTER_STEPS = 16
 """The centre of a scene is a multiple of its size, rounded down to a power of two, divided by this: most motions leave it."""
 
@@ -41,7 +47,8 @@ class InstanceBoxes:
     Attributes:
         to_scene, to_object: (N, 3, 3), inverse to each other.
         origin: (N, 3), the scene position of the centre of each instance's mesh.
-        low, high: (N, 3), corners of the bounding boxes.
+        low, high: (3, N), corners of the bounding boxes.
+        sizes: (N,), their longest sides.
         norms: (N,), product of the norms of the two maps: by what they enlarge the padding of boxes
             (`wrt.kernels.traversal.two_level.instance_single`).
     """
@@ -51,6 +58,7 @@ class InstanceBoxes:
     origin: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    sizes: np.ndarray
     norms: np.ndarray
 
     @classmethod
@@ -66,18 +74,25 @@ class InstanceBoxes:
         """
         to_scene = transforms[:, :3, :3]
         to_object = np.linalg.inv(to_scene)
-        origin = (to_scene @ np.array(centers)[numbers][:, :, None])[:, :, 0] + transforms[:, :3, 3]
-        low, high = np.empty_like(origin), np.empty_like(origin)
-        for number in np.unique(numbers).tolist():
+        shifts = np.array([centers[number] for number in numbers.tolist()])
+        origin = (to_scene @ shifts[:, :, None])[:, :, 0] + transforms[:, :3, 3]
+        low, high = np.empty((3, len(origin))), np.empty((3, len(origin)))
+        for number in set(numbers.tolist()):
             own, points = np.flatnonzero(numbers == number), covers[number].T
             for begin in range(0, len(own), MAPPED_AT_ONCE):
                 chosen = own[begin : begin + MAPPED_AT_ONCE]
                 moved = to_scene[chosen] @ points
-                low[chosen], high[chosen] = moved.min(axis=2) + origin[chosen], moved.max(axis=2) + origin[chosen]
+                low[:, chosen] = (moved.min(axis=2) + origin[chosen]).T
+                high[:, chosen] = (moved.max(axis=2) + origin[chosen]).T
         norms = np.abs(to_scene).sum(axis=2).max(axis=1) * np.abs(to_object).sum(axis=2).max(axis=1)
-        return cls(to_scene, to_object, origin, low, high, norms)
+        return cls(to_scene, to_object, origin, low, high, (high - low).max(axis=0), norms)
 
-    @property
+    @cached_property
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3,) lowest and highest corner of all boxes."""
+        return self.low.min(axis=1), self.high.max(axis=1)
+
+    @cached_property
     def stretch(self) -> float:
         """By what the slack of boxes grows for the worst of the maps."""
         return 2.0 * float(self.norms.max())
@@ -86,9 +101,8 @@ class InstanceBoxes:
     def are_resolved(self) -> bool:
         """Whether all boxes are surely large enough for where they are, and within the range of a scene
         (`wrt.meshes.instance.check_extent` decides for others)."""
-        low, high = self.low.min(), self.high.max()
-        sizes = (self.high - self.low).max(axis=1)
-        return bool(max(-low, high) <= MAX_COORDINATE / 2 and sizes.min() >= 4.0 * MIN_RELATIVE_SIZE * (high - low))
+        low, high = self.corners[0].min(), self.corners[1].max()
+        return bool(max(-low, high) <= MAX_COORDINATE / 2 and self.sizes.min() >= 4.0 * MIN_RELATIVE_SIZE * (high - low))
 
     def write(self, table: np.ndarray, rows: Any) -> None:
         """Writes the maps of some instances into a (N,) table of `Placement`; not their origins."""
@@ -99,27 +113,35 @@ class InstanceBoxes:
         arrays = []
         for name in ROWS:
             values = getattr(self, name).copy()
-            values[rows] = getattr(others, name)
+            if name in ("low", "high"):
+                values[:, rows] = getattr(others, name)
+            else:
+                values[rows] = getattr(others, name)
             arrays.append(values)
         return InstanceBoxes(*arrays)
 
-    def center(self) -> np.ndarray:
-        """(3,) the point that the scene's positions are relative to: near the middle of all boxes, and still while they move by
-        little. It depends on the boxes alone.
-        """
-        low, high = self.low.min(axis=0), self.high.max(axis=0)
-        middle, size = (low + high) / 2, float((high - low).max())
-        if size == 0.0:
-            return middle
-        step = 2.0 ** np.floor(np.log2(size)) / CENTER_STEPS
-        return np.round(middle / step) * step
+    @cached_property
+    def frame(self) -> tuple[np.ndarray, float]:
+        """(3,) the point that the scene's positions are relative to, and a bound on the rounding of boxes relative to it.
 
-    def around(self, center: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 3) float32 corners of the boxes relative to a point, rounded outwards."""
-        low, high = self.low - center, self.high - center
-        rounding = 4.0 * np.finfo(np.float64).eps * (np.abs(low).max() + np.abs(high).max() + np.abs(center).max())
-        low = np.nextafter((low - rounding).astype(np.float32), np.float32(-np.inf))
-        return low, np.nextafter((high + rounding).astype(np.float32), np.float32(np.inf))
+        The point is near the middle of all boxes. Both are still while the boxes move by little, and depend on the boxes alone.
+        """
+        low, high = self.corners
+        middle, size = (low + high) / 2, float((high - low).max())
+        if size > 0.0:
+            step = 2.0 ** np.floor(np.log2(size)) / CENTER_STEPS
+            middle = np.round(middle / step) * step
+        reach = float(np.maximum(high, -low).max() + np.abs(middle).max())
+        return middle, 8.0 * np.finfo(np.float64).eps * 2.0 ** np.ceil(np.log2(max(reach, np.finfo(np.float64).tiny)))
+
+    def rounded(self, rows: Any = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+        """(M, 3) float32 corners of the boxes of some instances relative to the centre, rounded outwards."""
+        center, rounding = self.frame
+        low, high = self.low.T[rows] - (center + rounding), self.high.T[rows] - (center - rounding)
+        return (
+            np.nextafter(low.astype(np.float32), np.float32(-np.inf)),
+            np.nextafter(high.astype(np.float32), np.float32(np.inf)),
+        )
 
 
 ROWS = tuple(field.name for field in fields(InstanceBoxes))
@@ -133,36 +155,46 @@ class UpperTree(common.Bvh):
         parts_depth: the greatest depth of the trees of meshes, for traversals whose stacks serve both levels.
         forest: its nodes on the host.
         environments, roots: on the device, as in the forest.
+        corners: the boxes of the instances, (N, 3) float32 each.
+        host: (nodes, 6, W) `bounds` on the host.
     """
 
     parts_depth: int = 0
     forest: InstanceForest | None = None
     environments: wp.array | None = None
     roots: wp.array | None = None
+    corners: tuple[np.ndarray, np.ndarray] | None = None
+    host: np.ndarray | None = None
 
     @property
     def depth(self) -> int:
         """Largest number of inner nodes on a path of either level."""
         return max(len(self.level_first) - 1, self.parts_depth)
 
-    def with_boxes(self, corners: tuple[np.ndarray, np.ndarray]) -> UpperTree:
-        """The same nodes around other boxes, as `InstanceBoxes.around` gives them."""
-        bounds = wp.array(self.forest.bounds(*corners).reshape(-1), dtype=float, device=self.child.device, copy=False)
-        low, high = wp.vec3(*corners[0].min(axis=0)), wp.vec3(*corners[1].max(axis=0))
-        return UpperTree(
-            bounds,
-            self.child,
-            self.primitive,
-            low,
-            high,
-            self.width,
-            self.level_first,
-            self.stats,
-            parts_depth=self.parts_depth,
-            forest=self.forest,
-            environments=self.environments,
-            roots=self.roots,
-        )
+    def with_boxes(self, low: np.ndarray, high: np.ndarray, rows: np.ndarray | None = None) -> UpperTree:
+        """The same nodes around other boxes.
+
+        Args:
+            low, high: (N, 3) float32, as `InstanceBoxes.rounded` gives them.
+            rows: instances that moved; None for all.
+        """
+        few = rows is not None and FEW_MOVED * len(rows) <= len(low)
+        host = self.forest.moved(self.host, low, high, rows) if few else self.forest.bounds(low, high)
+        root = host[self.forest.root]
+        other = copy(self)
+        other.__dict__.pop("_struct", None)
+        other.corners, other.host, other.bounds = (low, high), host, on_device(host, wp.float32, self.child.device)
+        other.low, other.high = wp.vec3(*root[:3].min(axis=1).tolist()), wp.vec3(*root[3:].max(axis=1).tolist())
+        return other
+
+
+def on_device(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
+    """A flat array of what a NumPy array holds, whose memory it shares on the CPU; `wp.array` takes 50 us for structs."""
+    if not device.is_cpu:
+        return wp.array(values.reshape(-1), dtype=dtype, device=device)
+    count = values.nbytes // wp.types.type_size_in_bytes(dtype)
+    pointer = values.__array_interface__["data"][0]
+    return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
 
 
 def build_upper(
@@ -171,7 +203,7 @@ def build_upper(
     """The trees over the instances.
 
     Args:
-        corners: their boxes, as `InstanceBoxes.around` gives them.
+        corners: their boxes, as `InstanceBoxes.rounded` gives them.
         environments: (N,) int32 environment of each.
         width: children of a node.
         parts_depth: as in `UpperTree`.
@@ -189,7 +221,7 @@ def build_upper(
     zero = wp.vec3()
     tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), None, parts_depth)
     tree.forest, tree.environments, tree.roots = forest, numbers, roots
-    return tree.with_boxes(corners)
+    return tree.with_boxes(*corners)
 
 
 def cover(part: SceneState) -> np.ndarray:

@@ -27,7 +27,7 @@ from wrt.memory import keep_alive
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center
-from wrt.scene.instance_boxes import InstanceBoxes, UpperTree, build_upper, cover
+from wrt.scene.instance_boxes import InstanceBoxes, UpperTree, build_upper, cover, on_device
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -222,7 +222,7 @@ class InstancedState(SceneState):
         table = self.table.copy()
         boxes.write(table, rows)
         table["mask"][rows] = [instances[row].mask for row in rows]
-        return assemble(self, instances, boxes, table, tree, moved)
+        return assemble(self, instances, boxes, table, tree, moved, rows)
 
     def with_instances(self, instances: tuple[Instance, ...]) -> InstancedState:
         """The state of other instances. Meshes that are here already keep their trees.
@@ -335,6 +335,7 @@ def assemble(
     table: np.ndarray,
     tree: UpperTree | None,
     moved: int,
+    rows: np.ndarray | None = None,
 ) -> InstancedState:
     """The state of instances whose meshes are those of another state.
 
@@ -344,20 +345,25 @@ def assemble(
         table: their placements, without origins.
         tree: whose nodes are kept; None to build the upper level.
         moved: as in `InstancedState`.
+        rows: instances that are elsewhere, if a tree is given.
     """
-    center, device = boxes.center(), old.settings.device
-    table["origin"] = boxes.origin - center
-    corners = boxes.around(center)
+    center, device = boxes.frame[0], old.settings.device
+    if tree is not None and (old.boxes.frame[0] == center).all() and old.boxes.frame[1] == boxes.frame[1]:
+        table["origin"][rows] = boxes.origin[rows] - center
+        corners = tuple(values.copy() for values in tree.corners)
+        corners[0][rows], corners[1][rows] = boxes.rounded(rows)
+    else:
+        table["origin"], rows, corners = boxes.origin - center, None, boxes.rounded()
     if tree is None:
         depth = max(getattr(state.tree, "depth", 0) for state in old.mesh_states)  # stacks for kd-trees have one size
         environments = np.array([instance.environment for instance in instances], dtype=np.int32)
         tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)
     else:
-        tree = tree.with_boxes(corners)
+        tree = tree.with_boxes(*corners, rows)
     mesh = SceneMesh()
     mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
     mesh.center, mesh.low, mesh.high = wp.vec3d(*center.tolist()), tree.low, tree.high
-    mesh.placements = keep_alive(wp.array(table, dtype=Placement, device=device, copy=False), table)
+    mesh.placements = on_device(table, Placement, device)
     state = replace(
         old,
         center=center,
