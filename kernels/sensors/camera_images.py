@@ -6,7 +6,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, beam_at
 from wrt.kernels.sensors.lidar_returns import Traced
-from wrt.kernels.sensors.pose_paths import PosePath, pose_at
+from wrt.kernels.sensors.pose_paths import PosePath, pose_of
 
 exact_module(__name__)
 
@@ -53,9 +53,10 @@ def fill_images(
     local = int(-1)
     semantic = int(-1)
     if primitive >= 0:
-        pose = pose_at(path, beams.start + beams.times[pixel])
+        own = pixel % beams.directions.shape[0]
+        pose = pose_of(path, pixel / beams.directions.shape[0], beams.start + beams.times[own])
         distance = traced.t[i]
-        depth = distance * beams.directions[pixel][2]
+        depth = distance * beams.directions[own][2]
         origin = origins[0]
         if origins.shape[0] > 1:
             origin = origins[i]

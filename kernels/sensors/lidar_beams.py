@@ -6,14 +6,14 @@ A beam of light widens. It is a bundle of rays around its axis, spread over a di
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.sensors.pose_paths import PosePath, pose_at
+from wrt.kernels.sensors.pose_paths import PosePath, pose_of
 
 exact_module(__name__)
 
 
 @wp.struct
 class Beams:
-    """N beams of a scan in the sensor's frame."""
+    """N beams of a scan in the sensor's frame. Of S sensors, sensor s has the beams s N .. (s + 1) N - 1."""
 
     directions: wp.array(dtype=wp.vec3)
     """(N,) unit vectors."""
@@ -22,9 +22,9 @@ class Beams:
     times: wp.array(dtype=wp.float64)
     """(N,) firing time in seconds after the start of the scan."""
     order: wp.array(dtype=int)
-    """(N,) beams in the order in which they are traced; (0,) if in the order of their numbers."""
+    """(S N,) beams in the order in which they are traced; (0,) if in the order of their numbers."""
     spread: wp.array(dtype=wp.vec2)
-    """(S,) directions of a bundle's rays: tangents of their angles to the axis, along two axes across it."""
+    """(R,) directions of a bundle's rays: tangents of their angles to the axis, along two axes across it."""
     start: wp.float64
     """Time of the scan's start."""
 
@@ -64,11 +64,12 @@ def fire_beams(
     origins: wp.array(dtype=wp.vec3d),
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Writes a ray in the world. Item: a ray; S neighbours belong to a beam. `origins` is (1,) if all rays share it."""
+    """Writes a ray in the world. Item: a ray; R neighbours belong to a beam. `origins` is (1,) if all rays share it."""
     i = first + wp.tid()
     rays = beams.spread.shape[0]
-    beam = beam_at(beams, i / rays)
-    pose = pose_at(path, beams.start + beams.times[beam])
+    number = beam_at(beams, i / rays)
+    beam = number % beams.directions.shape[0]
+    pose = pose_of(path, number / beams.directions.shape[0], beams.start + beams.times[beam])
     axis = wp.normalize(wp.vec3d(beams.directions[beam]))
     ray = i % rays
     if rays > 1:

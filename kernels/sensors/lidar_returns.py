@@ -26,7 +26,7 @@ from wrt.kernels.query.hit_attributes import SceneMesh, geometry_of, hit_normal
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.sensors.lidar_beams import Beams, across, beam_at, beam_offset
 from wrt.kernels.sensors.philox import normal_pair, philox, uniform
-from wrt.kernels.sensors.pose_paths import PosePath, pose_at
+from wrt.kernels.sensors.pose_paths import PosePath, pose_of
 
 exact_module(__name__)
 
@@ -245,13 +245,16 @@ def describe_return(
     mesh: SceneMesh,
     motions: Motions,
     noise: Noise,
-    beam: int,
+    number: int,
     at: int,
     primitive: int,
     normal: wp.vec3,
     returns: Returns,
 ):
-    """Writes point and surface of the return `at` of a beam, with noise, from its range and the triangle; -1 for a miss."""
+    """Writes point and surface of the return `at` of beam `number`, with noise, from its range and the triangle; -1 for a
+    miss.
+    """
+    beam = number % beams.directions.shape[0]
     axis = wp.normalize(wp.vec3d(beams.directions[beam]))
     distance = wp.float64(returns.range[at])
     detected = primitive >= 0
@@ -266,7 +269,7 @@ def describe_return(
         side = across(axis)
         shown = wp.normalize(axis + turns[0] * side + turns[1] * wp.cross(axis, side))
     if detected:
-        pose = pose_at(path, beams.start + beams.times[beam])
+        pose = pose_of(path, number / beams.directions.shape[0], beams.start + beams.times[beam])
         offset = beam_offset(beams, beam)
         origin = pose.position + wp.quat_rotate(pose.rotation, offset)
         axis = wp.quat_rotate(pose.rotation, axis)

@@ -18,14 +18,14 @@ SMALL = wp.constant(wp.float64(1e-14))
 
 @wp.struct
 class PosePath:
-    """Key poses in float64, ordered by time."""
+    """Key poses in float64, ordered by time; or, with one time, the poses of S sensors at rest."""
 
     times: wp.array(dtype=wp.float64)
     """(K,) ascending, in seconds."""
     positions: wp.array(dtype=wp.vec3d)
-    """(K,) in the world."""
+    """(K,) or (S,) in the world."""
     rotations: wp.array(dtype=wp.quatd)
-    """(K,) unit quaternions from the moving frame to the world; neighbours have a scalar product >= 0."""
+    """(K,) or (S,) unit quaternions from the moving frame to the world; neighbours have a scalar product >= 0."""
 
 
 @wp.struct
@@ -73,6 +73,18 @@ def pose_at(path: PosePath, time: wp.float64):
             part = wp.sin(share * half) * axis
             pose.rotation = start * wp.quatd(part[0], part[1], part[2], wp.cos(share * half))
             pose.spin = (wp.float64(2.0) * half / duration) * wp.quat_rotate(start, axis)
+    return pose
+
+
+@wp.func
+def pose_of(path: PosePath, sensor: int, time: wp.float64):
+    """The pose of one of many sensors at a time; they are at rest if there are several."""
+    pose = Pose()
+    if path.times.shape[0] == 1:
+        pose.position = path.positions[sensor]
+        pose.rotation = path.rotations[sensor]
+    else:
+        pose = pose_at(path, time)
     return pose
 
 

@@ -198,7 +198,12 @@ def on_device(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
 
 
 def build_upper(
-    corners: tuple[np.ndarray, np.ndarray], environments: np.ndarray, width: int, parts_depth: int, device: wp.Device
+    corners: tuple[np.ndarray, np.ndarray],
+    environments: np.ndarray,
+    width: int,
+    parts_depth: int,
+    device: wp.Device,
+    placed: np.ndarray | None = None,
 ) -> UpperTree:
     """The trees over the instances.
 
@@ -208,6 +213,7 @@ def build_upper(
         width: children of a node.
         parts_depth: as in `UpperTree`.
         device: of the tree.
+        placed: (N,) row of each instance in the table of placements; None for its number.
     """
 
     def build(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +221,7 @@ def build_upper(
         return tree.child.numpy().reshape(-1, width), tree.primitive.numpy()[::width]
 
     forest = build_forest(*corners, environments, width, build)
-    order = np.repeat(np.arange(len(environments), dtype=np.int32), width)
+    order = np.repeat(np.arange(len(environments)) if placed is None else placed, width).astype(np.int32)
     arrays = (forest.child.reshape(-1), order, forest.environments, forest.roots)
     child, order, numbers, roots = (wp.array(values, dtype=int, device=device) for values in arrays)
     zero = wp.vec3()

@@ -16,8 +16,8 @@ from wrt.memory import empty
 from wrt.sensors.checks import check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
-from wrt.sensors.time_slices import Bodies, Slice, as_motions, cut_slices, slice_error
-from wrt.sensors.trajectory import Trajectory, as_trajectory
+from wrt.sensors.time_slices import Bodies, SensorRays, as_motions, cut_slices, for_each_ray, slice_error, trace_slices
+from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.camera_images import Images
@@ -88,6 +88,7 @@ class Camera:
         labels: Any = None,
         miss: float = np.inf,
         mask: Any = None,
+        environment: Any = None,
         traversal: Any = "auto",
         to_warp: bool = False,
     ) -> CameraImages:
@@ -96,12 +97,14 @@ class Camera:
         Args:
             scene: a `wrt.Scene`. It is not changed, whatever moves.
             pose: (4, 4) from the optical frame (x right, y down, z forward) to the world, or a `Trajectory`: with a rolling
-                shutter, each row is seen from the pose at its own time.
+                shutter, each row is seen from the pose at its own time. Or (..., 4, 4) of many cameras at rest, which see in
+                one call.
             time: exposure of the first row, on the clock of the trajectories.
             motions, slices: instances that move, and number of time slices, as of `Lidar.scan`.
             labels: (I,) integers >= 0, the semantic class of each instance (of each mesh, in a scene without instances).
             miss: distance and depth of a pixel without a hit.
-            mask, traversal: as of `wrt.Scene.intersect`; one mask for all pixels.
+            mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many cameras.
+            traversal: as of `wrt.Scene.intersect`.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
 
         Raises:
@@ -109,21 +112,25 @@ class Camera:
             ValueError: an argument out of range, a trajectory that does not cover the exposure, or motions in a scene without
                 instances.
         """
-        path, time = as_trajectory(pose), float(check_real("time", time, ()))
+        from wrt.kernels.sensors.camera_images import fill_images
+
+        path, time = as_poses(pose), float(check_real("time", time, ()))
         rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
         begin, end = time, time + float(rows[-1, 0])
         path.check_covers(begin, end, "the times of the image")
         motions = as_motions(motions, scene, begin, end)
-        order, parts = cut_slices(rows, time, slices if motions else 1)
-        bodies, device, frozen = Bodies(motions, parts), scene.device, copy(scene)
-        beams, images = self.beams(device, order, time), _new_images(self.width * self.height, device)
+        cameras, device = getattr(path, "shape", ()), scene.device
+        times = np.broadcast_to(rows, (*cameras, *rows.shape))
+        order, parts = cut_slices(times, time, slices if motions else 1)
+        beams, images = self.beams(device, order, time), _new_images(times.size, device)
+        each = for_each_ray({"mask": mask, "environment": environment}, cameras, rows.size, 1, order, device)
         labels = wp.array(as_labels(labels, scene), dtype=int, device=device)
         with use_threads(scene.num_threads):
-            rays = _fire(beams, path, self, device)
-            for part in parts:
-                bodies.place(frozen, part)
-                options = {"mask": mask, "traversal": traversal}
-                _trace(frozen, beams, path, rays, part, (self.height, self.width), options, labels, miss, images)
+            fired = _fire(beams, path, self, times.size, device)
+            rays = SensorRays(*fired, 1, times.shape, np.inf, traversal, each)
+            for found in trace_slices(copy(scene), rays, Bodies(motions, parts), parts):
+                inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, float(miss), images]
+                launch(fill_images, found.part.end - found.part.begin, inputs, device=device, chunk=1024)
         return CameraImages(self, images, path, time, to_warp, slice_error(motions, scene, parts))
 
     def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
@@ -141,6 +148,8 @@ class Camera:
 class CameraImages(HitOutputs):
     """What a `Camera` saw: images of shape (height, width), NumPy arrays, or Warp arrays on request.
 
+    Those of many cameras have the leading shape of their poses before it.
+
     Attributes:
         distance: float32, along the ray; the miss value where there is no hit.
         depth: float32, along the optical axis (z); the miss value where there is no hit.
@@ -156,10 +165,16 @@ class CameraImages(HitOutputs):
     """
 
     def __init__(
-        self, camera: Camera, images: Images, trajectory: Trajectory, start: float, to_warp: bool, motion_error: float
+        self,
+        camera: Camera,
+        images: Images,
+        trajectory: Trajectory | StillPoses,
+        start: float,
+        to_warp: bool,
+        motion_error: float,
     ) -> None:
         self.camera, self.trajectory, self.start, self.motion_error = camera, trajectory, start, motion_error
-        super().__init__(images, (camera.height, camera.width), to_warp)
+        super().__init__(images, (*getattr(trajectory, "shape", ()), camera.height, camera.width), to_warp)
 
     @cached_property
     def distance(self) -> Any:
@@ -205,42 +220,17 @@ def _new_images(count: int, device: wp.Device) -> Images:
     return images
 
 
-def _fire(beams: Beams, path: Trajectory, camera: Camera, device: wp.Device) -> tuple[wp.array, wp.array]:
+def _fire(
+    beams: Beams, path: Trajectory | StillPoses, camera: Camera, count: int, device: wp.Device
+) -> tuple[wp.array, wp.array]:
     """Origins and directions of all pixels' rays in the world, in the order in which they are traced."""
     from wrt.kernels.sensors.lidar_beams import fire_beams
 
-    count = camera.width * camera.height
-    origins = empty(1 if path.is_still and camera.lens.one_centre else count, wp.vec3d, device)
+    shared = path.is_still and camera.lens.one_centre and count == camera.width * camera.height
+    origins = empty(1 if shared else count, wp.vec3d, device)
     directions = empty(count, wp.vec3, device)
     launch(fire_beams, count, [beams, path.path(device), origins, directions], device=device, chunk=2048)
     return origins, directions
-
-
-def _trace(
-    scene: Any,
-    beams: Beams,
-    path: Trajectory,
-    rays: tuple[wp.array, wp.array],
-    part: Slice,
-    shape: tuple[int, int],
-    options: dict[str, Any],
-    labels: wp.array,
-    miss: float,
-    images: Images,
-) -> None:
-    """Traces the rays of a slice, and writes their pixels."""
-    from wrt.kernels.sensors.camera_images import fill_images
-    from wrt.kernels.sensors.lidar_returns import Traced
-
-    own, shape = slice(part.begin, part.end), part.shape if part.shape else shape
-    origins, directions = (values if values.size == 1 else values[own] for values in rays)
-    starts = origins if origins.size == 1 else origins.reshape(shape)
-    hits = scene.intersect(starts, directions.reshape(shape), **options).batch
-    traced = Traced()
-    traced.place, traced.directions, traced.t, traced.primitive = part.begin, directions, hits.t, hits.primitive
-    mesh, device = scene.state.device_mesh, scene.device
-    inputs = [beams, path.path(device), traced, origins, mesh, labels, float(miss), images]
-    launch(fill_images, part.end - part.begin, inputs, device=device, chunk=1024)
 
 
 def as_labels(labels: Any, scene: Queries) -> np.ndarray:

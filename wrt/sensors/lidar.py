@@ -15,8 +15,17 @@ from wrt.sensors.checks import check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
-from wrt.sensors.time_slices import Bodies, Slice, as_motions, cut_slices, slice_error
-from wrt.sensors.trajectory import Trajectory, as_trajectory
+from wrt.sensors.time_slices import (
+    Bodies,
+    SensorRays,
+    TracedSlice,
+    as_motions,
+    cut_slices,
+    for_each_ray,
+    slice_error,
+    trace_slices,
+)
+from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -134,6 +143,7 @@ class Lidar:
         slices: int = 1,
         reflectance: Any = 1.0,
         mask: Any = None,
+        environment: Any = None,
         traversal: Any = "auto",
         seed: int | None = None,
     ) -> LidarScan:
@@ -141,13 +151,15 @@ class Lidar:
 
         Args:
             scene: a `wrt.Scene`. It is not changed, whatever moves.
-            pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan.
+            pose: (4, 4) from the sensor's frame to the world, or a `Trajectory` over the time of the scan; or (..., 4, 4) of
+                many sensors at rest, which measure in one call.
             time: start of the scan, on the clock of the trajectories.
             motions: trajectories of instances, by their index. Their transforms in the scene are replaced.
             slices: number of time slices; instances stand still within a slice, where they are in the middle of it.
                 `LidarScan.motion_error` bounds the error in position. 1 for instances that stand still during the scan.
             reflectance: of all surfaces, or (I,) of each instance (of each mesh, in a scene without instances); >= 0.
-            mask: as of `wrt.Scene.intersect`, one number for all beams: which instances the lidar sees.
+            mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many sensors: which instances they
+                see.
             traversal: as of `wrt.Scene.intersect`.
             seed: of the noise, 0 to 2^64 - 1; the same seed gives the same noise, so pass another one for each
                 scan. None: no noise.
@@ -157,20 +169,22 @@ class Lidar:
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
         """
-        path = as_trajectory(pose)
+        path = as_poses(pose)
         time = float(check_real("time", time, ()))
         begin, end = time + float(self.pattern.times.min()), time + float(self.pattern.times.max())
         path.check_covers(begin, end, "the times of the scan")
-        if mask is not None and np.ndim(mask) != 0:
-            raise ValueError("mask must be one number for all beams; scan once for each mask")
         work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
         motions = as_motions(motions, scene, begin, end)
-        order, parts = cut_slices(self.pattern.times, time, slices if motions else 1)
-        bodies = Bodies(motions, parts)
-        work.fire(order)
+        sensors = getattr(path, "shape", ())
+        times = np.broadcast_to(self.pattern.times, (*sensors, *self.pattern.shape))
+        order, parts = cut_slices(times, time, slices if motions else 1)
+        given = {"mask": mask, "environment": environment}
+        each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
         with use_threads(scene.num_threads):
-            for part in parts:
-                work.trace(part, bodies, {"mask": mask, "traversal": traversal})
+            work.fire(order)
+            rays = SensorRays(work.origins, work.directions, self.bundle, times.shape, self.max_range, traversal, each)
+            for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
+                work.describe(found)
         return LidarScan(self.pattern, work.returns, self.returns, path, time, slice_error(motions, scene, parts))
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
@@ -204,12 +218,13 @@ class _Work:
     """A scan under way: rays of all beams, and returns as far as they are known."""
 
     def __init__(
-        self, lidar: Lidar, scene: Queries, path: Trajectory, time: float, reflectance: np.ndarray, noise: Noise
+        self, lidar: Lidar, scene: Queries, path: Trajectory | StillPoses, time: float, reflectance: np.ndarray, noise: Noise
     ) -> None:
         self.lidar, self.path, self.time, self.noise = lidar, path, time, noise
         self.scene, self.device = copy(scene), scene.device
         self.detector = lidar.detector(self.device, reflectance)
-        self.returns = new_returns(len(lidar.pattern) * lidar.returns, self.device)
+        self.beam_count = len(lidar.pattern) * (len(path) if isinstance(path, StillPoses) else 1)
+        self.returns = new_returns(self.beam_count * lidar.returns, self.device)
 
     def fire(self, order: np.ndarray | None) -> None:
         """Makes the rays of all beams, in the order in which they are traced."""
@@ -218,30 +233,20 @@ class _Work:
         lidar = self.lidar
         self.beams = lidar.device_beams(self.device, order, self.time)
         self.poses = self.path.path(self.device)
-        count = len(lidar.pattern) * lidar.bundle
-        shared = self.path.is_still and lidar.pattern.offsets is None
+        count = self.beam_count * lidar.bundle
+        shared = self.path.is_still and lidar.pattern.offsets is None and self.beam_count == len(lidar.pattern)
         self.origins = wp.empty(1 if shared else count, dtype=wp.vec3d, device=self.device)
         self.directions = wp.empty(count, dtype=wp.vec3, device=self.device)
-        with use_threads(self.scene.num_threads):
-            inputs = [self.beams, self.poses, self.origins, self.directions]
-            launch(fire_beams, count, inputs, device=self.device, chunk=2048)
+        inputs = [self.beams, self.poses, self.origins, self.directions]
+        launch(fire_beams, count, inputs, device=self.device, chunk=2048)
 
-    def trace(self, part: Slice, bodies: Bodies, options: dict[str, Any]) -> None:
-        """Traces the beams of a slice, and writes their returns."""
-        from wrt.kernels.sensors.lidar_returns import Traced, describe_returns, gather_returns, single_returns
+    def describe(self, found: TracedSlice) -> None:
+        """Writes the returns of the beams of a slice."""
+        from wrt.kernels.sensors.lidar_returns import describe_returns, gather_returns, single_returns
 
-        bundle, kept = self.lidar.bundle, self.lidar.returns
-        motions = bodies.place(self.scene, part)
-        rays = slice(part.begin * bundle, part.end * bundle)
-        shape = (*(part.shape if part.shape else self.lidar.pattern.shape), *((bundle,) if bundle > 1 else ()))
-        directions = self.directions[rays]
-        origins = self.origins if self.origins.size == 1 else self.origins[rays].reshape(shape)
-        hits = self.scene.intersect(origins, directions.reshape(shape), 0.0, self.lidar.max_range, **options).batch
-        traced = Traced()
-        traced.place, traced.directions, traced.t, traced.primitive = part.begin, directions, hits.t, hits.primitive
-        mesh, count = self.scene.state.device_mesh, part.end - part.begin
-        inputs = [self.beams, self.poses, traced, mesh, motions, self.noise, self.detector, self.returns]
-        if bundle == kept == 1:
+        count, kept, traced, mesh = found.part.end - found.part.begin, self.lidar.returns, found.traced, found.mesh
+        inputs = [self.beams, self.poses, traced, mesh, found.motions, self.noise, self.detector, self.returns]
+        if self.lidar.bundle == kept == 1:
             launch(single_returns, count, inputs, device=self.device, chunk=1024)
             return
         gathered = [self.beams, traced, mesh, self.detector, self.returns]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wrt.sensors.hit_outputs import HitOutputs
-from wrt.sensors.trajectory import Trajectory, deskew
+from wrt.sensors.trajectory import StillPoses, Trajectory, deskew
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_returns import Returns
@@ -33,8 +33,8 @@ place among the beam's returns from 0 up, and the instance."""
 class LidarScan(HitOutputs):
     """What a `Lidar` measured in one scan.
 
-    Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns. They are NumPy arrays if the
-    pattern was, else Warp arrays on the scene's device.
+    Arrays have the pattern's leading shape (...), or (..., R) if the lidar keeps R > 1 returns; those of many sensors have the
+    leading shape of their poses before it. They are NumPy arrays if the pattern was, else Warp arrays on the scene's device.
 
     Attributes:
         range: float32 distance along the beam, with noise; inf for a miss.
@@ -50,18 +50,24 @@ class LidarScan(HitOutputs):
             of the surface grows, from the motions of both; NaN for a miss.
         time: (...) float64 NumPy array, time of each beam on the clock of the trajectories.
         ring: (...) int32 NumPy array.
-        trajectory: of the sensor.
+        trajectory: of the sensor; of many, their `StillPoses`.
         start: time of the scan's start.
         motion_error: bound on the displacement of surfaces by time slices, in metres; 0 if no instance moved
             (`wrt.sensors.time_slices`).
     """
 
     def __init__(
-        self, pattern: LidarPattern, returns: Returns, kept: int, trajectory: Trajectory, start: float, motion_error: float
+        self,
+        pattern: LidarPattern,
+        returns: Returns,
+        kept: int,
+        trajectory: Trajectory | StillPoses,
+        start: float,
+        motion_error: float,
     ) -> None:
         self.pattern, self.trajectory, self.start, self.motion_error = pattern, trajectory, start, motion_error
-        super().__init__(returns, pattern.shape if kept == 1 else (*pattern.shape, kept), pattern.is_warp)
-        self._kept = kept
+        self._kept, self._beams = kept, (*getattr(trajectory, "shape", ()), *pattern.shape)
+        super().__init__(returns, self._beams if kept == 1 else (*self._beams, kept), pattern.is_warp)
 
     @cached_property
     def range(self) -> Any:
@@ -81,11 +87,11 @@ class LidarScan(HitOutputs):
 
     @cached_property
     def time(self) -> np.ndarray:
-        return self.start + self.pattern.times
+        return np.broadcast_to(self.start + self.pattern.times, self._beams)
 
     @property
     def ring(self) -> np.ndarray:
-        return self.pattern.rings
+        return np.broadcast_to(self.pattern.rings, self._beams)
 
     def deskewed(self, time: float | None = None, trajectory: Trajectory | None = None) -> Any:
         """The points as if all had been measured at one time: (..., 3) float64 in the sensor's frame at that time.
@@ -97,11 +103,13 @@ class LidarScan(HitOutputs):
         Raises:
             ValueError: a time beyond the trajectory.
         """
+        if trajectory is None and isinstance(self.trajectory, StillPoses):
+            return self.point
         times = self.time if self._kept == 1 else self.time[..., None]
         return deskew(self.point, times, trajectory or self.trajectory, self.start if time is None else time)
 
     def to_structured(self, frame: str = "sensor") -> np.ndarray:
-        """All returns, without misses: (N,) structured array of `wrt.sensors.POINT_TYPE`, beam by beam in order of time.
+        """All returns, without misses: (N,) structured array of `wrt.sensors.POINT_TYPE`, sensor by sensor, in order of time.
 
         Args:
             frame: "sensor": coordinates as measured, each at the time of its beam; "world"; or "start": without the motion of
@@ -114,7 +122,9 @@ class LidarScan(HitOutputs):
 
         choices = {"sensor": lambda: self.point, "world": lambda: self.position, "start": self.deskewed}
         points = _host(lookup(choices, frame, "frame")()).reshape(-1, self._kept, 3)
+        count, sensors = len(self.pattern), len(self.time.ravel()) // len(self.pattern)
         order = np.argsort(self.pattern.times.ravel(), kind="stable")
+        order = (np.arange(sensors)[:, None] * count + order).ravel()
         found = np.isfinite(_host(self.range).reshape(-1, self._kept)[order])
         out = np.empty(int(found.sum()), dtype=POINT_TYPE)
         for axis, name in enumerate(("x", "y", "z")):
@@ -123,7 +133,7 @@ class LidarScan(HitOutputs):
         out["intensity"] = _host(self.intensity).reshape(-1, self._kept)[order][found]
         out["instance_id"] = _host(self.instance_id).reshape(-1, self._kept)[order][found]
         out["ring"] = spread(self.ring.ravel()[order, None], found.shape)[found]
-        out["time"] = spread(self.pattern.times.ravel()[order, None], found.shape)[found]
+        out["time"] = spread(self.pattern.times.ravel()[order % count, None], found.shape)[found]
         out["return_number"] = spread(np.arange(self._kept), found.shape)[found]
         return out
 

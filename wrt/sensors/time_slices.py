@@ -3,8 +3,8 @@
 **Problem.** Every beam has its own time, and a tree over moving instances would have to be another one for each beam.
 
 **Method.** The time of a scan is cut into S equal slices. In the middle of each, all moving instances are placed by their
-trajectories, the upper tree is built over their boxes, and the beams of the slice are traced. The sensor itself moves exactly,
-beam by beam.
+trajectories. One upper tree has the instances of all slices, and each beam sees those of its slice (`wrt.scene.sliced_state`).
+The sensor itself moves exactly, beam by beam.
 
 **Error.** Within a slice of duration d, a point of an instance is displaced by at most d / 2 times its speed, which is at most
 |velocity| + |angular velocity| x (its distance from the moving frame's origin). The bound is halved when slices are doubled.
@@ -13,9 +13,9 @@ It is 0 for instances at rest.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -24,8 +24,10 @@ from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from wrt.kernels.sensors.lidar_returns import Motions
+    from wrt.kernels.query.hit_attributes import SceneMesh
+    from wrt.kernels.sensors.lidar_returns import Motions, Traced
     from wrt.query.api import Queries
+    from wrt.state.device_hits import DeviceHits
 
 MAX_SLICES = 4096
 
@@ -57,28 +59,160 @@ class Bodies:
     """
 
     def __init__(self, motions: Mapping[int, Trajectory], parts: Sequence[Slice]) -> None:
-        self.chosen, self._number = list(motions), {id(part): number for number, part in enumerate(parts)}
+        self.chosen = list(motions)
         if not motions:
             return
         times = np.array([part.time for part in parts])
-        self._transforms = np.stack([body.at(times) for body in motions.values()], axis=1)
+        self.transforms = np.stack([body.at(times) for body in motions.values()], axis=1)
         velocities = [body.velocities(times) for body in motions.values()]
         self._velocities = np.swapaxes(np.array(velocities), 0, 2)  # slice, kind, body
 
-    def place(self, scene: Any, part: Slice) -> Motions:
-        """Moves the instances of a scene to where they are at the time of a slice; returns their velocities."""
+    def motions(self, number: int, instances: int, device: wp.Device) -> Motions:
+        """The velocities of all instances in a slice."""
         from wrt.kernels.sensors.lidar_returns import Motions
 
         motions = Motions()
-        if not self.chosen:
-            return motions
-        number, device = self._number[id(part)], scene.device
-        scene.update(self.chosen, transform=self._transforms[number])
-        state = np.zeros((3, len(scene.instances), 3))
-        state[0, self.chosen] = self._transforms[number][:, :3, 3]
-        state[1:, self.chosen] = self._velocities[number]
-        motions.pivot, motions.velocity, motions.spin = (wp.array(values, dtype=wp.vec3d, device=device) for values in state)
+        if self.chosen:
+            state = np.zeros((3, instances, 3))
+            state[0, self.chosen] = self.transforms[number][:, :3, 3]
+            state[1:, self.chosen] = self._velocities[number]
+            motions.pivot, motions.velocity, motions.spin = (
+                wp.array(values, dtype=wp.vec3d, device=device) for values in state
+            )
         return motions
+
+
+@dataclass(frozen=True)
+class SensorRays:
+    """Rays of all sensors, in the order in which they are traced.
+
+    Attributes:
+        origins: (N,) vec3d, or (1,) if all rays share it.
+        directions: (N,) vec3.
+        bundle: neighbours that belong to a beam.
+        shape: leading shape of all beams, in the order of their numbers.
+        t_max: end of their range.
+        traversal: as of `wrt.Scene.intersect`.
+        each: masks and environments: a number, or a Warp array (N,).
+    """
+
+    origins: wp.array
+    directions: wp.array
+    bundle: int
+    shape: tuple[int, ...]
+    t_max: float
+    traversal: Any
+    each: Mapping[str, Any]
+
+    def hits(self, scene: Queries, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
+        """The closest hits of the rays of some beams in a leading shape."""
+        shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), slice(begin * self.bundle, end * self.bundle)
+        origins = self.origins if self.origins.size == 1 else self.origins[rays].reshape(shape)
+        own = {name: v[rays].reshape(shape) if isinstance(v, wp.array) else v for name, v in (self.each | each).items()}
+        directions = self.directions[rays].reshape(shape)
+        return scene.intersect(origins, directions, 0.0, self.t_max, traversal=self.traversal, **own).batch
+
+
+class TracedSlice(NamedTuple):
+    """What describes the hits of the beams of a slice.
+
+    Attributes:
+        part: the slice.
+        traced: the hits.
+        origins: of the rays, (1,) if all share it.
+        mesh: the triangles as they were for these beams.
+        motions: velocities of instances.
+    """
+
+    part: Slice
+    traced: Traced
+    origins: wp.array
+    mesh: SceneMesh
+    motions: Motions
+
+
+def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequence[Slice]) -> Iterator[TracedSlice]:
+    """Traces the rays of all slices.
+
+    All at once, if there are several slices: time slices are environments then (`wrt.scene.sliced_state`). In a scene that has
+    environments, one slice after the other, and the upper tree gets new boxes for each.
+
+    Args:
+        scene: is moved; a copy of the caller's scene.
+        rays: all rays.
+        bodies: the instances that move.
+        parts: the slices.
+    """
+    from wrt.kernels.sensors.lidar_returns import Traced
+    from wrt.scene.sliced_state import slice_mesh, sliced
+
+    count, device, together, found = len(scene.instances), scene.device, False, None
+    if bodies.chosen and len(parts) > 1 and all(one.environment < 0 for one in scene.instances):
+        together = rays.each.get("environment") is None
+    if together:
+        scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)
+        lengths = [(part.end - part.begin) * rays.bundle for part in parts]
+        numbers = wp.array(np.repeat(np.arange(len(parts), dtype=np.int32), lengths), dtype=int, device=device)
+        shapes = {part.shape[1] if part.shape and len(part.shape) == 2 else 0 for part in parts}
+        total, columns = parts[-1].end, shapes.pop() if len(shapes) == 1 else 0
+        shape = (total // columns, columns) if columns else (total,)
+        found = rays.hits(scene, 0, total, shape, environment=numbers)
+    for number, part in enumerate(parts):
+        own = slice(part.begin * rays.bundle, part.end * rays.bundle)
+        if together:
+            t, primitive, mesh = found.t[own], found.primitive[own], slice_mesh(scene.state, number)
+        else:
+            if bodies.chosen:
+                scene.update(bodies.chosen, transform=bodies.transforms[number])
+            hits = rays.hits(scene, part.begin, part.end, part.shape or rays.shape)
+            t, primitive, mesh = hits.t, hits.primitive, scene.state.device_mesh
+        traced = Traced()
+        traced.place, traced.directions, traced.t, traced.primitive = part.begin, rays.directions[own], t, primitive
+        origins = rays.origins if rays.origins.size == 1 else rays.origins[own]
+        yield TracedSlice(part, traced, origins, mesh, bodies.motions(number, count, device))
+
+
+LIMITS = {"mask": (0, (1 << 32) - 1, wp.uint32), "environment": (-1, (1 << 31) - 1, wp.int32)}
+"""Least and greatest value, and type on the device, of what each sensor has."""
+
+
+def for_each_ray(
+    given: Mapping[str, Any], sensors: tuple[int, ...], beams: int, bundle: int, order: np.ndarray | None, device: wp.Device
+) -> dict[str, Any]:
+    """What callers gave for each sensor, for each ray: a number, a Warp array, or None.
+
+    Args:
+        given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors.
+        sensors: leading shape of the sensors.
+        beams: of a sensor.
+        bundle: rays of a beam.
+        order: in which beams are traced.
+        device: of the arrays.
+
+    Raises:
+        TypeError: not integers.
+        ValueError: out of range, or another shape.
+    """
+    found: dict[str, Any] = {}
+    for name, values in given.items():
+        array, (least, most, dtype) = np.asarray(0 if values is None else values), LIMITS[name]
+        if array.dtype.kind not in "iu":
+            raise TypeError(f"{name} must hold integers, not {array.dtype}")
+        if array.size and (array.min() < least or array.max() > most):
+            raise ValueError(f"{name} must be from {least} to {most}, but ranges from {array.min()} to {array.max()}")
+        if array.ndim == 0:
+            found[name] = values
+            continue
+        try:
+            flat = np.broadcast_to(array, sensors).ravel()
+        except ValueError:
+            raise ValueError(
+                f"{name} has the shape {array.shape}; pass one number, or one for each sensor, in the shape {sensors}"
+            ) from None
+        flat = np.repeat(flat.astype(np.uint32 if dtype is wp.uint32 else np.int32), beams)
+        flat = np.repeat(flat if order is None else flat[order], bundle)
+        found[name] = wp.array(flat, dtype=dtype, device=device)
+    return found
 
 
 def as_motions(motions: Any, scene: Queries, begin: float, end: float) -> Mapping[int, Trajectory]:

@@ -193,6 +193,58 @@ def _unpickled(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, 
     return Trajectory(times, positions, rotations, stretch=stretch)
 
 
+class StillPoses:
+    """Poses of many sensors at rest, which measure in one call.
+
+    Attributes:
+        poses: (..., 4, 4) float64, from each sensor's frame to the world.
+        shape: their leading shape.
+
+    Raises:
+        TypeError, ValueError: not such matrices, or one that does more than move and turn.
+    """
+
+    is_still = True
+
+    def __init__(self, poses: Any) -> None:
+        self.poses = check_real("pose", poses)
+        if self.poses.ndim < 3 or self.poses.shape[-2:] != (4, 4) or not self.poses.size:
+            raise ValueError(f"pose must be one matrix (4, 4) or many of them, (..., 4, 4), not of shape {self.poses.shape}")
+        flat = self.poses.reshape(-1, 4, 4)
+        turns = flat[:, :3, :3]
+        rigid = np.abs(turns @ np.swapaxes(turns, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= 1e-6
+        rigid &= (np.linalg.det(turns) > 0.0) & (flat[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
+        if not rigid.all():
+            raise ValueError(f"pose {int(rigid.argmin())} does more than move and turn; sensors have no scale")
+        self.shape = self.poses.shape[:-2]
+
+    def __len__(self) -> int:
+        """Number of sensors."""
+        return int(np.prod(self.shape))
+
+    def check_covers(self, begin: float, end: float, what: str = "times") -> None:
+        """Poses at rest cover all times."""
+
+    def path(self, device: wp.Device) -> PosePath:
+        """The poses for kernels on a device."""
+        from wrt.kernels.sensors.pose_paths import PosePath
+
+        flat, path = self.poses.reshape(-1, 4, 4), PosePath()
+        path.times = wp.zeros(1, dtype=wp.float64, device=device)
+        path.positions = wp.array(np.ascontiguousarray(flat[:, :3, 3]), dtype=wp.vec3d, device=device)
+        path.rotations = wp.array(quaternions(flat[:, :3, :3]), dtype=wp.quatd, device=device)
+        return path
+
+
+def as_poses(pose: Any) -> Trajectory | StillPoses:
+    """The poses of a sensor, or of many.
+
+    Raises:
+        TypeError, ValueError: as `as_trajectory` and `StillPoses`.
+    """
+    return StillPoses(pose) if not isinstance(pose, Trajectory) and np.ndim(pose) > 2 else as_trajectory(pose)
+
+
 def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
     """The trajectory of a sensor: as given, or at rest at a (4, 4) pose.
 
