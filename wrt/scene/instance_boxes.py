@@ -20,6 +20,8 @@ from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders import tree as common
 from wrt.builders.bvh.instance_forest import InstanceForest, build_forest
 from wrt.builders.triangle_boxes import boxes_of
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.traversal.two_level.instance_bounds import bound_instances
 from wrt.memory import keep_alive
 from wrt.meshes.instance import MIN_RELATIVE_SIZE
 from wrt.meshes.placement import MAX_COORDINATE
@@ -29,9 +31,6 @@ if TYPE_CHECKING:
 
 CELLS = 8
 """Cells per axis of the grid that covers a mesh."""
-
-MAPPED_AT_ONCE = 64
-"""Instances whose points are transformed at a time, which takes some megabytes."""
 
 FEW_MOVED = 16
 """The boxes above single instances are computed again if at most one of so many has moved."""
@@ -62,28 +61,27 @@ class InstanceBoxes:
     norms: np.ndarray
 
     @classmethod
-    def of(
-        cls, transforms: np.ndarray, numbers: np.ndarray, centers: Sequence[np.ndarray], covers: Sequence[np.ndarray]
-    ) -> InstanceBoxes:
+    def of(cls, transforms: np.ndarray, numbers: np.ndarray, covers: Covers) -> InstanceBoxes:
         """Computes them.
 
         Args:
             transforms: (N, 4, 4).
             numbers: (N,) mesh of each instance.
-            centers, covers: of each mesh, the latter by `cover`.
+            covers: of the meshes.
         """
         to_scene = transforms[:, :3, :3]
         to_object = np.linalg.inv(to_scene)
-        shifts = np.array([centers[number] for number in numbers.tolist()])
-        origin = (to_scene @ shifts[:, :, None])[:, :, 0] + transforms[:, :3, 3]
-        low, high = np.empty((3, len(origin))), np.empty((3, len(origin)))
-        for number in set(numbers.tolist()):
-            own, points = np.flatnonzero(numbers == number), covers[number].T
-            for begin in range(0, len(own), MAPPED_AT_ONCE):
-                chosen = own[begin : begin + MAPPED_AT_ONCE]
-                moved = to_scene[chosen] @ points
-                low[:, chosen] = (moved.min(axis=2) + origin[chosen]).T
-                high[:, chosen] = (moved.max(axis=2) + origin[chosen]).T
+        origin = (to_scene @ covers.centers[numbers][:, :, None])[:, :, 0] + transforms[:, :3, 3]
+        corners = np.empty((6, len(origin)))
+        cpu, maps = wp.get_device("cpu"), np.ascontiguousarray(to_scene)
+        arrays = (
+            on_device(maps, wp.mat33d, cpu),
+            on_device(origin, wp.vec3d, cpu),
+            on_device(numbers.astype(np.int32), int, cpu),
+        )
+        boxes = on_device(corners, wp.float64, cpu).reshape(corners.shape)
+        launch(bound_instances, len(origin), [*arrays, covers.begins, covers.points, boxes], device=cpu, chunk=4)
+        low, high = corners[:3], corners[3:]
         norms = np.abs(to_scene).sum(axis=2).max(axis=1) * np.abs(to_object).sum(axis=2).max(axis=1)
         return cls(to_scene, to_object, origin, low, high, (high - low).max(axis=0), norms)
 
@@ -228,6 +226,31 @@ def build_upper(
     tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), None, parts_depth)
     tree.forest, tree.environments, tree.roots = forest, numbers, roots
     return tree.with_boxes(*corners)
+
+
+@dataclass(frozen=True)
+class Covers:
+    """Points that cover meshes, for kernels on the CPU.
+
+    Attributes:
+        each: (P, 3) float64 points of each mesh, by `cover`.
+        centers: (meshes, 3) float64 centres that they are relative to.
+        points: all points.
+        begins: (meshes + 1,) first point of each mesh, and the number of points.
+    """
+
+    each: tuple[np.ndarray, ...]
+    centers: np.ndarray
+    points: wp.array
+    begins: wp.array
+
+    @classmethod
+    def of(cls, each: Sequence[np.ndarray], states: Sequence[SceneState]) -> Covers:
+        """Those of the meshes of some states."""
+        begins = np.cumsum([0, *map(len, each)])
+        points = wp.array(np.concatenate(each), dtype=wp.vec3d, device="cpu")
+        centers = np.array([state.center for state in states])
+        return cls(tuple(each), centers, points, wp.array(begins, dtype=int, device="cpu"))
 
 
 def cover(part: SceneState) -> np.ndarray:

@@ -27,7 +27,7 @@ from wrt.memory import keep_alive
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center
-from wrt.scene.instance_boxes import InstanceBoxes, UpperTree, build_upper, cover, on_device
+from wrt.scene.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -49,7 +49,7 @@ class InstancedState(SceneState):
     Attributes:
         geometry_ids: the mesh of each instance.
         mesh_states: the state of each mesh, in its own space.
-        covers: for each mesh, points in whose convex hull its triangles are (`wrt.scene.instance_boxes.cover`).
+        covers: for the meshes, points in whose convex hull their triangles are.
         boxes: the maps of the instances, and their boxes.
         table: (N,) `Placement` on the host.
         given: the mesh of each of `mesh_states` as the caller gave it.
@@ -67,7 +67,7 @@ class InstancedState(SceneState):
 
     geometry_ids: tuple[int, ...] = ()
     mesh_states: tuple[MeshState, ...] = ()
-    covers: tuple[np.ndarray, ...] = ()
+    covers: Covers | None = None
     boxes: InstanceBoxes | None = None
     table: np.ndarray | None = None
     given: tuple[Any, ...] = ()
@@ -195,7 +195,7 @@ class InstancedState(SceneState):
         part = states[number].updated(0, vertices, None, None, policy)
         part.complete()
         states = (*states[:number], part, *states[number + 1 :])
-        covers = (*self.covers[:number], cover(part), *self.covers[number + 1 :])
+        covers = (*self.covers.each[:number], cover(part), *self.covers.each[number + 1 :])
         instances = tuple(
             Instance(part.meshes[0], one.transform, mask=one.mask, environment=one.environment) if own == number else one
             for one, own in zip(instances, self.geometry_ids, strict=True)
@@ -209,9 +209,7 @@ class InstancedState(SceneState):
         """The state after some instances have moved: the nodes above them get new boxes."""
         transforms = np.array([instances[row].transform for row in rows])
         numbers = np.array([self.geometry_ids[row] for row in rows])
-        boxes = self.boxes.with_rows(
-            rows, InstanceBoxes.of(transforms, numbers, [state.center for state in self.mesh_states], self.covers)
-        )
+        boxes = self.boxes.with_rows(rows, InstanceBoxes.of(transforms, numbers, self.covers))
         if not boxes.are_resolved:
             check_extent(instances, self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
         moved = self.moved + int(np.count_nonzero(self.tree.forest.layered[rows]))
@@ -231,7 +229,7 @@ class InstancedState(SceneState):
             ValueError: as `wrt.InstancedScene`.
         """
         known = {}
-        for given, state, points in zip(self.given, self.mesh_states, self.covers, strict=True):
+        for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
             known[id(given)] = known[id(state.meshes[0])] = state, points
         return place_members(instances, self.settings, None, self.mark, known)
 
@@ -301,8 +299,8 @@ def place_instances(
             f"the instances have {int(first[-1]):,} triangles together, and a scene can number "
             f"{MAX_TRIANGLES:,}; make several scenes"
         )
-    transforms = np.array([instance.transform for instance in instances])
-    boxes = InstanceBoxes.of(transforms, numbers, [state.center for state in states], covers)
+    transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
+    boxes = InstanceBoxes.of(transforms, numbers, known)
     table = np.zeros(len(instances), dtype=Placement.numpy_dtype())
     boxes.write(table, slice(None))
     table["geometry"], table["first"] = geometry_ids, first[:-1]
@@ -320,7 +318,7 @@ def place_instances(
         mark=mark,
         geometry_ids=geometry_ids,
         mesh_states=states,
-        covers=covers,
+        covers=known,
         boxes=boxes,
         table=table,
         given=tuple(state.meshes[0] for state in states),

@@ -1,11 +1,11 @@
 """One state for many times: instances that move are in it once for each time slice.
 
 Time slices are environments (`wrt.builders.bvh.instance_forest`): the instances at rest are shared by all slices, and the
-moving ones are in the environment of each slice with their transforms at its time. One upper level is then built for all slices,
-and one query traces all their rays, each in the environment of its slice.
+moving ones are in the environment of each slice with their transforms at its time. One upper level is then built for all
+slices, and one query traces all their rays, each in the environment of its slice.
 
 **Numbers.** A moving instance keeps its number in all slices, and so do its triangles. The table of placements has all
-instances for each slice, one slice after the other; `slice_mesh` is the part of it from which the hits of a slice are described.
+instances for each slice, one slice after the other; `slice_mesh` is the part from which the hits of a slice are described.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
     slices, moving, count = len(transforms), np.array(chosen), len(state.instances)
     matrices = check_transforms(transforms.reshape(-1, 4, 4), slices * len(chosen))
     numbers = np.tile(np.array(state.geometry_ids)[moving], slices)
-    moved = InstanceBoxes.of(matrices, numbers, [part.center for part in state.mesh_states], state.covers)
+    moved = InstanceBoxes.of(matrices, numbers, state.covers)
     still = np.setdiff1d(np.arange(count), moving)
     boxes = joined(state.boxes, still, moved)
     if not boxes.are_resolved:

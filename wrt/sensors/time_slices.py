@@ -63,9 +63,9 @@ class Bodies:
         if not motions:
             return
         times = np.array([part.time for part in parts])
-        self.transforms = np.stack([body.at(times) for body in motions.values()], axis=1)
-        velocities = [body.velocities(times) for body in motions.values()]
-        self._velocities = np.swapaxes(np.array(velocities), 0, 2)  # slice, kind, body
+        found = [body.states(times) for body in motions.values()]
+        self.transforms = np.stack([transforms for transforms, _ in found], axis=1)
+        self._velocities = np.swapaxes(np.array([velocities for _, velocities in found]), 0, 2)  # slice, kind, body
 
     def motions(self, number: int, instances: int, device: wp.Device) -> Motions:
         """The velocities of all instances in a slice."""

@@ -138,6 +138,11 @@ class Trajectory:
         found = self._evaluate(times.ravel())[2:]
         return tuple(values.reshape(*times.shape, 3) for values in found)
 
+    def states(self, times: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        """What `at` and `velocities` give, at (N,) times that the trajectory covers."""
+        positions, rotations, *velocities = self._evaluate(times)
+        return self._matrices(positions, rotations), velocities
+
     def check_covers(self, begin: float, end: float, what: str = "times") -> None:
         """Refuses times beyond the keys.
 

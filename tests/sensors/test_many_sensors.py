@@ -1,0 +1,102 @@
+"""Many sensors in one call, each in its environment, and time slices that are traced at once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+import wrt
+from wrt.sensors import BrownConrady, Camera, Lidar, LidarPattern, Trajectory
+
+BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2, 0.5))
+GROUND = wrt.TriangleMesh([[-40, -40, -1], [40, -40, -1], [40, 40, -1], [-40, 40, -1]], [[0, 1, 2], [0, 2, 3]])
+PATTERN = LidarPattern.spinning(np.linspace(15, -25, 8), 64, rate=10.0)
+LIDAR = Lidar(PATTERN, range_noise=0.01)
+
+
+def move(x: float, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def worlds(count: int) -> wrt.Scene:
+    """A ground for all, and a ball for each world, in another place."""
+    balls = [wrt.Instance(BALL, move(2.0 + 0.3 * k, 0.2 * k), environment=10 * k) for k in range(count)]
+    return wrt.Scene([wrt.Instance(GROUND), *balls], device="cpu")
+
+
+def test_many_sensors_measure_as_one_by_one():
+    """Ranges, ids and positions of each are its own; only the noise is another one for each."""
+    scene, poses = worlds(6), np.array([[move(0.1 * k), move(0, 0.1 * k)] for k in range(6)])
+    numbers = 10 * np.arange(6)[:, None]
+    scans = LIDAR.scan(scene, poses, environment=numbers)
+    assert scans.range.shape == (6, 2, *PATTERN.shape) == scans.time.shape
+    for k in range(6):
+        for s in range(2):
+            alone = LIDAR.scan(scene, poses[k, s], environment=10 * k)
+            for name in ("range", "position", "point", "intensity", "instance_id", "primitive_id", "normal"):
+                np.testing.assert_array_equal(getattr(scans, name)[k, s], getattr(alone, name), err_msg=name)
+    seen = scans.instance_id
+    assert all(set(np.unique(seen[k]).tolist()) <= {-1, 0, k + 1} and (seen[k] == k + 1).any() for k in range(6))
+    noisy = LIDAR.scan(scene, poses[:, 0], environment=numbers[:, 0], seed=1)
+    assert noisy.range.shape == (6, *PATTERN.shape) and (noisy.range != scans.range[:, 0]).any()
+    assert len(noisy.to_structured()) == np.isfinite(noisy.range).sum()
+    np.testing.assert_array_equal(noisy.deskewed(), noisy.point)
+
+
+def test_many_cameras_see_as_one_by_one():
+    scene, lens = worlds(3), BrownConrady.from_matrix([[20, 0, 16], [0, 20, 12], [0, 0, 1]])
+    poses = np.array([wrt.sensors.look_at([0.0, -0.2 * k, 0.5], [2.0, 0.1 * k, 0.0]) for k in range(3)])
+    images = Camera(32, 24, lens).capture(scene, poses, environment=[0, 10, 20])
+    assert images.depth.shape == (3, 24, 32)
+    for k in range(3):
+        alone = Camera(32, 24, lens).capture(scene, poses[k], environment=10 * k)
+        for name in ("depth", "position", "camera_normal", "instance_id"):
+            np.testing.assert_array_equal(getattr(images, name)[k], getattr(alone, name), err_msg=name)
+
+
+@pytest.mark.parametrize("bundle", [1, 4])
+def test_slices_at_once_are_slices_one_by_one(bundle):
+    """A scene with environments is traced slice by slice; hits are the same up to the rounding of another scene centre."""
+    still = [wrt.Instance(GROUND), wrt.Instance(BALL, move(0.0, 3.0))]
+    moving = [wrt.Instance(BALL, move(2.0)), wrt.Instance(BALL, move(-3.0, 1.0))]
+    motions = {
+        2: Trajectory([0.0, 0.1], [[2, -2, 0], [2, 2, 0]], [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]),
+        3: Trajectory([0.0, 0.1], [[-3, 1, 0], [-3, -1, 0.5]]),
+    }
+    lidar = LIDAR.replace(bundle=bundle, divergence=0.02, returns=1 if bundle == 1 else 2)
+    drive = Trajectory([0.0, 0.1], [[0, 0, 0], [0.5, 0, 0]])
+    scenes = [wrt.Scene([*still, *moving, *more], device="cpu") for more in ([], [wrt.Instance(BALL, environment=5)])]
+    whole, parts = (
+        lidar.scan(scene, drive, motions=motions, slices=7, environment=number)
+        for scene, number in zip(scenes, (None, 3), strict=True)
+    )
+    assert len(set(whole.instance_id[np.isfinite(whole.range)].tolist())) == 4
+    np.testing.assert_array_equal(whole.instance_id, parts.instance_id)
+    for name in ("range", "position", "normal", "intensity", "radial_velocity"):
+        np.testing.assert_allclose(getattr(whole, name), getattr(parts, name), rtol=1e-4, atol=1e-4, err_msg=name)
+    assert whole.motion_error == parts.motion_error > 0.0
+    assert scenes[0].instances[2].transform.tolist() == moving[0].transform.tolist()
+
+
+WRONG = {
+    "scale": (lambda s: LIDAR.scan(s, np.array([np.eye(4), 2 * np.eye(4)])), ValueError, "pose 1 does more"),
+    "shape": (lambda s: LIDAR.scan(s, np.zeros((2, 3, 3))), ValueError, r"\(\.\.\., 4, 4\)"),
+    "environments": (
+        lambda s: LIDAR.scan(s, np.array([np.eye(4)] * 2), environment=[1, 2, 3]),
+        ValueError,
+        "one for each sensor",
+    ),
+    "one sensor": (lambda s: LIDAR.scan(s, np.eye(4), environment=[1, 2]), ValueError, "one for each sensor"),
+    "range": (lambda s: LIDAR.scan(s, np.eye(4), mask=-1), ValueError, "mask must be from 0"),
+    "type": (lambda s: LIDAR.scan(s, np.eye(4), environment=0.5), TypeError, "environment must hold integers"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_sensors_are_refused(case):
+    call, kind, message = WRONG[case]
+    with pytest.raises(kind, match=message):
+        call(worlds(1))
