@@ -133,7 +133,7 @@ class Rounds:
         from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
 
         chunks = -(-self.count // self.chunk)
-        counts = wp.zeros((chunks, len(self.scene.instances)), dtype=int, device=self.device)
+        counts = wp.zeros((chunks, len(self.top.placements)), dtype=int, device=self.device)
         inputs = [self.chunk, turn, self.search, counts]
         launch(count_instances, chunks, inputs, device=self.device, chunk=1)
         totals = counts.numpy().sum(axis=0)
