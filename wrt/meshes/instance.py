@@ -70,7 +70,7 @@ class Instance:
         self.environment = check_environment(environment)
 
     def moved(self, transform: np.ndarray, mask: int, environment: int) -> Instance:
-        """The mesh elsewhere; the arguments must have been checked."""
+        """The mesh elsewhere: transform, mask and environment as in the class, which must have been checked."""
         other = object.__new__(Instance)
         other.mesh, other.transform, other.mask, other.environment = self.mesh, transform, mask, environment
         return other

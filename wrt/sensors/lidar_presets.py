@@ -1,6 +1,7 @@
 """Lidars by their public data sheets.
 
-An entry holds what its sheet says. Where a sheet is silent, the lidar's default stands: no least range, no threshold.
+An entry names its sheet, and says which of its figures were compared with a published text (`LidarPreset.checked`); the others
+were written down from memory and may be wrong. Where a sheet is silent, the lidar's default stands: no least range, no threshold.
 Intensities are relative, so thresholds follow from a stated range for a stated reflectance.
 """
 
@@ -25,11 +26,13 @@ class LidarPreset:
     Attributes:
         description: what it is, in words.
         source: the data sheet.
+        checked: which figures were compared with a published text, and which were not.
         attributes: gives those of the `Lidar`; takes options of its pattern, and attributes that replace the sheet's.
     """
 
     description: str
     source: str
+    checked: str
     attributes: Callable[..., Attributes]
 
 
@@ -104,27 +107,33 @@ LIDARS = {
     "velodyne_vlp16": LidarPreset(
         "16 lasers, spinning",
         "Velodyne: VLP-16 user manual 63-9243; range accuracy of 3 cm taken as a standard deviation",
+        "elevations and their order, in public decoders; not verified: times of firings, greatest range, noise",
         velodyne_vlp16,
     ),
     "velodyne_hdl32e": LidarPreset(
         "32 lasers, spinning",
         "Velodyne: HDL-32E user's manual; range accuracy of 2 cm taken as a standard deviation",
+        "not verified",
         velodyne_hdl32e,
     ),
     "ouster_os1_64": LidarPreset(
         "64 lasers, spinning",
         "Ouster: OS1 high resolution imaging lidar, data sheet of the first generation (0.8 to 120 m at 80 % reflectance, "
         "0.13 degrees); stagger and exact elevations: default beam angles of that generation in the maker's public driver",
+        "ranges, reflectance, field of view, divergence, noise of ranges (at a high signal) and of angles, on the sheet; not "
+        "verified: stagger, elevations beyond 0.1 degrees",
         ouster_os1_64,
     ),
     "ouster_os1_128": LidarPreset(
         "128 lasers, spinning",
         "Ouster: OS1 high resolution imaging lidar, data sheet of the first generation (45 degrees, 0.18 degrees)",
+        "ranges, reflectance, field of view, divergence, noise of ranges (at a high signal) and of angles, on the sheet",
         ouster_os1_128,
     ),
     "robosense_m1": LidarPreset(
         "solid state, 125 rows of 600 beams",
         "RoboSense: RS-LiDAR-M1 data sheet (120 x 25 degrees, 0.2 degrees, 10 Hz, 750,000 points a second, 150 m at 10 %)",
+        "not verified",
         robosense_m1,
     ),
     "livox_mid40": LidarPreset(
@@ -132,6 +141,7 @@ LIDARS = {
         "Livox: Mid-40 data sheet (38.4 degrees, 260 m at 80 %, 2 cm). Two Risley prisms: R. G. Brazeal, B. E. Wilkinson, "
         "H. H. Hochmair: A rigorous observation model for the Risley prism-based Livox Mid-40 lidar sensor. Sensors 21(14), "
         "2021; to first order here, with speeds of 7,294 and -4,664 turns a minute, which the sheet does not give",
+        "not verified",
         livox_mid40,
     ),
 }
