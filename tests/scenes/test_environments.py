@@ -11,6 +11,7 @@ from test_instances import BALL, BOX, asked_alone, move, random_instances
 import wrt
 from wrt.builders.bvh.instance_forest import MAX_PACKED
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
+from wrt.scene.archives import read_archive, write_archive
 from wrt.scene.instance_boxes import build_upper
 
 LAST = (1 << 31) - 1
@@ -183,6 +184,26 @@ def test_transforms_come_as_arrays_of_warp():
     )
     scene.update([0, 1], transform=wp.array(np.array([move(1), move(2)]), dtype=wp.mat44d, device="cpu"))
     np.testing.assert_array_equal(scene.instances[1].transform, move(2))
+
+
+@pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
+def test_a_saved_scene_of_instances(accelerator, rays, tmp_path):
+    """Answers to the bit, from the trees in the file; a file with a wrong instance is refused."""
+    scene = wrt.Scene(in_environments(NUMBERS), accelerator, device="cpu")
+    scene.save(tmp_path / "worlds.wrt")
+    loaded = wrt.Scene.load(tmp_path / "worlds.wrt", device="cpu")
+    environment = np.random.default_rng(3).choice([0, 1, 7, -1], 2000)
+    few = [values[:2000] for values in rays]
+    assert_same_hits(*(one.intersect(*few, environment=environment, mask=3, traversal="single") for one in (scene, loaded)))
+    np.testing.assert_array_equal(*(one.intersect(*few).instance_id for one in (scene, loaded)))
+    assert len(loaded.meshes) == 2
+    for old, new in zip(scene.parts, loaded.parts, strict=True):
+        np.testing.assert_array_equal(old.tree.primitive.numpy(), new.tree.primitive.numpy())
+    arrays = read_archive(tmp_path / "worlds.wrt")
+    for name, wrong in (("geometry", np.full(25, 2)), ("transform", np.zeros((25, 4, 4))), ("environment", np.full(25, -3))):
+        write_archive(tmp_path / "wrong.wrt", arrays | {name: wrong})
+        with pytest.raises(ValueError, match="damaged"):
+            wrt.Scene.load(tmp_path / "wrong.wrt", device="cpu")
 
 
 def test_a_deep_mesh_below_few_instances():

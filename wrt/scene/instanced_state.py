@@ -62,7 +62,6 @@ class InstancedState(SceneState):
         "float64 vertices": "a scene of instances has no vertices in float64, which precise=True and gradients need; "
         "use wrt.Scene(scene.flattened())",
         "handle": "kernels need the handle of a single tree, not of instances; use wrt.Scene(scene.flattened()).handle()",
-        "save": "a scene of instances cannot be saved; save one for each of its meshes, or pickle it",
     }
 
     geometry_ids: tuple[int, ...] = ()

@@ -187,7 +187,7 @@ class Scene(Queries):
         return updating(self, threads, args, options)
 
     def save(self, path: str | Path) -> None:
-        """Writes the meshes, the tree and the tree's description to a file that `load` reads.
+        """Writes the meshes, the instances, the trees and their description to a file that `load` reads.
 
         The file is an .npz archive of plain arrays, whatever its name. An existing file is replaced only once the new one
         is complete; if `path` is a symbolic link, the file that it points to is replaced.

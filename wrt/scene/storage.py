@@ -17,7 +17,7 @@ import json
 import warnings
 import zipfile
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -30,6 +30,7 @@ from wrt.accelerators import accelerator as descriptions
 from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
 from wrt.builders.tree import BuildStats, Bvh, KdTree
 from wrt.builders.tree_check import check_tree
+from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.archives import read_archive, write_archive
 
@@ -44,6 +45,9 @@ FORMAT = 2
 """Version of the file format; incremented when the contents change."""
 
 TREES = {"bvh": Bvh, "kdtree": KdTree}
+
+INSTANCE_FIELDS = ("transform", "mask", "environment")
+"""What a file holds of each instance besides the number of its mesh."""
 
 UNREADABLE = (ValueError, TypeError, KeyError, RuntimeError, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 """Exceptions that reading a damaged archive may raise."""
@@ -67,6 +71,17 @@ class StoredTree:
     def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
         """The tree, if its key matches."""
         return self.known if key == self.key else build()
+
+
+@dataclass(frozen=True)
+class StoredTrees:
+    """The trees of the meshes of a scene of instances, by their keys."""
+
+    known: Mapping[str, Bvh | KdTree]
+
+    def tree(self, key: str, triangles: int, build: Callable[[], Bvh | KdTree]) -> Bvh | KdTree:
+        """The tree with this key; built if there is none."""
+        return self.known[key] if key in self.known else build()
 
 
 @dataclass(frozen=True)
@@ -198,7 +213,7 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
         )
     header = {
         "format": FORMAT,
-        "key": key_of(scene),
+        "key": "" if scene.instances else key_of(scene),
         "accelerator": asdict(scene.accelerator),
         "triangle_test": scene.triangle_test,
         "names": [mesh.name for mesh in scene.meshes],
@@ -207,11 +222,19 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
     arrays = {"wrt": np.array(json.dumps(header))}
     for number, mesh in enumerate(scene.meshes):
         arrays |= {f"vertices.{number}": mesh.vertices, f"faces.{number}": mesh.faces}
-    arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
+    if scene.instances:
+        header["keys"] = [key_of(part) for part in scene.parts]
+        arrays |= {"wrt": np.array(json.dumps(header)), "geometry": np.array(scene.geometry_ids)}
+        for name in INSTANCE_FIELDS:
+            arrays[name] = np.array([getattr(instance, name) for instance in scene.instances])
+        for number, part in enumerate(scene.parts):
+            arrays |= {f"tree{number}.{name}": array for name, array in pack_tree(part.tree).items()}
+    else:
+        arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
     write_archive(Path(path), arrays)
 
 
-def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, StoredTree]:
+def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], Accelerator, str, TreeSource]:
     """Reads a scene from a file; see `wrt.Scene.load`."""
 
     path = Path(path)
@@ -228,16 +251,41 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh], Accelerator, str, 
             TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name, up=up)
             for i, (name, up) in enumerate(zip(names, ups, strict=True))
         ]
-        tree = {name.removeprefix("tree."): array for name, array in arrays.items() if name.startswith("tree.")}
-        accelerator = ACCELERATORS[str(tree["kind"])](**header["accelerator"])
-        known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
+        if "keys" in header:
+            trees = [tree_of(arrays, f"tree{number}.") for number in range(len(meshes))]
+            counts = [mesh.triangle_count for mesh in meshes]
+            known = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
+            kind, geometry = trees[0]["kind"], instances_of(arrays, meshes)
+        else:
+            tree = tree_of(arrays, "tree.")
+            known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
+            kind, geometry = tree["kind"], meshes
+        accelerator = ACCELERATORS[str(kind)](**header["accelerator"])
         triangle_test = header["triangle_test"]
     except PermissionError:
         raise
     except UNREADABLE as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"'{path}' is not a scene that wrt saved, or it is damaged ({reason}); save it again") from error
-    return meshes, accelerator, triangle_test, known
+    return geometry, accelerator, triangle_test, known
+
+
+def tree_of(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """The arrays of a tree in a file."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def instances_of(arrays: Mapping[str, np.ndarray], meshes: Sequence[TriangleMesh]) -> list[Instance]:
+    """The instances in a file, checked as a caller's are.
+
+    Raises:
+        ValueError, KeyError, TypeError: the arrays do not hold instances of these meshes.
+    """
+    numbers = arrays["geometry"]
+    if numbers.ndim != 1 or numbers.dtype.kind != "i" or not len(numbers) or set(numbers.tolist()) != set(range(len(meshes))):
+        raise ValueError("the instances are not those of its meshes")
+    rows = zip(numbers.tolist(), *(arrays[name] for name in INSTANCE_FIELDS), strict=True)
+    return [Instance(meshes[at], matrix, mask=mask, environment=number) for at, matrix, mask, number in rows]
 
 
 def key_of(scene: SceneState) -> str:

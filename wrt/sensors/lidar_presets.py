@@ -1,8 +1,8 @@
 """Lidars by their public data sheets.
 
 An entry names its sheet, and says which of its figures were compared with a published text (`LidarPreset.checked`); the others
-were written down from memory and may be wrong. Where a sheet is silent, the lidar's default stands: no least range, no threshold.
-Intensities are relative, so thresholds follow from a stated range for a stated reflectance.
+were written down from memory and may be wrong. Where a sheet is silent, the lidar's default stands: no least range, no
+threshold. Intensities are relative, so thresholds follow from a stated range for a stated reflectance.
 """
 
 from __future__ import annotations
