@@ -14,14 +14,14 @@ from wrt.query.query_options import DEFAULTS
 OF_PLANS = {"traversal", "triangle_test"}
 
 OPTIONS = {
-    "intersect": OF_PLANS | {"mask", "cull_backfaces", "skip", "counters", "precise"},
-    "occluded": OF_PLANS | {"mask", "cull_backfaces", "skip"},
-    "count": OF_PLANS | {"mask", "cull_backfaces", "skip"},
-    "intersect_all": OF_PLANS | {"mask", "cull_backfaces", "max_hits"},
-    "explain": OF_PLANS | {"mask", "cull_backfaces", "query"},
-    "intersect_blocks": OF_PLANS | {"mask", "memory", "progress", "precise"},
-    "occluded_blocks": OF_PLANS | {"mask", "memory", "progress"},
-    "count_blocks": OF_PLANS | {"mask", "memory", "progress"},
+    "intersect": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip", "counters", "precise"},
+    "occluded": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
+    "count": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
+    "intersect_all": OF_PLANS | {"mask", "environment", "cull_backfaces", "max_hits"},
+    "explain": OF_PLANS | {"mask", "environment", "cull_backfaces", "query"},
+    "intersect_blocks": OF_PLANS | {"mask", "environment", "memory", "progress", "precise"},
+    "occluded_blocks": OF_PLANS | {"mask", "environment", "memory", "progress"},
+    "count_blocks": OF_PLANS | {"mask", "environment", "memory", "progress"},
 }
 
 RAYS = {"origins": inspect.Parameter.empty, "directions": None, "t_min": 0.0, "t_max": float("inf")}
