@@ -60,7 +60,7 @@ def test_many_cameras_see_as_one_by_one():
 
 
 @pytest.mark.parametrize("bundle", [1, 4])
-def test_slices_at_once_are_slices_one_by_one(bundle):
+def test_slices_at_once_are_slices_one_by_one(bundle, monkeypatch):
     """A scene with environments is traced slice by slice; hits are the same up to the rounding of another scene centre."""
     still = [wrt.Instance(GROUND), wrt.Instance(BALL, move(0.0, 3.0))]
     moving = [wrt.Instance(BALL, move(2.0)), wrt.Instance(BALL, move(-3.0, 1.0))]
@@ -80,6 +80,9 @@ def test_slices_at_once_are_slices_one_by_one(bundle):
     for name in ("range", "position", "normal", "intensity", "radial_velocity"):
         np.testing.assert_allclose(getattr(whole, name), getattr(parts, name), rtol=1e-4, atol=1e-4, err_msg=name)
     assert whole.motion_error == parts.motion_error > 0.0
+    monkeypatch.setattr("wrt.sensors.time_slices.MAX_TOGETHER", 7)
+    many = lidar.scan(scenes[0], drive, motions=motions, slices=7)
+    np.testing.assert_array_equal(many.instance_id, whole.instance_id)
     assert scenes[0].instances[2].transform.tolist() == moving[0].transform.tolist()
 
 

@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 
 MAX_SLICES = 4096
 
+MAX_TOGETHER = 1 << 17
+"""Largest number of instances of all slices together that are traced at once: each takes 184 bytes of a table."""
+
 
 @dataclass(frozen=True)
 class Slice:
@@ -135,7 +138,8 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     """Traces the rays of all slices.
 
     All at once, if there are several slices: time slices are environments then (`wrt.scene.sliced_state`). In a scene that has
-    environments, one slice after the other, and the upper tree gets new boxes for each.
+    environments, or with more than `MAX_TOGETHER` instances in all slices, one slice after the other: the upper tree gets new
+    boxes for each.
 
     Args:
         scene: is moved; a copy of the caller's scene.
@@ -147,7 +151,8 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     from wrt.scene.sliced_state import slice_mesh, sliced
 
     count, device, together, found = len(scene.instances), scene.device, False, None
-    if bodies.chosen and len(parts) > 1 and all(one.environment < 0 for one in scene.instances):
+    few = len(parts) * count <= MAX_TOGETHER
+    if bodies.chosen and len(parts) > 1 and few and all(one.environment < 0 for one in scene.instances):
         together = rays.each.get("environment") is None
     if together:
         scene.state = sliced(scene.state, bodies.chosen, bodies.transforms)
