@@ -19,12 +19,13 @@ import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH, WideNodes
-from wrt.kernels.layout.instance_maps import Placement, object_ray
+from wrt.kernels.layout.instance_maps import Placement, object_ray, ray_environment
 from wrt.kernels.layout.ray_batch import Ray, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child, ray_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
+from wrt.kernels.traversal.two_level.instance_single import InstanceTree, root_of
 
 exact_module(__name__)
 
@@ -65,6 +66,8 @@ class SampledScene:
     """(instances,); (0,) in a scene of one level."""
     parts: wp.array(dtype=SampledTree)
     """The geometries of the placements."""
+    top: InstanceTree
+    """Of two levels: the roots of the environments."""
 
 
 @wp.func
@@ -137,7 +140,7 @@ def visit_instance(width: int) -> wp.Function:
         own = object_ray(placement, wp.vec3d(ray.origin), ray, ray.t_max)
         best = ray.t_max
         if own.valid:
-            best = walk(scene, scene.parts[placement.geometry], (instance + 1) * INSTANCE_SALT, own, any_hit, seen, steps)
+            best = walk(scene, scene.parts[placement.geometry], 0, (instance + 1) * INSTANCE_SALT, own, any_hit, seen, steps)
         return best
 
     return visit
@@ -145,7 +148,8 @@ def visit_instance(width: int) -> wp.Function:
 
 @cache
 def make_walk(width: int, visit: wp.Function) -> wp.Function:
-    """`wp.func(scene, part, salt, ray, any_hit, seen, steps) -> t`: walks a tree up to the closest hit, or to any.
+    """`wp.func(scene, part, root, salt, ray, any_hit, seen, steps) -> t`: walks the tree below node `root` up to the closest
+    hit, or to any.
 
     Args:
         width: children of a node.
@@ -157,6 +161,7 @@ def make_walk(width: int, visit: wp.Function) -> wp.Function:
     def walk(
         scene: SampledScene,
         part: SampledTree,
+        root: int,
         salt: int,
         ray: Ray,
         any_hit: int,
@@ -168,8 +173,9 @@ def make_walk(width: int, visit: wp.Function) -> wp.Function:
         slabs = ray_slabs(ray.origin, ray.direction, reach(ray.origin, part.tree.low, part.tree.high))
         end = ray.t_max
         level = int(0)
-        key = test_boxes(part.tree.bounds, 0, slabs, ray.t_min, ray.t_max, keys, 0)
-        steps += wp.vec2i(1, first_visit(seen, salt + 1))
+        path[0] = root
+        key = test_boxes(part.tree.bounds, root, slabs, ray.t_min, ray.t_max, keys, 0)
+        steps += wp.vec2i(1, first_visit(seen, salt + root + 1))
         while level >= 0:
             if entry_of(key, wp.static(width)) <= ray.t_max:
                 lane = key & wp.static(width - 1)
@@ -228,9 +234,13 @@ def make_kernel(config: SampleConfig) -> wp.Kernel:
             begin = int(wp.float64(rays.count / packet) * place) * packet
             seen = wp.zeros(shape=(SEEN_SLOTS,), dtype=int)
             for k in range(sampled):
-                ray = load_ray(rays, ray_at(rays, begin + k * packet / sampled, packet))
-                if ray.valid:
-                    walk(scene, scene.part, 0, ray, any_hit, seen, steps)
+                i = ray_at(rays, begin + k * packet / sampled, packet)
+                ray = load_ray(rays, i)
+                root = int(0)
+                if wp.static(config.instances):
+                    root = root_of(scene.top, ray_environment(rays, i))
+                if ray.valid and root >= 0:
+                    walk(scene, scene.part, root, 0, ray, any_hit, seen, steps)
                     rays_met += 1
         result[0] = steps[0]
         result[1] = steps[1]

@@ -53,7 +53,7 @@ def sampled_scene(scene: SceneState) -> SampledScene:
         table = [sampled_tree(part) for part in scene.parts] if scene.instances else []
         sampled.parts = keep_alive(wp.array(table, dtype=SampledTree, device=scene.device), table)
         if scene.instances:
-            sampled.placements = scene.device_mesh.placements
+            sampled.placements, sampled.top = scene.device_mesh.placements, scene.upper()
         else:
             sampled.placements = wp.empty(0, dtype=Placement, device=scene.device)
         tables[TABLE] = sampled
