@@ -154,6 +154,13 @@ def check_large_batches(names):
     np.testing.assert_array_equal(names["again"].intersect([0, 0, 2], names["lidar"]).t, expected.t)
 
 
+def check_clusters(names):
+    shaded = names["scene"].occluded(names["points"][:, None], names["suns"]).sum(axis=1)
+    for name in ("shaded", "same", "on_dask", "on_gpus"):
+        np.testing.assert_array_equal(names.get(name, shaded), shaded)
+    assert names["open_share"] == 1.0 - names["scene"].occluded(*names["around"](0, 100_000)).mean()
+
+
 def check_own_kernels(names):
     seen = names["scene"].intersect(names["camera"].rays()).is_hit
     assert (names["picture"][~seen] == 0).all()
@@ -203,6 +210,7 @@ CHECKS = {
     "guides/sun_hours.md": check_sun_hours,
     "guides/moving.md": check_moving,
     "guides/large_batches.md": check_large_batches,
+    "guides/clusters.md": check_clusters,
     "guides/own_kernels.md": check_own_kernels,
     "guides/gradients.md": check_gradients,
     "guides/exact.md": check_exact,
@@ -269,13 +277,17 @@ def test_every_page_is_in_a_contents_list():
     assert PAGES.keys() <= listed
 
 
-@pytest.mark.parametrize("name", [name for name in wrt.__all__ if name not in ("__version__", "device", "scenes", "sensors")])
+MODULES = ("cluster", "device", "scenes", "sensors")
+"""Public modules, whose own names are public."""
+
+
+@pytest.mark.parametrize("name", [name for name in wrt.__all__ if name not in ("__version__", *MODULES)])
 def test_every_public_name_is_in_the_reference(name):
     reference = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
     assert re.search(rf"^\.\. auto(class|function):: wrt\.{name}$", reference, re.MULTILINE)
 
 
-@pytest.mark.parametrize("module", ["device", "scenes", "sensors"])
+@pytest.mark.parametrize("module", MODULES)
 def test_public_modules_are_in_the_reference(module):
     text = "\n".join(text for page, text in PAGES.items() if page.startswith("api/"))
     assert f".. automodule:: wrt.{module}" in text

@@ -13,15 +13,17 @@ from wrt.query.query_options import DEFAULTS
 
 OF_PLANS = {"traversal", "triangle_test"}
 
+OF_BLOCKS = {"mask", "environment", "skip", "memory", "progress", "executor", "reduce", "axis"}
+
 OPTIONS = {
     "intersect": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip", "counters", "precise"},
     "occluded": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
     "count": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
     "intersect_all": OF_PLANS | {"mask", "environment", "cull_backfaces", "max_hits"},
     "explain": OF_PLANS | {"mask", "environment", "cull_backfaces", "query"},
-    "intersect_blocks": OF_PLANS | {"mask", "environment", "memory", "progress", "precise"},
-    "occluded_blocks": OF_PLANS | {"mask", "environment", "memory", "progress"},
-    "count_blocks": OF_PLANS | {"mask", "environment", "memory", "progress"},
+    "intersect_blocks": OF_PLANS | OF_BLOCKS | {"precise"},
+    "occluded_blocks": OF_PLANS | OF_BLOCKS,
+    "count_blocks": OF_PLANS | OF_BLOCKS,
 }
 
 RAYS = {"origins": inspect.Parameter.empty, "directions": None, "t_min": 0.0, "t_max": float("inf")}

@@ -8,7 +8,8 @@ from wrt.execution.executor import on_device
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import find_plan
 from wrt.query.answers import closest_hits, ray_values
-from wrt.query.blocks import as_source, blocks_of
+from wrt.query.batches.block_rows import as_source
+from wrt.query.blocks import blocks_of
 from wrt.query.query_options import (
     BlockOptions,
     ClosestBlockOptions,
@@ -154,32 +155,45 @@ class Queries:
     def intersect_blocks(
         self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ClosestBlockOptions]
     ) -> Blocks:
-        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write`.
+        """Closest hits of any number of rays, block by block: iterate over pairs (rows, hits), or call `write` or `result`.
 
             for rows, hits in scene.intersect_blocks(np.load("origins.npy", mmap_mode="r"), direction, progress=True):
                 nearest[rows] = hits.t
+            scene.intersect_blocks(origins, directions, executor=client.get_executor()).write({"t": t})  # on a cluster
 
-        The hits equal those of `intersect`, whatever the size of the blocks.
+        The hits equal those of `intersect`, whatever the size of the blocks and whoever answers them.
 
         Args:
             origins, directions, t_min, t_max: as in `intersect`, with at least one leading axis. An array may be any object
                 with a shape whose slices are arrays, such as an np.memmap; only the rows of a block are read and converted
                 at a time. Alternatively, `origins` is an iterable of pairs (origins, directions) or of `wrt.Rays`, and
-                `directions` is left out: items are answered in order, and items larger than a block in parts.
-            mask, environment: as in `intersect`; arrays are cut into blocks with the rays. One number if the rays come from an
-                iterator.
+                `directions` is left out: items are answered in order, and items larger than a block in parts. Or it is a
+                `wrt.GeneratedRays`: a function that makes the rays of given numbers.
+            mask, environment, skip: as in `intersect`; arrays, and the hits of the whole batch, are cut into blocks with the
+                rays. One number if the rays come from an iterator.
             memory: bound on the memory for a block, in bytes or as text such as "1.5 GB" or "512 MiB"; about 320 bytes a
                 ray. A block has at least one row.
             progress: whether to show a progress bar on stderr.
+            executor: who answers blocks, several at a time: a `concurrent.futures.Executor`, such as a ThreadPoolExecutor, a
+                `wrt.cluster.ProcessPool` or Dask's `client.get_executor()`; or a `wrt.cluster.Workers`, which adds options.
+                None for this process, one block after the other. Each worker needs the memory of a block for each task it runs
+                at a time. Hits that come from another process are as those of a pickle.
+            reduce: what is kept of the answers: "sum", "mean", "min", "max", "any", "all", a `wrt.cluster.Histogram`, a
+                function(values, axes) that keeps the first axis, or an object with the methods of `wrt.cluster.Reduction`. Of
+                closest hits, a dict from attributes to these, such as {"t": "min"}. Integers are summed as int64; sums of
+                floats are exact, and rounded once. None keeps the answers.
+            axis: axes of the rays' leading shape along which answers are reduced: an int, several, or None for all. Without the
+                first axis among them, blocks have reduced rows; with it, only `result` gives the answer.
             traversal, triangle_test, precise: as in `intersect`.
 
         Raises:
             TypeError: an argument has a wrong type.
-            ValueError: as `intersect`; rays without a leading axis, or a bound that is not an amount of memory. Values and
-                types of arrays are checked block by block.
+            ValueError: as `intersect`; rays without a leading axis, a bound that is not an amount of memory, an unknown
+                reduction or axis. Values and types of arrays are checked block by block.
+            RuntimeError: later, if the workers that took a block died each time.
         """
         check_options(Queries.intersect_blocks, options)
-        return blocks_of(self.intersect, as_source(origins, directions, t_min, t_max), **options)
+        return blocks_of(self, "intersect", as_source(origins, directions, t_min, t_max), **options)
 
     @takes(BlockOptions)
     def occluded_blocks(
@@ -189,7 +203,7 @@ class Queries:
         `intersect_blocks`.
         """
         check_options(Queries.occluded_blocks, options)
-        return blocks_of(self.occluded, as_source(origins, directions, t_min, t_max), **options)
+        return blocks_of(self, "occluded", as_source(origins, directions, t_min, t_max), **options)
 
     @takes(BlockOptions)
     def count_blocks(
@@ -199,7 +213,7 @@ class Queries:
         `intersect_blocks`.
         """
         check_options(Queries.count_blocks, options)
-        return blocks_of(self.count, as_source(origins, directions, t_min, t_max), **options)
+        return blocks_of(self, "count", as_source(origins, directions, t_min, t_max), **options)
 
     def contains(self, points: Any, *, traversal: str | Plan = AUTO) -> Any:
         """Whether points are inside the geometry: (...) bool, a NumPy array if the points were, else a Warp array.

@@ -1,27 +1,29 @@
-"""Batches of any size: rays from large arrays, memory-mapped files or iterators, answered block by block.
+"""Batches of any size: rays from large arrays, memory-mapped files, iterators or functions, answered block by block.
 
 A block is a range of rows, along the first axis of the rays' leading shape. Only its rows are read, and the memory for a
 block's rays, work space and answer is bounded. A ray's answer depends on no other ray, so block boundaries do not affect
-results. Ctrl-C takes effect after the current block, so that a whole number of blocks is written; a second Ctrl-C takes
-effect at once.
+results. Blocks are answered here one after the other, or by the workers of an executor, several at a time; the answers are the
+same, to the bit. Ctrl-C takes effect after the current block, so that a whole number of blocks is written; a second Ctrl-C
+takes effect at once.
 """
 
 from __future__ import annotations
 
 import math
-import re
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from functools import partial
-from time import perf_counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import warp as wp
 
-from wrt.rays.rays import Rays, leading_shape
+from wrt.query.batches.block_limits import finished_before_interrupt, parse_memory, progress_bar
+from wrt.query.batches.block_outputs import TakeAttributes, check_out, for_workers, rows_together, store
+from wrt.query.batches.block_rows import GeneratedRays, Source, as_column, rows_of, rows_shape
+from wrt.query.batches.block_work import BlockQuery, BlockWork, Deliver, Submitter
+from wrt.query.batches.reductions import as_array, as_block_reduction
+from wrt.query.batches.task_window import run_tasks
+from wrt.query.batches.workers import Workers, as_workers
+from wrt.rays.rays import Rays
 
 BYTES_PER_RAY = 320
 """Largest memory per ray: 32 bytes on the device, 46 while rays are sorted, 16 for a hit and 93 for all attributes computed
@@ -29,18 +31,13 @@ from it, and these 109 once more, because the caller may still hold the previous
 """
 
 MASK_BYTES = 8
-"""Memory per ray for masks, if each ray has one: on the device, and as an array of its own."""
+"""Memory per ray for masks, if each ray has one: on the device, and as an array of its own. As much for environments, and for
+triangles to skip."""
 
 MAX_RAYS = 1 << 30
 """Largest number of rays of a block: kernels count them with 32 bits."""
 
-UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 1 << 10, "MIB": 1 << 20, "GIB": 1 << 30}
-"""Units of memory, in bytes."""
-
 MEMORY = "256 MB"
-
-ATTRIBUTES = ("t", "primitive_id", "geometry_id", "uv", "is_hit", "position", "normal")
-"""Attributes of hits that can be written to arrays."""
 
 
 class Block(NamedTuple):
@@ -48,7 +45,7 @@ class Block(NamedTuple):
 
     Attributes:
         rows: the rows within the whole batch; always with a start and a stop.
-        answer: the query's result for these rays: a `wrt.Hits`, or an array.
+        answer: the query's result for these rays: a `wrt.Hits`, or an array; with `reduce`, what is left of it.
     """
 
     rows: slice
@@ -56,10 +53,11 @@ class Block(NamedTuple):
 
 
 class Blocks:
-    """The answer to a large batch, computed block by block during iteration, or written to arrays.
+    """The answer to a large batch, computed block by block during iteration, written to arrays, or reduced.
 
         for rows, hits in scene.intersect_blocks(origins, directions):
             nearest[rows] = hits.t
+        shaded = scene.occluded_blocks(points[:, None], suns, reduce="sum", axis=1).result()
 
     Attributes:
         shape: leading shape of the batch; None if the rays come from an iterator.
@@ -68,25 +66,21 @@ class Blocks:
 
     def __init__(
         self,
-        query: Callable[..., Any],
-        source: Rays | Iterable[Any],
+        work: BlockWork,
+        source: Source,
         memory: int | str,
         progress: bool,
-        **each: Any,
+        workers: Workers | None,
     ) -> None:
         self.done = 0
-        self._query, self._source, self._progress = query, source, progress
-        given = {name: values for name, values in each.items() if values is not None}
-        self._each = {name: values if np.isscalar(values) else _sliceable(values) for name, values in given.items()}
-        self._cut = [name for name, values in given.items() if np.ndim(values) > 0]
-        if self._cut and not isinstance(source, Rays):
-            raise ValueError(
-                f"{self._cut[0]} must be one number if the rays come from an iterator; pass rays and masks as arrays instead"
-            )
-        self._bytes = parse_memory(memory)
+        self.work, self.workers, self.progress = work, workers, progress
+        self._source, self._bytes = source, parse_memory(memory)
         self.shape: tuple[int, ...] | None = None
-        if isinstance(source, Rays):
-            self.shape = _rows_shape(source, "the rays")
+        if isinstance(source, (Rays, GeneratedRays)):
+            self.shape = rows_shape(source, "the rays")
+            self.work = replace(work, rays=source, axes=len(self.shape))
+            if work.query.reduction is not None:
+                work.query.reduction.axes(len(self.shape))
 
     def __repr__(self) -> str:
         return f"Blocks(shape={self.shape}, memory={self._bytes} bytes)"
@@ -99,9 +93,10 @@ class Blocks:
         """
         if self.shape is None:
             raise TypeError("rays from an iterator have no known number of blocks before the iterator ends")
-        return len(self._ranges(self.shape))
+        return len(self.ranges(self.shape))
 
     def __iter__(self) -> Iterator[Block]:
+        self._refuse_merged("iterate over axes without the first one, or call result()")
         return self._blocks(None)
 
     def write(self, out: Any) -> int:
@@ -110,6 +105,9 @@ class Blocks:
             t = np.lib.format.open_memmap("t.npy", "w+", np.float32, shape=(len(origins),))
             scene.intersect_blocks(origins, directions).write({"t": t})
             scene.occluded_blocks(origins, directions).write(dark)
+
+        With an executor, workers write memory-mapped files and zarr arrays themselves, which they must see at the same path.
+        The number of rows of a block is then a multiple of those of a zarr chunk.
 
         Args:
             out: for closest hits a dict from attributes of `wrt.Hits` ("t", "primitive_id", "geometry_id", "uv", "is_hit",
@@ -121,206 +119,179 @@ class Blocks:
             The number of rows written.
 
         Raises:
-            ValueError: an unknown attribute, or an array whose shape or type does not hold the answer.
+            ValueError: an unknown attribute, an array whose shape or type does not hold the answer, a zarr array with chunks
+                larger than a block, or a reduction along the first axis.
         """
-        if isinstance(self._source, Rays):
-            none = rows_of(self._source, len(self.shape), 0, 0)
-            check_out(out, self._answer(none, 0, 0), self.shape[0], exact=True)
+        self._refuse_merged("call result()")
+        if self.shape is not None:
+            check_out(out, self.answer_rows(slice(0, 0)), self.shape[0], exact=True)
         for _ in self._blocks(out):
             pass
         return self.done
 
+    def result(self) -> Any:
+        """Computes all blocks; returns what `reduce` makes of them, or, of occlusion and counts, the whole array.
+
+        Returns:
+            An array, or, of closest hits, a dict of arrays as given to `reduce`.
+
+        Raises:
+            ValueError: closest hits without `reduce` (write their attributes to arrays); an iterator without rays.
+        """
+        query = self.work.query
+        if query.reduction is None and query.method == "intersect":
+            raise ValueError("result() of closest hits needs reduce={'t': ...}; or write attributes to arrays with write()")
+        parts: list[Any] = []
+        for _, answer in self._blocks(None):
+            parts = [query.reduction.merge(parts[0], answer)] if parts and self._merges() else [*parts, answer]
+        if not parts:
+            if self.shape is None:
+                raise ValueError("the iterator gave no rays")
+            parts = [self.answer_rows(slice(0, 0))]
+        return query.reduction.finish(parts[0]) if self._merges() else joined(parts)
+
+    def answer_rows(self, rows: slice) -> Any:
+        """The answer for some rows, computed here: hits, an array, reduced rows, or states of reductions. Not for iterators."""
+        return self.work.run(rows, {})
+
+    def ranges(self, shape: tuple[int, ...], together: int = 1) -> range:
+        """First row of each block of a batch; the step is the number of rows of a block, a multiple of `together`.
+
+        Args:
+            shape: leading shape of the batch.
+            together: rows that no two blocks may share.
+
+        Raises:
+            ValueError: `together` rows are more than a block may have.
+        """
+        a_row = max(math.prod(shape[1:]), 1)
+        each = BYTES_PER_RAY + MASK_BYTES * sum(np.ndim(values) > 0 for values in self.work.columns.values())
+        rows = max(min(self._bytes // each, MAX_RAYS) // a_row, 1)
+        if together > rows:
+            raise ValueError(
+                f"zarr chunks of {together:,} rows are larger than a block of {rows:,} rows; make chunks smaller, or raise "
+                f"memory to {together * a_row * each:,} bytes"
+            )
+        return range(0, shape[0], rows - rows % together)
+
     def _blocks(self, out: Any) -> Iterator[Block]:
         self.done = 0
-        with progress_bar(self._progress, None if self.shape is None else math.prod(self.shape)) as advance:
-            for rows, rays in self._pieces():
+        with progress_bar(self.progress, None if self.shape is None else math.prod(self.shape)) as advance:
+            for piece, answer in self._answered(out):
                 with finished_before_interrupt():
-                    answer = self._answer(rays, rows.start, rows.stop)
-                    if out is not None:
+                    if out is not None and answer is not None:
                         if self.shape is None:
-                            check_out(out, answer, rows.stop, exact=False)
-                        store(out, rows, answer)
-                    self.done = rows.stop
-                advance(len(rays))
-                yield Block(rows, answer)
+                            check_out(out, answer, piece.rows.stop, exact=False)
+                        store(out, piece.rows, answer)
+                    self.done = piece.rows.stop
+                advance(piece.count)
+                yield Block(piece.rows, answer)
                 del answer  # freed before the next block is computed
 
-    def _answer(self, rays: Rays, begin: int, end: int) -> Any:
-        """The answer for some rows, with their masks and environments."""
-        each = dict(self._each)
-        for name in self._cut:
-            each[name] = cut_rows(each[name], np.shape(each[name]), len(self.shape), begin, end)
-        return self._query(rays, **each)
+    def _answered(self, out: Any) -> Iterator[tuple[Piece, Any]]:
+        """The pieces in order, with their answers; None if a worker has written them to `out`."""
+        if out is None or self.workers is None:
+            return self.run_pieces(self._pieces(1), None)
+        if self.shape is None:
+            return self.run_pieces(self._pieces(1), TakeAttributes.of(out))
+        return self.run_pieces(self._pieces(rows_together(out)), for_workers(out))
 
-    def _pieces(self) -> Iterator[tuple[slice, Rays]]:
-        """The rays of each block, and their rows in the batch."""
+    def run_pieces(self, pieces: Iterator[Piece], deliver: Deliver | None, ordered: bool = True) -> Iterator[tuple[Piece, Any]]:
+        """Some blocks with their answers, or with what `deliver` returned of them.
+
+        Args:
+            pieces: the blocks.
+            deliver: called with the rows and the answer of each block, by the worker that has computed it.
+            ordered: whether answers come in the order of the pieces.
+
+        Raises:
+            RuntimeError: the workers that took a block died each time.
+        """
+        work = replace(self.work, deliver=deliver)
+        if self.workers is not None:
+            yield from run_tasks(pieces, Submitter(work, self.workers).submit, self.workers, ordered)
+            return
+        for piece in pieces:
+            with finished_before_interrupt():
+                answer = work.run(piece.rows, piece.sent)
+            yield piece, answer
+            del answer
+
+    def _pieces(self, together: int) -> Iterator[Piece]:
+        """The rows of each block, and their rays if these come from an iterator."""
+        if self.shape is not None:
+            ranges, each = self.ranges(self.shape, together), math.prod(self.shape[1:])
+            for begin in ranges:
+                rows = slice(begin, min(begin + ranges.step, self.shape[0]))
+                yield Piece(rows, (rows.stop - begin) * each, {})
+            return
         first = 0
-        for rays in [self._source] if isinstance(self._source, Rays) else self._source:
-            shape = _rows_shape(rays, "an item of the iterator")
-            ranges = self._ranges(shape)
+        for rays in self._source:
+            shape = rows_shape(rays, "an item of the iterator")
+            self.work = replace(self.work, axes=len(shape))
+            ranges = self.ranges(shape)
             for begin in ranges:
                 end = min(begin + ranges.step, shape[0])
-                yield slice(first + begin, first + end), rows_of(rays, len(shape), begin, end)
+                part = rows_of(rays, len(shape), begin, end)
+                yield Piece(slice(first + begin, first + end), len(part), {"rays": part})
             first += shape[0]
 
-    def _ranges(self, shape: tuple[int, ...]) -> range:
-        """First row of each block of a batch; the step is the number of rows of a block."""
-        a_row = max(math.prod(shape[1:]), 1)
-        each = BYTES_PER_RAY + (MASK_BYTES * len(self._cut))
-        rows = min(self._bytes // each, MAX_RAYS) // a_row
-        return range(0, shape[0], max(rows, 1))
+    def pieces(self) -> Iterator[Piece]:
+        """The blocks that are to be answered, in order."""
+        return self._pieces(1)
+
+    def _merges(self) -> bool:
+        """Whether blocks are merged along the first axis."""
+        return self.work.query.merges_rows(self.work.axes)
+
+    def _refuse_merged(self, remedy: str) -> None:
+        if self.shape is not None and self._merges():
+            raise ValueError(f"reduce along the first axis leaves no rows; {remedy}")
+
+
+class Piece(NamedTuple):
+    """A block that is to be answered.
+
+    Attributes:
+        rows: within the whole batch.
+        count: number of rays.
+        sent: {"rays": rays} if they come from an iterator.
+    """
+
+    rows: slice
+    count: int
+    sent: Mapping[str, Any]
+
+
+def joined(parts: list[Any]) -> Any:
+    """Answers of blocks, one after the other."""
+    if isinstance(parts[0], Mapping):
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return np.concatenate([as_array(part) for part in parts])
 
 
 def blocks_of(
-    query: Callable[..., Any],
-    source: Rays | Iterator[Rays],
+    scene: Any,
+    method: str,
+    source: Source,
+    *,
     memory: int | str = MEMORY,
     progress: bool = False,
+    executor: Any = None,
+    reduce: Any = None,
+    axis: Any = None,
     mask: Any = None,
     environment: Any = None,
+    skip: Any = None,
     **options: Any,
 ) -> Blocks:
-    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of masks."""
-    return Blocks(partial(query, **options), source, memory, progress, mask=mask, environment=environment)
-
-
-def as_source(origins: Any, directions: Any, t_min: Any, t_max: Any) -> Rays | Iterator[Rays]:
-    """Rays whose arrays can be sliced, or an iterator over such rays."""
-    if isinstance(origins, Rays):
-        if directions is not None:
-            raise TypeError("pass either a wrt.Rays, or origins and directions, not both")
-        return Rays(*(_sliceable(a) for a in (origins.origins, origins.directions, origins.t_min, origins.t_max)))
-    if directions is not None:
-        return Rays(*(_sliceable(a) for a in (origins, directions, t_min, t_max)))
-    if hasattr(origins, "shape") or not isinstance(origins, Iterable):
-        raise TypeError("directions is missing; pass origins and directions, a wrt.Rays, or an iterator of pairs of them")
-    if np.ndim(t_min) or np.ndim(t_max):
-        raise ValueError("t_min and t_max must be numbers if the rays come from an iterator; let it give wrt.Rays instead")
-    return _items(origins, t_min, t_max)
-
-
-def _items(source: Iterable[Any], t_min: float, t_max: float) -> Iterator[Rays]:
-    for number, item in enumerate(source):
-        if isinstance(item, Rays):
-            yield as_source(item, None, 0.0, 0.0)
-        elif isinstance(item, (tuple, list)) and len(item) == 2:
-            yield as_source(*item, t_min, t_max)
-        else:
-            raise TypeError(f"item {number} of the iterator must be (origins, directions) or a wrt.Rays, not {item!r:.60}")
-
-
-def rows_of(rays: Rays, axes: int, begin: int, end: int) -> Rays:
-    """Rows begin .. end - 1 of rays with `axes` leading axes; arrays shared by all rows stay whole."""
-    vectors = (cut_rows(a, leading_shape(a), axes, begin, end) for a in (rays.origins, rays.directions))
-    return Rays(*vectors, *(cut_rows(a, np.shape(a), axes, begin, end) for a in (rays.t_min, rays.t_max)))
-
-
-def cut_rows(values: Any, shape: tuple[int, ...], axes: int, begin: int, end: int) -> Any:
-    """Rows begin .. end - 1 of an array with this leading shape; the whole array if all rows share it."""
-    return values[begin:end] if len(shape) == axes and shape[0] != 1 else values
-
-
-def store(out: Any, rows: slice, answer: Any) -> None:
-    """Writes the answer of a block to its rows of the output arrays."""
-    for _, array, values in _outputs(out, answer):
-        array[rows] = values.numpy() if isinstance(values, wp.array) else values
-
-
-def check_out(out: Any, answer: Any, length: int, exact: bool) -> None:
-    """Refuses arrays that cannot hold `length` rows of answers such as `answer`.
+    """The blocks of a batch, each answered by a method of a scene with these options and with its rows of mask, environment
+    and skip.
 
     Raises:
-        ValueError: as `Blocks.write`.
+        TypeError, ValueError: as `wrt.Scene.intersect_blocks`.
     """
-    for name, array, values in _outputs(out, answer):
-        values = values.numpy() if isinstance(values, wp.array) else values
-        wanted, shape = (length, *values.shape[1:]), tuple(np.shape(array))
-        if shape[1:] != wanted[1:] or shape[:1] < wanted[:1] or (exact and shape != wanted):
-            raise ValueError(f"{name} has shape {shape}; it must {'be' if exact else 'hold at least'} {wanted}")
-        casting = "same_kind" if values.dtype.kind == "f" else "safe"
-        if not np.can_cast(values.dtype, array.dtype, casting):
-            raise ValueError(f"{name} holds {array.dtype}, which does not hold the answer; make it {values.dtype}")
-
-
-def _outputs(out: Any, answer: Any) -> list[tuple[str, Any, Any]]:
-    """(name, output array, values) for each array to write."""
-    if isinstance(answer, (np.ndarray, wp.array)):
-        return [("out", out, answer)]
-    if not isinstance(out, Mapping):
-        kind = type(out).__name__
-        raise ValueError(f"out must be a dict from attributes of wrt.Hits to arrays, such as {{'t': array}}, not {kind}")
-    for name in out:
-        if name not in ATTRIBUTES:
-            raise ValueError(f"out has the key {name!r}; choose from {', '.join(ATTRIBUTES)}")
-    return [(f"out[{name!r}]", array, getattr(answer, name)) for name, array in out.items()]
-
-
-def parse_memory(memory: int | str) -> int:
-    """An amount of memory in bytes, from a number or a text such as "256 MB" or "1.5 GiB".
-
-    Raises:
-        TypeError: neither an int nor a str.
-        ValueError: not positive, or not an amount of memory.
-    """
-    if isinstance(memory, bool) or not isinstance(memory, (int, str)):
-        raise TypeError(f"memory must be an int, in bytes, or a text such as '256 MB', not {type(memory).__name__}")
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([KMG]?I?B|)\s*", str(memory).upper())
-    if match is None or match[2] not in UNITS or not float(match[1]) > 0:
-        raise ValueError(f"memory is {memory!r}; give a number of bytes from 1 up, or a text such as '256 MB' or '1.5 GiB'")
-    return max(1, int(float(match[1]) * UNITS[match[2]]))
-
-
-@contextmanager
-def finished_before_interrupt() -> Iterator[None]:
-    """Delays a Ctrl-C to the end of the `with` block; a second one is not delayed. Has an effect only in the main thread."""
-    python_s = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if not python_s or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    interrupted = False
-
-    def note(number: int, frame: Any) -> None:
-        nonlocal interrupted
-        if interrupted:
-            raise KeyboardInterrupt
-        interrupted = True
-
-    signal.signal(signal.SIGINT, note)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    if interrupted:
-        raise KeyboardInterrupt
-
-
-@contextmanager
-def progress_bar(shown: bool, total: int | None) -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, if `shown`. The yielded function takes the number of rays that a block adds."""
-    if not shown:
-        yield lambda rays: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (BarColumn(), TextColumn("{task.completed:,} rays"), TimeRemainingColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task, start, done = bar.add_task("", total=total), perf_counter(), 0
-
-        def advance(rays: int) -> None:
-            nonlocal done
-            done += rays
-            bar.update(task, completed=done, description=f"{done / (perf_counter() - start) / 1e6:.1f} Mrays/s")
-
-        yield advance
-
-
-def _sliceable(values: Any) -> Any:
-    return values if hasattr(values, "shape") or np.isscalar(values) else np.asarray(values)
-
-
-def _rows_shape(rays: Rays, what: str) -> tuple[int, ...]:
-    shape = rays.shape
-    if not shape:
-        raise ValueError(f"{what} must have a leading axis to cut into blocks: pass origins or directions of shape (N, 3)")
-    return shape
+    given = {"mask": mask, "environment": environment, "skip": skip}
+    columns = {name: as_column(values, name, scene, source) for name, values in given.items() if values is not None}
+    query = BlockQuery(method, options, as_block_reduction(reduce, axis, method == "intersect"))
+    return Blocks(BlockWork(scene, query, None, columns, 0), source, memory, progress, as_workers(executor))

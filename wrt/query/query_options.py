@@ -75,15 +75,21 @@ class BlockOptions(PlanOptions, total=False):
 
     mask: Any
     environment: Any
+    skip: Any
     memory: int | str
     progress: bool
+    executor: Any
+    reduce: Any
+    axis: Any
 
 
 class ClosestBlockOptions(BlockOptions, PrecisionOptions, total=False):
     """Of `intersect_blocks`."""
 
 
-DEFAULTS: Mapping[str, Any] = {"query": CLOSEST, "memory": MEMORY, "progress": False, **Query._field_defaults}
+OF_BLOCKS = {"memory": MEMORY, "progress": False, "executor": None, "reduce": None, "axis": None}
+
+DEFAULTS: Mapping[str, Any] = {"query": CLOSEST, **OF_BLOCKS, **Query._field_defaults}
 """The default of each option, in the order in which signatures list them."""
 
 

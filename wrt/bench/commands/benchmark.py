@@ -29,6 +29,7 @@ COMPARISONS = {
     "scaling": ("scaling_command", "scaling_command"),
     "scheduling": ("scaling_command", "scheduling_command"),
     "shadows": ("shadows_command", "shadows_command"),
+    "cluster": ("cluster_command", "cluster_command"),
     "animation": ("animation_command", "animation_command"),
     "auto": ("auto_command", "auto_command"),
 }
@@ -99,7 +100,7 @@ def bench(
     `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
     build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench auto
     [MODEL]` what "auto" chooses, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
-    divide work among them; each has options of its own.
+    divide work among them, `wrt bench cluster` numbers of processes and of GPUs; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import print_report

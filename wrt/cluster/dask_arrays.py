@@ -1,0 +1,156 @@
+"""Queries on arrays of Dask and xarray: lazy, chunk by chunk, as a step of a larger computation.
+
+A chunk of rays becomes a chunk of answers (`dask.array.map_blocks`). Its worker reads the scene once from a file, as with an
+executor. Dask decides where and when; there is no window, so chunks should hold 10^6 to 10^8 rays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+
+from wrt.query.batches.block_outputs import ATTRIBUTES
+from wrt.query.batches.block_work import BlockQuery, BlockWork, PickledWork
+from wrt.query.batches.shared_files import SharedScene, deliver_scene, dumps, share_scene
+from wrt.query.batches.workers import Workers, task_threads
+from wrt.rays.rays import Rays
+
+FORMS = {
+    "t": (np.float32, 0),
+    "primitive_id": (np.int32, 0),
+    "geometry_id": (np.int32, 0),
+    "uv": (np.float32, 2),
+    "is_hit": (np.bool_, 0),
+    "position": (None, 3),
+    "normal": (None, 3),
+    "occluded": (np.bool_, 0),
+    "count": (np.int32, 0),
+}
+"""Type and components of answers; None: that of the rays."""
+
+
+def map_rays(
+    scene: Any,
+    origins: Any,
+    directions: Any,
+    what: str = "t",
+    *,
+    t_min: float = 0.0,
+    t_max: float = float("inf"),
+    folder: Any = None,
+    client: Any = None,
+    **options: Any,
+) -> Any:
+    """A query on arrays of Dask or xarray: lazy, with the chunks of the rays.
+
+        t = wrt.cluster.map_rays(scene, origins, directions, "t")          # dask.array, (N,) float32
+        shaded = wrt.cluster.map_rays(scene, origins, [0, 0, 1], "occluded").mean(axis=0).compute()
+
+    Args:
+        scene: the scene.
+        origins, directions: (..., 3), of which at least one is an array of Dask, or an xarray.DataArray over one, with the
+            components as its last axis; leading shapes broadcast.
+        what: "occluded", "count", or an attribute of hits: "t", "primitive_id", "geometry_id", "uv", "is_hit", "position",
+            "normal".
+        t_min, t_max: numbers, as in `wrt.Scene.intersect`.
+        folder: a folder for the scene's file that all workers see; None for a temporary one of this machine.
+        client: the Dask client; None for the current one, or for Dask's threads if there is none.
+        options: of the query: `traversal`, `triangle_test`, `mask` (a number).
+
+    Returns:
+        An array of Dask, (...) or (..., C) for C components; an xarray.DataArray with the dimensions of the rays if one was
+        passed.
+
+    Raises:
+        ImportError: Dask is not installed.
+        TypeError: neither argument is an array of Dask.
+        ValueError: an unknown answer, a last axis that is not of 3 components, or shapes that do not broadcast.
+    """
+    try:
+        import dask.array as da
+    except ImportError as error:
+        raise ImportError("map_rays needs Dask: pip install 'wrt[cluster-dask]'") from error
+    if what not in FORMS:
+        raise ValueError(f"what is {what!r}; choose from {', '.join(FORMS)}")
+    labelled = next((one for one in (origins, directions) if hasattr(one, "dims") and hasattr(one, "data")), None)
+    arrays = [getattr(one, "data", one) if hasattr(one, "dims") else one for one in (origins, directions)]
+    if not any(isinstance(one, da.Array) for one in arrays):
+        raise TypeError("origins or directions must be an array of Dask; for others call scene.intersect or intersect_blocks")
+    arrays = [one if isinstance(one, da.Array) else da.from_array(np.asarray(one), chunks=-1) for one in arrays]
+    if any(one.shape[-1:] != (3,) for one in arrays):
+        raise ValueError(f"origins and directions must have shape (..., 3), not {arrays[0].shape} and {arrays[1].shape}")
+    arrays = [one.rechunk({one.ndim - 1: 3}) for one in arrays]
+    both = da.broadcast_arrays(*arrays)
+    dtype, components = FORMS[what]
+    if dtype is None:
+        dtype = np.float64 if any(one.dtype.itemsize > 4 for one in arrays) else np.float32
+    function = MapChunk(*shared_query(scene, what, t_min, t_max, folder, client, options), what)
+    axis = both[0].ndim - 1
+    result = da.map_blocks(
+        function,
+        *both,
+        dtype=dtype,
+        drop_axis=None if components else axis,
+        chunks=(*both[0].chunks[:-1], (components,)) if components else None,
+        meta=np.empty((0,) * (axis + bool(components)), dtype=dtype),
+        name=f"wrt-{what}-{hashlib.sha256(function.work.hash.encode() + str([one.name for one in both]).encode()).hexdigest()}",
+    )
+    return result if labelled is None else as_labelled(result, labelled, what, components)
+
+
+def shared_query(
+    scene: Any, what: str, t_min: float, t_max: float, folder: Any, client: Any, options: dict[str, Any]
+) -> tuple[PickledWork, float, float]:
+    """The query for workers, and the interval."""
+    method = what if what in ("occluded", "count") else "intersect"
+    assert method != "intersect" or what in ATTRIBUTES
+    shared = share_scene(scene, folder)
+    send_to(client, shared, folder)
+    work = BlockWork(shared, BlockQuery(method, options, None), None, {}, 1)
+    data = dumps(work)
+    return PickledWork(data, None, hashlib.sha256(data).hexdigest()), t_min, t_max
+
+
+def send_to(client: Any, shared: SharedScene, folder: Any) -> None:
+    """Sends the scene's file to the workers of a client, or of the current one, that do not see it."""
+    if client is None:
+        try:
+            from distributed import get_client
+
+            client = get_client()
+        except (ImportError, ValueError):  # no cluster: Dask's own threads or processes, on this machine
+            return
+    deliver_scene(Workers(client.get_executor(), folder), shared)
+
+
+class MapChunk:
+    """Answers a chunk of rays.
+
+    Args:
+        work: the query, for workers.
+        t_min, t_max: the interval.
+        what: as of `map_rays`.
+    """
+
+    def __init__(self, work: PickledWork, t_min: float, t_max: float, what: str) -> None:
+        self.work, self.t_min, self.t_max, self.what = work, t_min, t_max, what
+
+    def __call__(self, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        work = self.work.get()
+        with task_threads(work.threads):
+            rays = Rays(origins, directions, self.t_min, self.t_max)
+            found = work.query.answer(work.scene.get(work.device), rays, {})
+        return found if work.query.method != "intersect" else np.asarray(getattr(found, self.what))
+
+
+def as_labelled(result: Any, labelled: Any, what: str, components: int) -> Any:
+    """An xarray.DataArray with the dimensions and coordinates of the rays."""
+    import xarray
+
+    dims = list(labelled.dims[:-1])
+    if len(dims) != result.ndim - bool(components):
+        raise ValueError(f"the labelled rays have dimensions {tuple(labelled.dims)}, which do not cover {result.ndim} axes")
+    coords = {name: one for name, one in labelled.coords.items() if set(one.dims) <= set(dims)}
+    return xarray.DataArray(result, dims=[*dims, "component"] if components else dims, coords=coords, name=what)

@@ -1,0 +1,80 @@
+"""What holds for every batch: a bound on memory, a progress bar, and interrupts between two blocks."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from time import perf_counter
+from typing import Any
+
+UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "KIB": 1 << 10, "MIB": 1 << 20, "GIB": 1 << 30}
+"""Units of memory, in bytes."""
+
+
+def parse_memory(memory: int | str) -> int:
+    """An amount of memory in bytes, from a number or a text such as "256 MB" or "1.5 GiB".
+
+    Raises:
+        TypeError: neither an int nor a str.
+        ValueError: not positive, or not an amount of memory.
+    """
+    if isinstance(memory, bool) or not isinstance(memory, (int, str)):
+        raise TypeError(f"memory must be an int, in bytes, or a text such as '256 MB', not {type(memory).__name__}")
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([KMG]?I?B|)\s*", str(memory).upper())
+    if match is None or match[2] not in UNITS or not float(match[1]) > 0:
+        raise ValueError(f"memory is {memory!r}; give a number of bytes from 1 up, or a text such as '256 MB' or '1.5 GiB'")
+    return max(1, int(float(match[1]) * UNITS[match[2]]))
+
+
+@contextmanager
+def finished_before_interrupt() -> Iterator[None]:
+    """Delays a Ctrl-C to the end of the `with` block; a second one is not delayed. Has an effect only in the main thread."""
+    python_s = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not python_s or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    interrupted = False
+
+    def note(number: int, frame: Any) -> None:
+        nonlocal interrupted
+        if interrupted:
+            raise KeyboardInterrupt
+        interrupted = True
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    if interrupted:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def progress_bar(shown: bool, total: int | None, start: int = 0) -> Iterator[Callable[[int], None]]:
+    """A progress bar on stderr, if `shown`. The yielded function takes the number of rays that a block adds.
+
+    Args:
+        shown: whether there is one.
+        total: rays in all; None if that is not known.
+        start: rays that were answered before.
+    """
+    if not shown:
+        yield lambda rays: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (BarColumn(), TextColumn("{task.completed:,} rays"), TimeRemainingColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task, begun, done = bar.add_task("", total=total, completed=start), perf_counter(), 0
+
+        def advance(rays: int) -> None:
+            nonlocal done
+            done += rays
+            bar.update(task, advance=rays, description=f"{done / (perf_counter() - begun) / 1e6:.1f} Mrays/s")
+
+        yield advance
