@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 OPTIONS_OF_OTHERS = ("depth", "sampler", "exposure", "tone_mapping", "lens_radius", "sky")
 """Options that the integrator "ambient" does not have."""
 
+KEPT = ".samples.npz"
+"""What the name of the file with the samples of an unfinished picture adds to the picture's name."""
+
 GROUND_SIZE = 32.0
 """Side of the ground under a model, in diagonals of the model's bounding box."""
 
@@ -74,11 +77,13 @@ GROUND_SIZE = 32.0
 @click.option("--ground/--no-ground", default=False, show_default=True, help="Put a plane under the MODEL.")
 @click.option("--triangle-test", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
 @click.option("--traversal", default="auto", show_default=True, help="auto, or a name from `wrt list`.")
+@click.option("--resume", is_flag=True, help="Continue a picture that Ctrl-C ended; not for ambient.")
 @click.option("--seed", default=0, show_default=True, type=click.IntRange(0), help="Seed of the sample pattern.")
 def render(output: Path, ground: bool, **given: Any) -> None:
     """Renders MODEL, any mesh file that trimesh reads, or a built-in scene, to an image.
 
-    With an integrator other than ambient, Ctrl-C ends the rendering and keeps the samples that it has; .exr and .npy files hold
+    With an integrator other than ambient, Ctrl-C ends the rendering and writes the picture with the samples that it has. They
+    are also kept in a file beside the picture, from which the same command with --resume goes on. .exr and .npy files hold
     linear values.
     """
     start_warp(given["device"])
@@ -121,6 +126,8 @@ def _ambient(
     for option in OPTIONS_OF_OTHERS:
         if given[option] is not None:
             raise click.UsageError(f"--{option.replace('_', '-')} needs --integrator whitted, distribution or path")
+    if given["resume"]:
+        raise click.UsageError("--resume needs --integrator whitted, distribution or path")
     with progress(f"rendering {name}") as on_progress:
         image = render_image(
             scene,
@@ -158,13 +165,25 @@ def _by_integrator(
         rendering = Rendering(scene, camera, integrator=given["integrator"], lights=lights, **options, **query)
     except ValueError as error:
         raise click.UsageError(str(error)) from None
+    kept = output.with_name(output.name + KEPT)
+    if given["resume"]:
+        try:
+            rendering.load_samples(kept)
+        except FileNotFoundError:
+            raise click.UsageError(f"--resume: there is no '{kept}' of an interrupted picture; leave --resume out") from None
+        except ValueError as error:
+            raise click.UsageError(f"--resume: {error}") from None
     try:
         with sample_progress(f"rendering {name}", rendering) as on_progress:
             rendering.advance(progress=on_progress)
     except KeyboardInterrupt:
         if rendering.done == 0:
             raise
-        click.echo(f"interrupted: the picture has {rendering.done} of {rendering.samples} samples", err=True)
+        rendering.save_samples(kept)
+        text = f"interrupted: the picture has {rendering.done} of {rendering.samples} samples; --resume adds the others"
+        click.echo(text, err=True)
+    else:
+        kept.unlink(missing_ok=True)
     rendering.save(output)
     return f"{rendering.done} samples, "
 

@@ -94,7 +94,7 @@ def render(
         TypeError: `scene` or `camera` has a wrong type.
         ValueError: a value out of range, or an unknown name.
     """
-    _check_types(scene, camera)
+    check_types(scene, camera)
     if not 0.0 < crease_angle < 90.0:
         raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)")
     samples = check_whole("samples", samples, 1)
@@ -108,23 +108,37 @@ def render(
         seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
         query={"traversal": traversal, "triangle_test": triangle_test},
     )
+    with use_threads(scene.num_threads):
+        return _rendered(scene, camera, samples, seed, settings, albedo, crease_angle if smooth else None, progress)
+
+
+def _rendered(
+    scene: Scene,
+    camera: Camera,
+    samples: int,
+    seed: int,
+    settings: _Settings,
+    albedo: Any,
+    crease_angle: float | None,
+    progress: Callable[[int, int], Any] | None,
+) -> np.ndarray:
+    """The image, tile by tile; `crease_angle` is None for flat shading."""
     pixels = camera.width * camera.height
     tiles = -(-pixels // TILE_PIXELS)
     tile = -(-pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
-    with use_threads(scene.num_threads):
-        expect(_kernels(scene, camera, tile, settings, smooth), scene.device)
-        look = _appearance(scene, albedo, crease_angle if smooth else None)
-        picture = wp.zeros((camera.height, camera.width), dtype=wp.vec3, device=scene.device)
-        for sample in range(samples):
-            offset = pixel_offset(sample, samples, seed)
-            for first in range(0, pixels, tile):
-                count = min(tile, pixels - first)
-                rays = camera.rays_on(scene.device, first, count, offset)
-                _Tile(scene, look, settings, first, count).expose(rays, sample, picture)
-                if progress is not None:
-                    progress(sample * pixels + first + count, samples * pixels)
-        image = wp.empty_like(picture)
-        launch(film.develop, pixels, [picture, samples, image], device=scene.device, chunk=4096)
+    expect(_kernels(scene, camera, tile, settings, crease_angle is not None), scene.device)
+    look = _appearance(scene, albedo, crease_angle)
+    picture = wp.zeros((camera.height, camera.width), dtype=wp.vec3, device=scene.device)
+    for sample in range(samples):
+        offset = pixel_offset(sample, samples, seed)
+        for first in range(0, pixels, tile):
+            count = min(tile, pixels - first)
+            rays = camera.rays_on(scene.device, first, count, offset)
+            _Tile(scene, look, settings, first, count).expose(rays, sample, picture)
+            if progress is not None:
+                progress(sample * pixels + first + count, samples * pixels)
+    image = wp.empty_like(picture)
+    launch(film.develop, pixels, [picture, samples, image], device=scene.device, chunk=4096)
     return image.numpy()
 
 
@@ -260,7 +274,12 @@ def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surfac
     return look
 
 
-def _check_types(scene: Scene, camera: Camera) -> None:
+def check_types(scene: Any, camera: Any) -> None:
+    """Refuses what is no scene or no camera.
+
+    Raises:
+        TypeError: one of them has a wrong type.
+    """
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
     if not isinstance(camera, Camera):

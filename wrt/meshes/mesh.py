@@ -317,7 +317,8 @@ class TriangleMesh:
     def with_materials(
         self, materials: Material | Iterable[Material], of_face: Any = None, *, uv: Any = None, colors: Any = None
     ) -> TriangleMesh:
-        """The same mesh with materials. They are kept by `transformed`, `concatenate`, `welded` and pickles, but not by files.
+        """The same mesh with materials. `transformed`, `concatenate`, `welded`, pickles and `Scene.save` keep them; mesh
+        files do not.
 
         Args:
             materials: a `wrt.Material` for all triangles, or several.

@@ -30,6 +30,7 @@ from wrt.accelerators import accelerator as descriptions
 from wrt.accelerators.accelerator import ACCELERATORS, Accelerator
 from wrt.builders.tree import BuildStats, Bvh, KdTree
 from wrt.builders.tree_check import check_tree
+from wrt.materials.stored_materials import pack_materials, unpack_materials
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
 from wrt.scene.archives import read_archive, write_archive
@@ -218,19 +219,24 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
         "triangle_test": scene.triangle_test,
         "names": [mesh.name for mesh in scene.meshes],
         "up": [mesh.up for mesh in scene.meshes],
+        "materials": [None] * len(scene.meshes),
     }
-    arrays = {"wrt": np.array(json.dumps(header))}
+    arrays = {}
     for number, mesh in enumerate(scene.meshes):
         arrays |= {f"vertices.{number}": mesh.vertices, f"faces.{number}": mesh.faces}
+        if mesh.materials is not None:
+            header["materials"][number], own = pack_materials(mesh.materials)
+            arrays |= {f"materials.{number}.{name}": array for name, array in own.items()}
     if scene.instances:
         header["keys"] = [key_of(part) for part in scene.parts]
-        arrays |= {"wrt": np.array(json.dumps(header)), "geometry": np.array(scene.geometry_ids)}
+        arrays["geometry"] = np.array(scene.geometry_ids)
         for name in INSTANCE_FIELDS:
             arrays[name] = np.array([getattr(instance, name) for instance in scene.instances])
         for number, part in enumerate(scene.parts):
             arrays |= {f"tree{number}.{name}": array for name, array in pack_tree(part.tree).items()}
     else:
         arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
+    arrays["wrt"] = np.array(json.dumps(header))
     write_archive(Path(path), arrays)
 
 
@@ -251,13 +257,15 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], A
             TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name, up=up)
             for i, (name, up) in enumerate(zip(names, ups, strict=True))
         ]
+        materials = header.get("materials", [None] * len(names))  # files written before meshes had materials have none
+        meshes = [with_stored(mesh, i, listed, arrays) for i, (mesh, listed) in enumerate(zip(meshes, materials, strict=True))]
         if "keys" in header:
-            trees = [tree_of(arrays, f"tree{number}.") for number in range(len(meshes))]
+            trees = [arrays_below(arrays, f"tree{number}.") for number in range(len(meshes))]
             counts = [mesh.triangle_count for mesh in meshes]
             known = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
             kind, geometry = trees[0]["kind"], instances_of(arrays, meshes)
         else:
-            tree = tree_of(arrays, "tree.")
+            tree = arrays_below(arrays, "tree.")
             known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
             kind, geometry = tree["kind"], meshes
         accelerator = ACCELERATORS[str(kind)](**header["accelerator"])
@@ -270,8 +278,8 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], A
     return geometry, accelerator, triangle_test, known
 
 
-def tree_of(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    """The arrays of a tree in a file."""
+def arrays_below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    """The arrays of a file whose names begin with a prefix, by the rest of their names."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 
@@ -286,6 +294,14 @@ def instances_of(arrays: Mapping[str, np.ndarray], meshes: Sequence[TriangleMesh
         raise ValueError("the instances are not those of its meshes")
     rows = zip(numbers.tolist(), *(arrays[name] for name in INSTANCE_FIELDS), strict=True)
     return [Instance(meshes[at], matrix, mask=mask, environment=number) for at, matrix, mask, number in rows]
+
+
+def with_stored(mesh: TriangleMesh, number: int, listed: Any, arrays: Mapping[str, np.ndarray]) -> TriangleMesh:
+    """A mesh of a file with its materials, if it has any."""
+    if listed is None:
+        return mesh
+    own = arrays_below(arrays, f"materials.{number}.")
+    return mesh.with_materials(**unpack_materials(listed, own))
 
 
 def key_of(scene: SceneState) -> str:

@@ -2,6 +2,7 @@
 
     pixel_samples.py  random numbers of a pixel's samples, one dimension an effect
     camera_rays.py    pixels -> rays, through a filter and a lens
+    ray_at_hit.py     a ray with what it hit, and the key of its random numbers
     path_step.py      one step of path tracing
     tree_step.py      one step of Whitted's and of distribution ray tracing
     ray_queue.py      the rays of a generation, and their compaction: count, scan, fill

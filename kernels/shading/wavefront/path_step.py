@@ -14,25 +14,22 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch, is_finite
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.bsdf.material_table import Look
 from wrt.kernels.shading.bsdf.scattering import is_single, largest, sample_scattering
 from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
-from wrt.kernels.shading.shading_point import leaving_origin, shading_point
-from wrt.kernels.shading.wavefront.pixel_samples import (
-    FIRST_BOUNCE,
-    PER_BOUNCE,
-    PixelSamples,
-    pixel_hash,
-    pixel_point,
-    single_number,
-)
+from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
+from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
+from wrt.kernels.shading.wavefront.ray_at_hit import RayAtHit, SampleKey, ray_at_hit, sample_key
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
+    Arrival,
+    Boundary,
     LitScene,
-    absorbed,
     arriving_light,
     boundary_of,
     crossed_lights,
+    may_emit,
     point_look,
     sky_light,
     surface_light,
@@ -63,6 +60,72 @@ def kept_above(direction: wp.vec3, face_normal: wp.vec3, is_transmitted: bool):
     return wp.where(wrong, direction - 2.0 * rise * face_normal, direction)
 
 
+@wp.func(inline=True)
+def lamp_light(
+    step: PathStep, scene: LitScene, source: PixelSamples, key: SampleKey, ray: RayAtHit, point: ShadingPoint, look: Look
+):
+    """Light of one lamp, chosen by power, that may be scattered along a ray."""
+    entry = int(0)
+    probability = float(1.0)
+    if scene.lights.count > 1:
+        entry = find_interval(
+            scene.lights.sums, 0, scene.lights.count, single_number(key.pixel, key.sample, 3 * step.generation)
+        )
+        probability = entry_probability(scene.lights, entry)
+    place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation)
+    return arriving_light(scene, point, look, -ray.direction, entry, place, probability, True)
+
+
+@wp.func(inline=True)
+def pass_through(ray: RayAtHit, point: ShadingPoint, boundary: Boundary, i: int, following: RayQueue):
+    """Lets a ray go on through a boundary that is none to it."""
+    following.direction[i] = ray.direction
+    following.weight[i] = ray.weight
+    following.density[i] = ray.density
+    following.media[i] = boundary.media_beyond
+    following.origin[i] = leaving_origin(point, True)
+    return 1
+
+
+@wp.func(inline=True)
+def scatter(
+    step: PathStep,
+    source: PixelSamples,
+    key: SampleKey,
+    ray: RayAtHit,
+    point: ShadingPoint,
+    look: Look,
+    boundary: Boundary,
+    i: int,
+    following: RayQueue,
+):
+    """Sends a path on in a sampled direction; 1 unless it ends here."""
+    lobe = single_number(key.pixel, key.sample, 3 * step.generation + 1)
+    spot = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
+    scattered = sample_scattering(look, point.normal, -ray.direction, spot, lobe)
+    toward = scattered.direction
+    if scattered.density == 0.0:
+        toward = kept_above(toward, point.face_normal, scattered.is_transmitted)
+    share = wp.cw_mul(ray.weight, scattered.weight)
+    most = largest(share)
+    is_right = (wp.dot(toward, point.face_normal) < 0.0) == scattered.is_transmitted
+    alive = int(0)
+    if most > 0.0 and is_right and is_finite(share):
+        alive = 1
+        if step.generation >= step.roulette:
+            survival = wp.min(most, 0.95)
+            if single_number(key.pixel, key.sample, 3 * step.generation + 2) < survival:
+                share = share / survival
+            else:
+                alive = 0
+        following.direction[i] = toward
+        following.weight[i] = share
+        following.density[i] = scattered.density
+        following.media[i] = wp.where(scattered.is_transmitted, boundary.media_beyond, ray.media)
+        following.origin[i] = leaving_origin(point, scattered.is_transmitted)
+    return alive
+
+
 @wp.kernel
 def path_step(
     first: int,
@@ -78,86 +141,40 @@ def path_step(
     following: RayQueue,
     goes_on: wp.array(dtype=int),
 ):
-    """Writes the light of rays, their shadow rays, and the rays that follow. Item: a group of rays, of `count` in all."""
+    """Adds the light of rays to their samples, and writes shadow rays and the rays that follow.
+
+    Item: a group of rays, of `count` in all. A sample has one ray in a generation.
+    """
     begin = (first + wp.tid()) * group
     for i in range(begin, wp.min(begin + group, count)):
-        origin = queue.origin[i]
-        direction = queue.direction[i]
-        weight = queue.weight[i]
-        density = queue.density[i]
-        media = queue.media[i]
-        slot = queue.slot[i]
-        primitive = hits.primitive[i]
-        t = hits.t[i]
-        if media != wp.uint64(0) and primitive >= 0:
-            weight = absorbed(scene, weight, media, t)
-        if not step.samples_lights:
-            density = 0.0
-        emitted = wp.vec3()
-        lit = wp.vec3()
-        shadow_origin = wp.vec3()
-        shadow_direction = wp.vec3()
+        ray = ray_at_hit(scene, queue, hits, i)
+        density = wp.where(step.samples_lights, ray.density, 0.0)
+        found = wp.vec3()
+        arrival = Arrival()
         alive = int(0)
         if scene.lights.areas > 0:
-            emitted += crossed_lights(scene, weight, density, origin, direction, t)
-        if primitive < 0:
-            emitted += sky_light(scene, weight, density, direction)
-        else:
-            point = shading_point(scene.shaded, primitive, hits.uv[i], direction)
+            found += crossed_lights(scene, ray.weight, density, ray.origin, ray.direction, ray.t)
+        if ray.primitive < 0:
+            found += sky_light(scene, ray.weight, density, ray.direction)
+        elif not step.is_last or may_emit(scene, ray.primitive):
+            point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
             look = point_look(scene, point)
-            cosine = wp.abs(wp.dot(point.face_normal, direction))
-            emitted += surface_light(scene, look.number, weight, density, point, cosine, t)
+            cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
+            found += surface_light(scene, look.number, ray.weight, density, point, cosine, ray.t)
             if not step.is_last:
-                pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels)
-                sample = wave.first_sample + slot / wave.pixels
-                dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
-                boundary = boundary_of(scene, look, media, point.is_front)
+                boundary = boundary_of(scene, look, ray.media, point.is_front)
                 look.ratio = boundary.ratio
                 if not boundary.is_real:
-                    following.direction[i] = direction
-                    following.weight[i] = weight
-                    following.density[i] = queue.density[i]
-                    following.media[i] = boundary.media_beyond
-                    following.origin[i] = leaving_origin(point, True)
-                    alive = 1
+                    alive = pass_through(ray, point, boundary, i, following)
                 else:
+                    key = sample_key(source, wave, ray.slot)
                     if step.samples_lights and scene.lights.count > 0 and not is_single(look):
-                        entry = int(0)
-                        probability = float(1.0)
-                        if scene.lights.count > 1:
-                            choice = single_number(pixel, sample, 3 * step.generation)
-                            entry = find_interval(scene.lights.sums, 0, scene.lights.count, choice)
-                            probability = entry_probability(scene.lights, entry)
-                        place = pixel_point(source, pixel, sample, dimension)
-                        found = arriving_light(scene, point, look, -direction, entry, place, probability, True)
-                        lit = wp.cw_mul(weight, found.radiance)
-                        shadow_origin = found.origin
-                        shadow_direction = found.segment
-                    lobe = single_number(pixel, sample, 3 * step.generation + 1)
-                    spot = pixel_point(source, pixel, sample, dimension + 1)
-                    scattered = sample_scattering(look, point.normal, -direction, spot, lobe)
-                    toward = scattered.direction
-                    if scattered.density == 0.0:
-                        toward = kept_above(toward, point.face_normal, scattered.is_transmitted)
-                    share = wp.cw_mul(weight, scattered.weight)
-                    most = largest(share)
-                    is_right = (wp.dot(toward, point.face_normal) < 0.0) == scattered.is_transmitted
-                    if most > 0.0 and is_right and is_finite(share):
-                        alive = 1
-                        if step.generation >= step.roulette:
-                            survival = wp.min(most, 0.95)
-                            if single_number(pixel, sample, 3 * step.generation + 2) < survival:
-                                share = share / survival
-                            else:
-                                alive = 0
-                        following.direction[i] = toward
-                        following.weight[i] = share
-                        following.density[i] = scattered.density
-                        following.media[i] = wp.where(scattered.is_transmitted, boundary.media_beyond, media)
-                        following.origin[i] = leaving_origin(point, scattered.is_transmitted)
-        following.slot[i] = slot
-        goes_on[i] = alive
-        rays.emitted[i] = emitted
-        rays.lit[i] = lit
-        rays.shadow_origin[i] = shadow_origin
-        rays.shadow_direction[i] = shadow_direction
+                        arrival = lamp_light(step, scene, source, key, ray, point, look)
+                    alive = scatter(step, source, key, ray, point, look, boundary, i, following)
+        rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
+        if not step.is_last:
+            following.slot[i] = ray.slot
+            goes_on[i] = alive
+            rays.lit[i] = wp.cw_mul(ray.weight, arrival.radiance)
+            rays.shadow_origin[i] = arrival.origin
+            rays.shadow_direction[i] = arrival.segment

@@ -54,18 +54,44 @@ class Gathered:
     """(slots,) sums of the samples."""
 
 
+@wp.func
+def move_ray(source: RayQueue, i: int, target: RayQueue, to: int):
+    """Copies ray i of one queue to a place of another."""
+    target.origin[to] = source.origin[i]
+    target.direction[to] = source.direction[i]
+    target.weight[to] = source.weight[i]
+    target.density[to] = source.density[i]
+    target.slot[to] = source.slot[i]
+    target.media[to] = source.media[i]
+
+
 @wp.kernel
 def fill(first: int, scratch: RayQueue, goes_on: wp.array(dtype=int), places: wp.array(dtype=int), queue: RayQueue):
     """Moves a ray that goes on to its place. Item: a place of the scratch queue; `places` are inclusive sums."""
     i = first + wp.tid()
     if goes_on[i] != 0:
-        to = places[i] - 1
-        queue.origin[to] = scratch.origin[i]
-        queue.direction[to] = scratch.direction[i]
-        queue.weight[to] = scratch.weight[i]
-        queue.density[to] = scratch.density[i]
-        queue.slot[to] = scratch.slot[i]
-        queue.media[to] = scratch.media[i]
+        move_ray(scratch, i, queue, places[i] - 1)
+
+
+@wp.kernel
+def settle_paths(
+    first: int,
+    blocked: wp.array(dtype=wp.bool),
+    rays: Gathered,
+    scratch: RayQueue,
+    goes_on: wp.array(dtype=int),
+    places: wp.array(dtype=int),
+    queue: RayQueue,
+):
+    """Adds the light of a shadow ray to its sample, and moves the path on to its place. Item: a path. A sample has one path, so
+    no two items add to the same sample; `blocked` may be empty: there are no shadow rays."""
+    i = first + wp.tid()
+    if blocked.shape[0] > 0:  # noqa: SIM102 - in a kernel, `and` evaluates both sides
+        if not blocked[i]:
+            slot = scratch.slot[i]
+            rays.radiance[slot] = rays.radiance[slot] + rays.lit[i]
+    if goes_on[i] != 0:
+        move_ray(scratch, i, queue, places[i] - 1)
 
 
 @wp.kernel

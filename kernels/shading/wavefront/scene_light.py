@@ -102,6 +102,16 @@ def surface_light(scene: LitScene, number: int, weight: wp.vec3, density: float,
 
 
 @wp.func
+def may_emit(scene: LitScene, primitive: int):
+    """Whether a triangle may emit light: False only if its material does not."""
+    result = scene.lights.triangle_entry >= 0
+    if result and scene.shaded.records.shape[0] > 0:
+        radiance = scene.materials.emission[scene.materials.of_face[primitive * scene.materials.of_face_stride]]
+        result = radiance[0] + radiance[1] + radiance[2] > 0.0
+    return result
+
+
+@wp.func
 def boundary_of(scene: LitScene, look: Look, media: wp.uint64, is_front: bool):
     """What a dielectric surface is to a ray that meets its front from outside, or its back from inside."""
     result = Boundary()

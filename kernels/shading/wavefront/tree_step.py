@@ -30,19 +30,12 @@ from wrt.kernels.shading.emitters.light_table import TRIANGLES
 from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
 from wrt.kernels.shading.wavefront.path_step import kept_above
-from wrt.kernels.shading.wavefront.pixel_samples import (
-    FIRST_BOUNCE,
-    PER_BOUNCE,
-    PixelSamples,
-    pixel_hash,
-    pixel_point,
-    single_number,
-)
+from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
+from wrt.kernels.shading.wavefront.ray_at_hit import RayAtHit, SampleKey, ray_at_hit, sample_key
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
     Boundary,
     LitScene,
-    absorbed,
     arriving_light,
     boundary_of,
     crossed_lights,
@@ -72,6 +65,8 @@ class TreeStep:
     roulette: bool
     ambient: wp.vec3
     """Radiance of the constant ambient light."""
+    lamp: int
+    """The lamp that this step samples; -1 for none. `shade_by_lamp` samples the others."""
 
 
 @wp.struct
@@ -98,20 +93,20 @@ def queue_branch(slot: wp.array(dtype=int), i: int):
     return branch
 
 
-@wp.func
-def lamp_place(step: TreeStep, scene: LitScene, source: PixelSamples, pixel: wp.uint32, sample: int, branch: int, entry: int):
+@wp.func(inline=True)
+def lamp_place(step: TreeStep, scene: LitScene, source: PixelSamples, key: SampleKey, branch: int, entry: int):
     """The point in [0, 1)^2 at which a lamp is sampled: its middle, if samples do not have their own."""
     place = wp.vec2(0.5, 0.5)
     if step.distributed or scene.lights.kind[entry] >= TRIANGLES:
         dimension = FIRST_BOUNCE + PER_BOUNCE * step.generation
         if entry > 0:
             dimension = LAMP_DIMENSIONS + 64 * step.generation + entry
-        own = pixel + wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
-        place = pixel_point(source, own, sample, dimension)
+        own = key.pixel + wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
+        place = pixel_point(source, own, key.sample, dimension)
     return place
 
 
-@wp.func
+@wp.func(inline=True)
 def reflected_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
     """The reflected ray of a mirror, a boundary or a glossy surface; its weight is 0 for others."""
     child = Child()
@@ -135,7 +130,7 @@ def reflected_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec
     return child
 
 
-@wp.func
+@wp.func(inline=True)
 def refracted_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec3, place: wp.vec2):
     """The refracted ray of a dielectric."""
     child = Child()
@@ -155,37 +150,91 @@ def refracted_child(step: TreeStep, look: Look, point: ShadingPoint, out: wp.vec
     return child
 
 
-@wp.func
+@wp.func(inline=True)
 def send(
     step: TreeStep,
+    key: SampleKey,
     child: Child,
-    weight: wp.vec3,
+    ray: RayAtHit,
     point: ShadingPoint,
     boundary: Boundary,
-    media: wp.uint64,
-    slot: int,
-    chance: float,
     at: int,
     following: RayQueue,
 ):
-    """Writes a ray to its place; 1 if it goes on. `chance` is a random number for roulette."""
-    share = wp.cw_mul(weight, child.weight)
+    """Writes a ray to its place; 1 if it goes on. Roulette takes a random number of the place's own."""
+    share = wp.cw_mul(ray.weight, child.weight)
     most = largest(share)
     alive = int(0)
     if most > 0.0 and is_finite(share) and wp.length_sq(child.direction) > 0.5:
         alive = 1
         if most < step.threshold:
             alive = 0
-            if step.roulette and chance * step.threshold < most:
-                alive = 1
-                share = share * (step.threshold / most)
+            if step.roulette:
+                chance = single_number(key.pixel, key.sample, 3 * step.generation + at % 2)
+                if chance * step.threshold < most:
+                    alive = 1
+                    share = share * (step.threshold / most)
         following.direction[at] = kept_above(child.direction, point.face_normal, child.is_transmitted)
         following.weight[at] = share
         following.density[at] = 0.0
-        following.media[at] = wp.where(child.is_transmitted, boundary.media_beyond, media)
+        following.media[at] = wp.where(child.is_transmitted, boundary.media_beyond, ray.media)
         following.origin[at] = leaving_origin(point, child.is_transmitted)
-        following.slot[at] = slot
+        following.slot[at] = ray.slot
     return alive
+
+
+@wp.func(inline=True)
+def send_children(
+    step: TreeStep,
+    source: PixelSamples,
+    key: SampleKey,
+    ray: RayAtHit,
+    point: ShadingPoint,
+    look: Look,
+    boundary: Boundary,
+    i: int,
+    following: RayQueue,
+    goes_on: wp.array(dtype=int),
+):
+    """Writes the reflected and the refracted ray of hit i, and whether they go on."""
+    place = wp.vec2()
+    if step.distributed and look.alpha > 0.0:
+        place = pixel_point(source, key.pixel, key.sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
+    if not boundary.is_real:
+        passing = Child()
+        passing.direction = ray.direction
+        passing.weight = wp.vec3(1.0, 1.0, 1.0)
+        passing.is_transmitted = True
+        goes_on[2 * i + 1] = send(step, key, passing, ray, point, boundary, 2 * i + 1, following)
+    else:
+        if look.kind == MIRROR or look.kind == GLOSSY or look.kind == DIELECTRIC:
+            child = reflected_child(step, look, point, -ray.direction, place)
+            goes_on[2 * i] = send(step, key, child, ray, point, boundary, 2 * i, following)
+        if look.kind == DIELECTRIC:
+            child = refracted_child(step, look, point, -ray.direction, place)
+            goes_on[2 * i + 1] = send(step, key, child, ray, point, boundary, 2 * i + 1, following)
+
+
+@wp.func(inline=True)
+def write_lamp_light(
+    step: TreeStep,
+    entry: int,
+    scene: LitScene,
+    source: PixelSamples,
+    key: SampleKey,
+    branch: int,
+    ray: RayAtHit,
+    point: ShadingPoint,
+    look: Look,
+    i: int,
+    rays: Gathered,
+):
+    """Writes the light that a lamp may give at hit i, and its shadow ray."""
+    place = lamp_place(step, scene, source, key, branch, entry)
+    found = arriving_light(scene, point, look, -ray.direction, entry, place, 1.0, False)
+    rays.lit[i] = wp.cw_mul(ray.weight, found.radiance)
+    rays.shadow_origin[i] = found.origin
+    rays.shadow_direction[i] = found.segment
 
 
 @wp.kernel
@@ -203,55 +252,35 @@ def tree_step(
     following: RayQueue,
     goes_on: wp.array(dtype=int),
 ):
-    """Writes the light of rays that needs no shadow ray, and the rays that follow. Item: a group of rays, of `count` in all."""
+    """Writes the light of rays that needs no shadow ray, that of the lamp `step.lamp`, and the rays that follow. Item: a group
+    of rays, of `count` in all."""
     begin = (first + wp.tid()) * group
     for i in range(begin, wp.min(begin + group, count)):
-        direction = queue.direction[i]
-        weight = queue.weight[i]
-        media = queue.media[i]
-        slot = queue.slot[i]
-        primitive = hits.primitive[i]
-        t = hits.t[i]
-        if media != wp.uint64(0) and primitive >= 0:
-            weight = absorbed(scene, weight, media, t)
-        emitted = crossed_lights(scene, weight, 0.0, queue.origin[i], direction, t)
-        reflects = int(0)
-        refracts = int(0)
-        if primitive < 0:
-            emitted += sky_light(scene, weight, 0.0, direction)
+        ray = ray_at_hit(scene, queue, hits, i)
+        emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
+        if not step.is_last:
+            goes_on[2 * i] = 0
+            goes_on[2 * i + 1] = 0
+            rays.lit[i] = wp.vec3()
+            rays.shadow_direction[i] = wp.vec3()
+        if ray.primitive < 0:
+            emitted += sky_light(scene, ray.weight, 0.0, ray.direction)
         else:
-            point = shading_point(scene.shaded, primitive, hits.uv[i], direction)
+            point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
             look = point_look(scene, point)
-            cosine = wp.abs(wp.dot(point.face_normal, direction))
-            emitted += surface_light(scene, look.number, weight, 0.0, point, cosine, t)
-            boundary = boundary_of(scene, look, media, point.is_front)
+            cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
+            emitted += surface_light(scene, look.number, ray.weight, 0.0, point, cosine, ray.t)
+            boundary = boundary_of(scene, look, ray.media, point.is_front)
             look.ratio = boundary.ratio
             if not is_single(look) and look.kind != DIELECTRIC:
-                emitted += wp.cw_mul(wp.cw_mul(weight, (1.0 - look.metallic) * look.color), step.ambient)
+                emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - look.metallic) * look.color), step.ambient)
             if not step.is_last:
                 branch = queue_branch(queue.slot, i)
-                pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels) + wp.uint32(branch) * MIX_1
-                sample = wave.first_sample + slot / wave.pixels
-                place = wp.vec2()
-                if step.distributed and look.alpha > 0.0:
-                    place = pixel_point(source, pixel, sample, FIRST_BOUNCE + PER_BOUNCE * step.generation + 1)
-                if not boundary.is_real:
-                    passing = Child()
-                    passing.direction = direction
-                    passing.weight = wp.vec3(1.0, 1.0, 1.0)
-                    passing.is_transmitted = True
-                    refracts = send(step, passing, weight, point, boundary, media, slot, 0.0, 2 * i + 1, following)
-                else:
-                    if look.kind == MIRROR or look.kind == GLOSSY or look.kind == DIELECTRIC:
-                        chance = single_number(pixel, sample, 3 * step.generation)
-                        child = reflected_child(step, look, point, -direction, place)
-                        reflects = send(step, child, weight, point, boundary, media, slot, chance, 2 * i, following)
-                    if look.kind == DIELECTRIC:
-                        chance = single_number(pixel, sample, 3 * step.generation + 1)
-                        child = refracted_child(step, look, point, -direction, place)
-                        refracts = send(step, child, weight, point, boundary, media, slot, chance, 2 * i + 1, following)
-        goes_on[2 * i] = reflects
-        goes_on[2 * i + 1] = refracts
+                key = sample_key(source, wave, ray.slot)
+                if step.lamp >= 0 and boundary.is_real and not is_single(look):
+                    write_lamp_light(step, step.lamp, scene, source, key, branch, ray, point, look, i, rays)
+                key.pixel += wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
+                send_children(step, source, key, ray, point, look, boundary, i, following, goes_on)
         rays.emitted[i] = emitted
 
 
@@ -269,33 +298,19 @@ def shade_by_lamp(
     hits: HitBatch,
     rays: Gathered,
 ):
-    """Writes the light that a lamp gives at hits, and the shadow rays. Item: a group of rays, of `count` in all."""
+    """Writes the light that a further lamp gives at hits, and the shadow rays. Item: a group of rays, of `count` in all."""
     begin = (first + wp.tid()) * group
     for i in range(begin, wp.min(begin + group, count)):
-        lit = wp.vec3()
-        shadow_origin = wp.vec3()
-        shadow_direction = wp.vec3()
-        primitive = hits.primitive[i]
-        if primitive >= 0:
-            direction = queue.direction[i]
-            media = queue.media[i]
-            weight = queue.weight[i]
-            point = shading_point(scene.shaded, primitive, hits.uv[i], direction)
+        ray = ray_at_hit(scene, queue, hits, i)
+        rays.lit[i] = wp.vec3()
+        rays.shadow_direction[i] = wp.vec3()
+        if ray.primitive >= 0:
+            point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
             look = point_look(scene, point)
             if not is_single(look):
-                slot = queue.slot[i]
-                boundary = boundary_of(scene, look, media, point.is_front)
+                boundary = boundary_of(scene, look, ray.media, point.is_front)
                 look.ratio = boundary.ratio
-                if media != wp.uint64(0):
-                    weight = absorbed(scene, weight, media, hits.t[i])
                 if boundary.is_real:
-                    pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels)
-                    sample = wave.first_sample + slot / wave.pixels
-                    place = lamp_place(step, scene, source, pixel, sample, queue_branch(queue.slot, i), entry)
-                    found = arriving_light(scene, point, look, -direction, entry, place, 1.0, False)
-                    lit = wp.cw_mul(weight, found.radiance)
-                    shadow_origin = found.origin
-                    shadow_direction = found.segment
-        rays.lit[i] = lit
-        rays.shadow_origin[i] = shadow_origin
-        rays.shadow_direction[i] = shadow_direction
+                    key = sample_key(source, wave, ray.slot)
+                    branch = queue_branch(queue.slot, i)
+                    write_lamp_light(step, entry, scene, source, key, branch, ray, point, look, i, rays)

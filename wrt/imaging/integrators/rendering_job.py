@@ -14,11 +14,12 @@ from wrt.imaging.image_files import save_exr, save_image
 from wrt.imaging.integrators.device_materials import device_materials, scene_materials, shaded_mesh
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, RenderSettings
+from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
 from wrt.imaging.integrators.scene_motion import Motion
 from wrt.imaging.integrators.wavefront import Wave, pixel_samples
 from wrt.imaging.lights.device_lights import check_lights, device_lights
 from wrt.imaging.lights.sky_image import Sky
-from wrt.imaging.rendering import Camera, default_light
+from wrt.imaging.rendering import Camera, check_types, default_light
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.kernels.shading.wavefront import picture, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
@@ -91,6 +92,7 @@ class Rendering:
         self.pixels = camera.width * camera.height
         self._scene = scene if motion is None else motion.begin(scene)
         self._motion = motion
+        self._shown = tuple(self._scene.meshes), tuple(self._scene.instances), materials
         found = scene_materials(self._scene, materials, Material())
         given = None if lights is None else check_lights(lights)
         self._lights = _default_lights(camera, scene) if given is None and not found.emission.any() else given or ()
@@ -268,22 +270,50 @@ class Rendering:
             channels |= {f"{layer}.{name}": layers[layer][..., i] for i, name in enumerate(names)}
         save_exr(path, channels | {name: layers[name].view(np.uint32) for name in LAYERS if name.endswith("_id")})
 
+    @property
+    def key(self) -> str:
+        """64 hexadecimal digits: equal for renderings whose samples are equal. They follow from the scene, the camera, the
+        lights, the motion, the settings and the version of wrt."""
+        from wrt import __version__
+
+        settings = {name: value for name, value in vars(self.settings).items() if name not in NOT_IN_SAMPLES}
+        scene = (*self._shown, self.camera, self._lights, self._motion)
+        return fingerprint(__version__, self.integrator, self.samples, settings, *scene)
+
+    def save_samples(self, path: str | Path) -> None:
+        """Writes the samples so far to a file (.npz), from which `load_samples` continues.
+
+        Args:
+            path: of the file.
+
+        Raises:
+            ValueError: there are none.
+            OSError: the file cannot be written.
+        """
+        if self.done == 0:
+            raise ValueError("the picture has no samples yet; call advance() first")
+        write_samples(Path(path), self.key, self.done, self._film.numpy(), self._squares.numpy())
+
+    def load_samples(self, path: str | Path) -> Rendering:
+        """Takes the samples of a file in place of those so far. The picture will be the same bit for bit as if it had not been
+        interrupted.
+
+        Args:
+            path: of a file that `save_samples` of an equal rendering wrote.
+
+        Raises:
+            FileNotFoundError: there is no such file.
+            ValueError: the samples are of another picture, or the file is damaged.
+        """
+        self.done, film, squares = read_samples(Path(path), self.key, self.samples, self.pixels)
+        self._film.assign(film)
+        self._squares.assign(squares)
+        return self
+
     def __repr__(self) -> str:
         return (
             f"Rendering({self.integrator!r}, {self.camera.width} x {self.camera.height}, {self.done} of {self.samples} samples)"
         )
-
-
-def check_types(scene: Any, camera: Any) -> None:
-    """Refuses what is no scene or no camera.
-
-    Raises:
-        TypeError: one of them has a wrong type.
-    """
-    if not isinstance(scene, Scene):
-        raise TypeError(f"scene must be a wrt.Scene, not {type(scene).__name__}; make one with wrt.Scene(mesh)")
-    if not isinstance(camera, Camera):
-        raise TypeError(f"camera must be a wrt.PinholeCamera or wrt.OrthographicCamera, not {type(camera).__name__}")
 
 
 def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples: int) -> CameraModel:

@@ -113,53 +113,60 @@ class Wave:
             else:
                 self._follow_trees(tracer, hits)
             generation += 1
-            if self._step.is_last or not self._compact():
+            if self._step.is_last:
+                return
+            self.count = self._compact()
+            if self.count == 0:
                 return
             self.ray_count += self.count
             hits = tracer.closest(self.queue.origin, self.queue.direction, self.count)
 
     def _follow_paths(self, tracer: RayTracer, hits: DeviceHits) -> None:
         self._run_step(path_step.path_step, hits)
-        samples_lights = self.settings.sample_lights and self.scene.lights.count > 0 and not self._step.is_last
-        self._gather(self._shadows(tracer) if samples_lights else self._none, True)
+        self._blocked = self._none
+        if self.settings.sample_lights and self.scene.lights.count > 0 and not self._step.is_last:
+            self._blocked = self._shadows(tracer, self.scene.lights.sky_entry < 0)
 
     def _follow_trees(self, tracer: RayTracer, hits: DeviceHits) -> None:
+        lamps, sky = [] if self._step.is_last else self._lamps(), self.scene.lights.sky_entry
+        self._step.lamp = lamps[0] if lamps else -1
         self._run_step(tree_step.tree_step, hits)
-        self._gather(self._none, True)
-        if self._step.is_last:
-            return
-        for entry in range(self.scene.lights.count):
-            if entry == self.scene.lights.sky_entry and not self._step.distributed:
-                continue  # its mean is the ambient light
+        self._gather(self._shadows(tracer, lamps[0] != sky) if lamps else self._none, True)
+        for entry in lamps[1:]:
             inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays)
             self._run_groups(tree_step.shade_by_lamp, *inputs)
-            self._gather(self._shadows(tracer), False)
+            self._gather(self._shadows(tracer, entry != sky), False)
+
+    def _lamps(self) -> list[int]:
+        """Entries of the lamps that light all points; with hard shadows, the sky's mean is the ambient light."""
+        lights = self.scene.lights
+        return [entry for entry in range(lights.count) if self._step.distributed or entry != lights.sky_entry]
 
     def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
         inputs = (self._step, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays, self._scratch)
         self._run_groups(kernel, *inputs, self._goes_on)
 
-    def _shadows(self, tracer: RayTracer) -> wp.array:
+    def _shadows(self, tracer: RayTracer, similar: bool) -> wp.array:
+        """Which shadow rays are blocked. Those of camera rays' hits to a lamp are similar; to the sky they go all ways."""
         self.ray_count += self.count
-        similar = self._step.generation == 0
+        similar = similar and self._step.generation == 0
         return tracer.blocked(self._rays.shadow_origin, self._rays.shadow_direction, self.count, similar=similar)
 
     def _gather(self, blocked: wp.array, with_emitted: bool) -> None:
         self._run(ray_queue.gather, self.count, self.count, self.queue.slot, with_emitted, blocked, self._rays)
 
-    def _compact(self) -> bool:
-        """Moves the rays that go on to the queue; False if there are none."""
+    def _compact(self) -> int:
+        """Moves the rays that go on to the queue, and returns their number; of paths, light past shadow rays is added first."""
         places = self.count * self._branches
         wp.utils.array_scan(self._goes_on[:places], self._places[:places], inclusive=True)
-        last = self._places[places - 1 : places].numpy()
-        following = int(last[0])
-        if following == 0:
-            return False
         scratch, goes_on, sums = self._scratch, self._goes_on, self._places
-        self._make_room(following)
-        self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
-        self.count = following
-        return True
+        if self._is_path:
+            self._run(ray_queue.settle_paths, places, self._blocked, self._rays, scratch, goes_on, sums, self.queue)
+        following = int(sums[places - 1 : places].numpy()[0])
+        if not self._is_path and following > 0:
+            self._make_room(following)
+            self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
+        return following
 
     def _run_groups(self, kernel: wp.Kernel, *inputs: Any) -> None:
         """Runs a step over the rays of the generation, by groups."""

@@ -1,0 +1,64 @@
+"""A ray of a generation where it ends: what a step reads first."""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples, pixel_hash
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
+from wrt.kernels.shading.wavefront.scene_light import LitScene, absorbed
+
+exact_module(__name__)
+
+
+@wp.struct
+class RayAtHit:
+    """A ray of the queue, with what it hit."""
+
+    origin: wp.vec3
+    direction: wp.vec3
+    weight: wp.vec3
+    """At the hit: what the medium absorbs is taken off."""
+    density: float
+    media: wp.uint64
+    slot: int
+    primitive: int
+    """-1 for a miss."""
+    t: float
+    uv: wp.vec2
+
+
+@wp.func(inline=True)
+def ray_at_hit(scene: LitScene, queue: RayQueue, hits: HitBatch, i: int):
+    """Ray number i of a generation, where it ends."""
+    ray = RayAtHit()
+    ray.origin = queue.origin[i]
+    ray.direction = queue.direction[i]
+    ray.weight = queue.weight[i]
+    ray.density = queue.density[i]
+    ray.media = queue.media[i]
+    ray.slot = queue.slot[i]
+    ray.primitive = hits.primitive[i]
+    ray.t = hits.t[i]
+    ray.uv = hits.uv[i]
+    if ray.media != wp.uint64(0) and ray.primitive >= 0:
+        ray.weight = absorbed(scene, ray.weight, ray.media, ray.t)
+    return ray
+
+
+@wp.struct
+class SampleKey:
+    """What the random numbers of a sample follow from."""
+
+    pixel: wp.uint32
+    """`pixel_hash` of its pixel."""
+    sample: int
+
+
+@wp.func(inline=True)
+def sample_key(source: PixelSamples, wave: Wave, slot: int):
+    """The key of a sample of a wave."""
+    key = SampleKey()
+    key.pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels)
+    key.sample = wave.first_sample + slot / wave.pixels
+    return key

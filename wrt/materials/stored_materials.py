@@ -1,0 +1,46 @@
+"""Materials of meshes in files: plain values as JSON, images and values at corners as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from wrt.materials.material import Material, Texture
+from wrt.materials.mesh_materials import MeshMaterials
+
+AT_TRIANGLES = ("of_face", "corner_uv", "corner_color")
+
+
+def pack_materials(mesh: MeshMaterials) -> tuple[list[dict[str, Any]], dict[str, np.ndarray]]:
+    """What JSON holds of each material, and arrays by name. Images are shared: a material has the number of its own."""
+    textures: dict[Texture, int] = {}
+    listed = []
+    for material in mesh.materials:
+        values = {field.name: getattr(material, field.name) for field in fields(Material)}
+        listed.append(
+            {
+                name: {"texture": textures.setdefault(value, len(textures))} if isinstance(value, Texture) else value
+                for name, value in values.items()
+            }
+        )
+    arrays = {f"texture.{number}": texture.pixels for texture, number in textures.items()}
+    return listed, arrays | {name: getattr(mesh, name) for name in AT_TRIANGLES if getattr(mesh, name) is not None}
+
+
+def unpack_materials(listed: list[dict[str, Any]], arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The arguments of `TriangleMesh.with_materials`.
+
+    Raises:
+        TypeError, ValueError, KeyError: the values are no materials.
+    """
+    textures = {name: Texture(image) for name, image in arrays.items() if name.startswith("texture.")}
+
+    def value(stored: Any) -> Any:
+        return textures[f"texture.{stored['texture']}"] if isinstance(stored, dict) else stored
+
+    materials = [Material(**{name: value(stored) for name, stored in one.items()}) for one in listed]
+    of_face, uv, colors = (arrays.get(name) for name in AT_TRIANGLES)
+    return {"materials": materials, "of_face": of_face, "uv": uv, "colors": colors}
