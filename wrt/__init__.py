@@ -51,6 +51,7 @@ _HOME = {
     "Motion": "wrt.imaging.integrators.scene_motion",
     "OrthographicCamera": "wrt.imaging.cameras",
     "PinholeCamera": "wrt.imaging.cameras",
+    "PartitionedScene": "wrt.partitioned.partitioned_scene",
     "Plan": "wrt.planning.plan",
     "PlaneCaster": "wrt.known_rays.ray_casters",
     "PlaneInfluenceArea": "wrt.builders.influence.influence_area",

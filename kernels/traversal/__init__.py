@@ -29,6 +29,7 @@ from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
 from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
+from wrt.kernels.traversal.queued import queued_bvh
 from wrt.kernels.traversal.single import single_bvh
 from wrt.kernels.traversal.single import single_kdtree as single
 from wrt.kernels.traversal.stream import stream_bvh, stream_kdtree
@@ -71,6 +72,8 @@ class Traversal:
         streams: whether rays are traced in streams: `stream` of the config applies.
         wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH
             (`wrt.builders.convert.wide_kdtree`).
+        queued: whether rays wait at subtrees and its kernels trace them generation by generation
+            (`wrt.execution.queued_tracing`).
         counters: struct of the work counters that its kernels write, at the first ray of an item.
         queries: for each tree kind on which it answers more than closest-hit and any-hit queries, the queries that it answers.
         orders: those of `ORDERS` in which it can trace rays.
@@ -90,6 +93,7 @@ class Traversal:
     mailbox: bool = False
     streams: bool = False
     wide: bool = False
+    queued: bool = False
     counters: type = Counters
     queries: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
@@ -229,6 +233,14 @@ TRAVERSALS: dict[str, Traversal] = {
             orders=(AS_GIVEN,),
             least_rays_per_item=256,
             score=score_interleaved,
+        ),
+        Traversal(
+            "queued",
+            "Pharr, Kolb, Gershbein, Hanrahan: Rendering complex scenes with memory-coherent ray tracing (1997); "
+            "Navrátil, Fussell, Lin, Mark: Dynamic ray scheduling to improve ray coherence and bandwidth utilization (2007)",
+            {"bvh": queued_bvh.make_kernel},
+            queued=True,
+            queries={"bvh": QUERIES},
         ),
         Traversal(
             "wide_stream",

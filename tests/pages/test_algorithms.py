@@ -69,7 +69,16 @@ DEFAULTS = {
     "Samplers": wrt.RenderSettings().sampler,
 }
 
-WORTH_A_ROW = ("ProjectedBvh", "RayAwareBvh", "FuzzyScene", "GroupedScene", "Instance", "InstancedScene", "UpdatePolicy")
+WORTH_A_ROW = (
+    "ProjectedBvh",
+    "RayAwareBvh",
+    "FuzzyScene",
+    "GroupedScene",
+    "Instance",
+    "InstancedScene",
+    "PartitionedScene",
+    "UpdatePolicy",
+)
 """Public names that stand for an algorithm."""
 
 

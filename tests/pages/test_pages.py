@@ -146,6 +146,12 @@ def check_moving(names):
         np.testing.assert_array_equal(found.t, expected.t)
 
 
+def check_large_scenes(names):
+    assert names["scene"].part_count > 10
+    assert names["again"].memory < names["again"].bytes / 2
+    assert (names["dark"] <= (names["crossings"] > 0)).all()
+
+
 def check_large_batches(names):
     expected = names["scene"].intersect([0, 0, 2], names["lidar"])
     np.testing.assert_array_equal(names["t"], expected.t)
@@ -211,6 +217,7 @@ CHECKS = {
     "guides/moving.md": check_moving,
     "guides/large_batches.md": check_large_batches,
     "guides/clusters.md": check_clusters,
+    "guides/large_scenes.md": check_large_scenes,
     "guides/own_kernels.md": check_own_kernels,
     "guides/gradients.md": check_gradients,
     "guides/exact.md": check_exact,

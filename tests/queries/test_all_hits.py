@@ -376,6 +376,6 @@ def test_plans():
 
 def test_tables_say_what_is_answered():
     assert all(way.supports("closest", tree) for way in TRAVERSALS.values() for tree in way.trees)
-    assert WAYS == {"bvh": ["single", "stream", "interleaved"], "kdtree": ["single"]}
+    assert WAYS == {"bvh": ["single", "stream", "interleaved", "queued"], "kdtree": ["single"]}
     assert TRAVERSALS["brute"].supports(COUNT, "none")
     assert [name for name, test in TRIANGLE_TESTS.items() if test.crossing is not None] == ["woop"]

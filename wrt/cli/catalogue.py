@@ -88,6 +88,9 @@ OTHERS: dict[str, dict[str, str]] = {
             "Günther, Friedrich, Wald, Seidel, Slusallek (2006); Günther, Friedrich, Seidel, Slusallek (2006); Lloyd (1982)"
         ),
     },
+    "scenes larger than memory": {
+        "wrt.PartitionedScene": "Pharr, Kolb, Gershbein, Hanrahan (1997); Navrátil, Fussell, Lin, Mark (2007)",
+    },
     "fans": {
         "brute force over fans": "Galin, Akkouche: Fast processing of triangle meshes using triangle fans (2005)",
     },
@@ -148,6 +151,7 @@ def all_tables() -> dict[str, Rows]:
         "axes to split": named("axes to split", AXIS_CHOICES),
         "finding the area of a ray": named("finding the area of a ray", TOP_LEVELS),
         "moving geometry": others("moving geometry"),
+        "scenes larger than memory": others("scenes larger than memory"),
         "traversals": entries(TRAVERSALS, ("name", "trees", "paper")),
         "shadow rays": entries(SHADOW_TRAVERSALS, ("name", "light", "paper")),
         "packet cullings": entries(CULLINGS, ("name", "paper")),

@@ -57,6 +57,11 @@ def run(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: 
             raise ValueError("work on two levels is counted ray by ray; pass traversal='single' with counters=True")
         trace_rounds(scene, plan, rays, hits, query)
         return
+    if traversal_of(plan).queued:
+        from wrt.execution.queued_tracing import trace_queued
+
+        trace_queued(scene, plan, rays, hits, query, work, counters)
+        return
     if scene.lazy_tree is not None and plan.accelerator != "none" and scene.lazy_tree.current.unbuilt:
         idle = no_work(traversal_of(plan).counters, scene.device.alias)
 

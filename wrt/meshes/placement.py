@@ -55,14 +55,19 @@ class PlacedMeshes:
         return self.mesh
 
 
-def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device) -> PlacedMeshes:
+def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np.ndarray | None = None) -> PlacedMeshes:
     """Joins meshes, subtracts their centre in float64, and copies them to a device in float32.
+
+    Args:
+        meshes: the meshes.
+        device: the scene's.
+        center: (3,) float64, another point to subtract: the centre of a scene of which these meshes are a part.
 
     Raises:
         ValueError: they are too large, or too far away (`find_bounds`).
     """
     low, high = find_bounds(meshes)
-    center = 0.5 * low + 0.5 * high
+    center = 0.5 * low + 0.5 * high if center is None else center
     with np.errstate(over="ignore"):
         # the corners as the vertices below: rounding keeps their order
         bounds = tuple((corner - center).astype(np.float32) + np.float32(0.0) for corner in (low, high))

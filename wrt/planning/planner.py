@@ -109,7 +109,8 @@ def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> Ch
     through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
     by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > FEW_RAYS)
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
-    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or carried_out.reorder == "cells")
+    by_steps = carried_out.reorder == "cells" or traversal_of(carried_out).queued
+    prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
     no_savings = carried_out.is_wide or not can_be_wide(scene)
     missed_savings = 0.0 if no_savings else wide_form_savings(1, carried_out.coherent)
     return ChosenPlan(plan, carried_out, prepares, missed_savings)

@@ -125,7 +125,7 @@ class Hits:
         from wrt.kernels.query.hit_attributes import hit_positions
 
         out = self._empty(wp.vec3d)
-        self._launch(hit_positions, self._mesh, self.batch.primitive, self.batch.uv, out)
+        self._launch(hit_positions, self._mesh, self._triangles, self.batch.uv, out)
         return self._as_dtype(out)
 
     @cached_property
@@ -133,7 +133,7 @@ class Hits:
         from wrt.kernels.query.hit_attributes import hit_normals
 
         out = self._empty(wp.vec3)
-        self._launch(hit_normals, self._mesh, self.batch.primitive, out)
+        self._launch(hit_normals, self._mesh, self._triangles, out)
         return self._as_dtype(out)
 
     def spawn(self, directions: Any) -> Any:
@@ -174,7 +174,7 @@ class Hits:
             raise ValueError(f"directions have the leading shape {rays.shape}, which neither equals nor ends with {self.shape}")
         count = int(np.prod(shape))
         out = empty(count, wp.vec3d, self._device)
-        inputs = [self._mesh, self.batch.primitive, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
+        inputs = [self._mesh, self._triangles, self.batch.uv, rays.batch.directions, rays.batch.direction_stride, out]
         with use_threads(self._num_threads):
             launch(spawn_origins, count, inputs, device=self._device, chunk=4096)
         return shaped(out, ResultForm(shape, rays.is_warp or self._form.is_warp, np.float64))
@@ -267,6 +267,11 @@ class Hits:
         found = tuple(self._empty(wp.int32) for _ in range(3))
         self._launch(locate_geometry, self._mesh, self.batch.primitive, *found)
         return found
+
+    @property
+    def _triangles(self) -> wp.array:
+        """(N,) number of each hit's triangle among those of `_mesh`; -1 for a miss."""
+        return self.batch.primitive
 
     @property
     def _device(self) -> wp.Device:

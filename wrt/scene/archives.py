@@ -13,12 +13,13 @@ import math
 import os
 import secrets
 import stat
+import struct
 import threading
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -78,15 +79,59 @@ def read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
         ValueError: the sizes differ, or the array holds Python objects.
     """
     with archive.open(member) as file:
-        version = np.lib.format.read_magic(file)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        with _parsing:
-            shape, is_fortran, dtype = read_header(file)
+        shape, is_fortran, dtype = read_header(file)
         if dtype.hasobject:
             raise ValueError(f"{member.filename} holds Python objects")
         if any(n < 0 for n in shape) or math.prod(shape) * dtype.itemsize != member.file_size - file.tell():
             raise ValueError(f"{member.filename} declares {shape} of {dtype}, which does not match its size")
         return np.ndarray(shape, dtype, bytearray(file.read()), order="F" if is_fortran else "C")
+
+
+def read_header(file: BinaryIO) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether the order is Fortran's, and type of the array that begins in a file; reads up to its elements.
+
+    Raises:
+        ValueError: no array begins there.
+    """
+    version = np.lib.format.read_magic(file)
+    parse = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    with _parsing:
+        return parse(file)
+
+
+class ArrayPlace(NamedTuple):
+    """Where the elements of an array are in an archive.
+
+    Attributes:
+        offset: of the first byte in the file.
+        shape, dtype: of the array, in C order.
+    """
+
+    offset: int
+    shape: tuple[int, ...]
+    dtype: np.dtype
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the elements."""
+        return math.prod(self.shape) * self.dtype.itemsize
+
+
+def array_places(path: Path) -> dict[str, ArrayPlace]:
+    """Where the arrays of an archive are, for reading them again once `read_archive` has checked them.
+
+    Raises:
+        OSError, ValueError: as `read_archive`.
+    """
+    places = {}
+    with zipfile.ZipFile(path) as archive, open(path, "rb") as file:
+        for member in archive.infolist():
+            file.seek(member.header_offset + 26)  # the local header ends with the lengths of a name and of extra fields
+            name, extra = struct.unpack("<HH", file.read(4))
+            file.seek(name + extra, os.SEEK_CUR)
+            shape, _, dtype = read_header(file)
+            places[member.filename.removesuffix(".npy")] = ArrayPlace(file.tell(), shape, dtype)
+    return places
 
 
 @contextmanager

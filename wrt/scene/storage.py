@@ -212,6 +212,11 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
         raise ValueError(
             f"a scene with {scene.accelerator} cannot be saved; make one with {kept}, or pickle it without its tree"
         )
+    write_archive(Path(path), scene_arrays(scene))
+
+
+def scene_arrays(scene: SceneState) -> dict[str, np.ndarray]:
+    """The arrays of a scene's file."""
     header = {
         "format": FORMAT,
         "key": "" if scene.instances else key_of(scene),
@@ -237,7 +242,7 @@ def save_scene(scene: SceneState, path: str | Path) -> None:
     else:
         arrays |= {f"tree.{name}": array for name, array in pack_tree(scene.tree).items()}
     arrays["wrt"] = np.array(json.dumps(header))
-    write_archive(Path(path), arrays)
+    return arrays
 
 
 def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], Accelerator, str, TreeSource]:
@@ -247,35 +252,42 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], A
     if not path.is_file():
         raise FileNotFoundError(f"no scene file at '{path}': check the path (now in '{Path.cwd()}')")
     try:
-        arrays = read_archive(path)
-        header = json.loads(str(arrays.pop("wrt")))
-        if header["format"] != FORMAT:
-            raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
-        names = header["names"]
-        ups = header.get("up", [None] * len(names))  # files written before meshes had one
-        meshes = [
-            TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name, up=up)
-            for i, (name, up) in enumerate(zip(names, ups, strict=True))
-        ]
-        materials = header.get("materials", [None] * len(names))  # files written before meshes had materials have none
-        meshes = [with_stored(mesh, i, listed, arrays) for i, (mesh, listed) in enumerate(zip(meshes, materials, strict=True))]
-        if "keys" in header:
-            trees = [arrays_below(arrays, f"tree{number}.") for number in range(len(meshes))]
-            counts = [mesh.triangle_count for mesh in meshes]
-            known = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
-            kind, geometry = trees[0]["kind"], instances_of(arrays, meshes)
-        else:
-            tree = arrays_below(arrays, "tree.")
-            known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
-            kind, geometry = tree["kind"], meshes
-        accelerator = ACCELERATORS[str(kind)](**header["accelerator"])
-        triangle_test = header["triangle_test"]
+        return parse_scene(read_archive(path))
     except PermissionError:
         raise
     except UNREADABLE as error:
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(f"'{path}' is not a scene that wrt saved, or it is damaged ({reason}); save it again") from error
-    return geometry, accelerator, triangle_test, known
+
+
+def parse_scene(arrays: dict[str, np.ndarray]) -> tuple[list[TriangleMesh] | list[Instance], Accelerator, str, TreeSource]:
+    """The scene in the arrays of a file.
+
+    Raises:
+        ValueError, TypeError, KeyError, RuntimeError: the arrays are not those of a scene.
+    """
+    header = json.loads(str(arrays["wrt"]))
+    if header["format"] != FORMAT:
+        raise ValueError(f"it has format {header['format']}, and this version of wrt reads format {FORMAT}")
+    names = header["names"]
+    ups = header.get("up", [None] * len(names))  # files written before meshes had one
+    meshes = [
+        TriangleMesh(arrays[f"vertices.{i}"], arrays[f"faces.{i}"], name=name, up=up)
+        for i, (name, up) in enumerate(zip(names, ups, strict=True))
+    ]
+    materials = header.get("materials", [None] * len(names))  # files written before meshes had materials have none
+    meshes = [with_stored(mesh, i, listed, arrays) for i, (mesh, listed) in enumerate(zip(meshes, materials, strict=True))]
+    if "keys" in header:
+        trees = [arrays_below(arrays, f"tree{number}.") for number in range(len(meshes))]
+        counts = [mesh.triangle_count for mesh in meshes]
+        known = StoredTrees(dict(zip(header["keys"], map(unpack_tree, trees, counts), strict=True)))
+        kind, geometry = trees[0]["kind"], instances_of(arrays, meshes)
+    else:
+        tree = arrays_below(arrays, "tree.")
+        known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
+        kind, geometry = tree["kind"], meshes
+    accelerator = ACCELERATORS[str(kind)](**header["accelerator"])
+    return geometry, accelerator, header["triangle_test"], known
 
 
 def arrays_below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

@@ -39,7 +39,8 @@ class QueryCache:
         records: triangle records by kind of tree and record (`wrt.execution.triangle_records`).
         wide: a `wrt.state.wide_trees.WideForm`, the wide form of a kd-tree; None as long as there is none.
         missed_savings: what rays so far would have saved with a wide form, in triangles that it could be made of.
-        tables: what kernels read of instanced meshes, by kind of tree and triangle test.
+        tables: what kernels read of instanced meshes, by kind of tree and triangle test; a tree above its queue points, by
+            kind of triangle record.
     """
 
     def __init__(self) -> None:

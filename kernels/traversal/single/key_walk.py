@@ -23,7 +23,9 @@ exact_module(__name__)
 
 
 @cache
-def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.Function) -> wp.Function:
+def make_key_walk(
+    config: TraversalConfig, levels: int, Search: type, visit: wp.Function, enter_node: wp.Function | None = None
+) -> wp.Function:
     """`wp.func(tree, root, slabs, t_min, search, hits, i, best, work) -> best`: traverses the subtree of a node, for ray number
     i.
 
@@ -32,9 +34,10 @@ def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.
         levels: greatest number of inner nodes on a path of the tree.
         Search: struct of the search state that leaves need.
         visit: `wp.func(tree, child, search, hits, i, best, work) -> best`: processes a leaf.
+        enter_node: `wp.func(node, search)`: for measurements, is called at each inner node; None for nothing.
     """
     width, counting, any_hit, Results = max(config.width, 2), config.counters, config.query == ANY, results_of(config)
-    test_boxes, nearest, row = ray_boxes(width), nearest_child(width), levels * width
+    test_boxes, nearest, row, noting = ray_boxes(width), nearest_child(width), levels * width, enter_node is not None
 
     @wp.func
     def walk(
@@ -56,6 +59,8 @@ def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.
         if wp.static(counting):
             work.nodes += 1
             work.boxes += wp.static(width)
+        if wp.static(noting):
+            enter_node(root, search)
         while level >= 0:
             if entry_of(key, wp.static(width)) <= best.t:
                 lane = key & wp.static(width - 1)
@@ -68,6 +73,8 @@ def make_key_walk(config: TraversalConfig, levels: int, Search: type, visit: wp.
                     if wp.static(counting):
                         work.nodes += 1
                         work.boxes += wp.static(width)
+                    if wp.static(noting):
+                        enter_node(child, search)
                 else:
                     best = visit(tree, child, search, hits, i, best, work)
                     key = nearest(keys, level * wp.static(width))

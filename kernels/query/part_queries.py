@@ -1,0 +1,100 @@
+"""Rays of a queue, as a batch of their own, and what a part of a scene answers them.
+
+A part has the triangles of the whole scene that lie in it, relative to the centre of the whole scene, and numbers them from 0
+on. `ids` gives the numbers that they have in the whole scene; it ascends, so ties in a part go to the same triangle as in the
+whole scene. The corners of a ray's triangle are kept with its hit: the part may have left memory when they are needed.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.traversal.queued.next_queue import make_bound
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT
+
+exact_module(__name__)
+
+
+@cache
+def make_gather(query: str) -> wp.Kernel:
+    """The kernel that copies the rays of a queue, relative to the scene's centre and shortened to their best hits.
+
+    Item: a place in the queue; its ray must be valid.
+    """
+    bound_of = make_bound(query)
+
+    def gather_queue(first: int, rays: RayBatch, hits: HitBatch, order: wp.array(dtype=int), queue: RayBatch):
+        place = first + wp.tid()
+        i = order[place]
+        ray = load_ray(rays, i)
+        queue.origins[place] = ray.origin
+        queue.directions[place] = ray.direction
+        queue.t_min[place] = ray.t_min
+        queue.t_max[place] = bound_of(hits, i, ray.t_max)
+
+    return specialised_kernel(gather_queue)
+
+
+@wp.kernel
+def merge_closest(
+    first: int,
+    order: wp.array(dtype=int),
+    mesh: SceneMesh,
+    ids: wp.array(dtype=int),
+    found: HitBatch,
+    hits: HitBatch,
+    corners: wp.array(dtype=wp.vec3),
+):
+    """Merges the closest hit that a part found for a ray. Item: a place in the queue. corners: (3 N,) by ray."""
+    place = first + wp.tid()
+    i = order[place]
+    local = found.primitive[place]
+    if local >= 0:
+        t = found.t[place]
+        primitive = ids[local]
+        if t < hits.t[i] or (t == hits.t[i] and primitive < hits.primitive[i]):
+            hits.t[i] = t
+            hits.primitive[i] = primitive
+            hits.uv[i] = found.uv[place]
+            face = mesh.faces[local]
+            for corner in range(3):
+                corners[3 * i + corner] = mesh.vertices[face[corner]]
+
+
+@wp.kernel
+def merge_any(
+    first: int,
+    order: wp.array(dtype=int),
+    mesh: SceneMesh,
+    ids: wp.array(dtype=int),
+    found: HitBatch,
+    hits: HitBatch,
+    corners: wp.array(dtype=wp.vec3),
+):
+    """Merges the any-hit result of a part. Item: a place in the queue."""
+    place = first + wp.tid()
+    if found.occluded[place]:
+        hits.occluded[order[place]] = True
+
+
+@wp.kernel
+def merge_crossings(
+    first: int,
+    order: wp.array(dtype=int),
+    mesh: SceneMesh,
+    ids: wp.array(dtype=int),
+    found: HitBatch,
+    hits: HitBatch,
+    corners: wp.array(dtype=wp.vec3),
+):
+    """Adds the crossings in a part. Item: a place in the queue."""
+    place = first + wp.tid()
+    i = order[place]
+    hits.counts[i] = hits.counts[i] + found.counts[place]
+
+
+MERGES = {CLOSEST: merge_closest, ANY: merge_any, COUNT: merge_crossings}
+"""Kernel that merges what a part found, for each query."""

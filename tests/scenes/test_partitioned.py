@@ -1,0 +1,308 @@
+"""Partitioned scenes against one scene in memory: the same answers bit for bit, under any budget; clear errors; no bad part."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import threading
+
+import numpy as np
+import pytest
+from conftest import assert_same_hits, mixed_rays
+
+import wrt
+from wrt.partitioned import partitioned_scene
+from wrt.partitioned.cycling import cycle
+from wrt.partitioned.partition_files import LIST, part_path
+from wrt.partitioned.spatial_parts import Grid, divide
+
+MODES = tuple(partitioned_scene.MODES)
+ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
+
+
+def meshes() -> list[wrt.TriangleMesh]:
+    """Far from the origin, in both types, with coincident triangles in different meshes."""
+    teapot = wrt.scenes.build("teapot", level=3)
+    far = wrt.TriangleMesh(teapot.vertices + np.array([3000.0, -500.0, 20.0]), teapot.faces, name="far")
+    soup = wrt.scenes.build("random_triangles", count=3000, size=0.5, seed=2)
+    soup = wrt.TriangleMesh((soup.vertices + np.float32([3000.0, -500.0, 21.0])).astype(np.float32), soup.faces, name="soup")
+    return [far, soup, far]
+
+
+@pytest.fixture(scope="module")
+def whole() -> wrt.Scene:
+    return wrt.Scene(meshes(), "bvh", device="cpu")
+
+
+@pytest.fixture(scope="module")
+def rays(whole):
+    return mixed_rays(wrt.TriangleMesh.concatenate(whole.meshes), 6000)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("partitioned") / "scene"
+    wrt.PartitionedScene.build(meshes(), path, part_triangles=250, device="cpu")
+    return path
+
+
+@pytest.fixture
+def scene(folder):
+    """Under a quarter of its memory."""
+    full = wrt.PartitionedScene(folder, device="cpu").bytes
+    return wrt.PartitionedScene(folder, memory=full // 4, device="cpu")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_answers_equal_those_of_the_whole_scene(scene, whole, rays, mode):
+    assert scene.part_count > 20
+    assert scene.triangle_count == whole.triangle_count
+    np.testing.assert_array_equal(scene.bounds, whole.bounds)
+    expected, hits = whole.intersect(*rays), scene.intersect(*rays, mode=mode)
+    assert 0.1 < expected.is_hit.mean() < 0.9
+    assert (expected.geometry_id == 0).any()
+    assert not (expected.geometry_id == 2).any(), "of coincident triangles, the first mesh's are hit"
+    for name in ATTRIBUTES:
+        np.testing.assert_array_equal(getattr(hits, name), getattr(expected, name), err_msg=name)
+    np.testing.assert_array_equal(hits.spawn(rays[1]), expected.spawn(rays[1]))
+    np.testing.assert_array_equal(scene.occluded(*rays, mode=mode), whole.occluded(*rays))
+    np.testing.assert_array_equal(scene.count(*rays, mode=mode), whole.count(*rays))
+    assert 0 < scene.last_query.peak_bytes <= scene.memory
+    assert scene.loaded_bytes <= scene.memory
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_ranges_and_culling(scene, whole, rays, mode):
+    """Intervals that end exactly at hits, in single precision, whatever part the hits are in."""
+    first = whole.intersect(*rays)
+    t_max = np.where(first.is_hit, first.t, 1e9).astype(np.float32)
+    t_min = np.where(np.arange(len(t_max)) % 2, 0, np.where(first.is_hit, first.t, 0)).astype(np.float32)
+    for limits in ((t_min, t_max), (0.0, np.nextafter(t_max, np.float32(0)))):
+        assert_same_hits(scene.intersect(*rays, *limits, mode=mode), whole.intersect(*rays, *limits))
+        np.testing.assert_array_equal(scene.occluded(*rays, *limits, mode=mode), whole.occluded(*rays, *limits))
+    culled = whole.intersect(*rays, cull_backfaces=True)
+    assert_same_hits(scene.intersect(*rays, mode=mode, cull_backfaces=True), culled)
+
+
+def test_blocks_and_threads_do_not_show(folder, whole, rays, monkeypatch):
+    """Few rays in a block, few pairs in a list, and another number of threads."""
+    expected = whole.intersect(*rays)
+    monkeypatch.setattr(partitioned_scene, "BLOCK", 1000)
+    monkeypatch.setattr("wrt.partitioned.cycling.MAX_PAIRS", 2000)
+    for mode, threads in (("cycle", 1), ("cycle", 3), ("forward", 3)):
+        some = wrt.PartitionedScene(folder, num_threads=threads, device="cpu")
+        assert_same_hits(some.intersect(*rays, mode=mode), expected)
+        np.testing.assert_array_equal(some.count(*rays, mode=mode), whole.count(*rays))
+
+
+def test_shapes(scene, whole):
+    directions = np.random.default_rng(1).normal(size=(4, 5, 3))
+    origin = whole.bounds.mean(axis=0)
+    hits, expected = scene.intersect(origin, directions), whole.intersect(origin, directions)
+    assert hits.t.shape == (4, 5)
+    assert hits.position.dtype == np.float64
+    np.testing.assert_array_equal(hits.position, expected.position)
+    assert scene.occluded(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0,)
+    assert scene.intersect(np.zeros((0, 3)), np.zeros((0, 3))).t.shape == (0,)
+    copy = pickle.loads(pickle.dumps(hits))
+    np.testing.assert_array_equal(copy.normal, expected.normal)
+    with pytest.raises(ValueError, match="do not hold the meshes"):
+        hits.smooth_normal()
+
+
+def test_each_part_is_loaded_once_in_a_cycle(folder, rays):
+    scene = wrt.PartitionedScene(folder, memory="1 GB", device="cpu")
+    scene.intersect(*rays, mode="cycle")
+    assert scene.last_query.loads <= scene.part_count
+    for mode in MODES:
+        scene.intersect(*rays, mode=mode)
+        assert scene.last_query.loads == scene.last_query.bytes_read == 0, "all parts are in memory"
+    scene.release()
+    assert scene.loaded_bytes == 0
+    scene.occluded(*rays)
+    assert scene.last_query.loads > 0
+
+
+def test_a_cycle_refuses_what_is_too_much_for_a_block(folder, monkeypatch):
+    """It must do nothing then: the block is cut, and its halves are traced."""
+    job = type("Job", (), {})()
+    monkeypatch.setattr("wrt.partitioned.cycling.list_pairs", lambda job: None)
+    assert cycle(job) is False
+
+
+def test_parts_are_scenes(folder):
+    """A part can be read on its own, with the tools for scene files."""
+    part = wrt.Scene.load(part_path(folder, 0), device="cpu")
+    assert 0 < part.triangle_count <= 250
+
+
+def test_from_files_and_generators(tmp_path, whole, rays):
+    import trimesh
+
+    paths = []
+    for number, mesh in enumerate(meshes()):
+        paths.append(tmp_path / f"{number}.ply")
+        trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(paths[-1])
+    expected = wrt.Scene([wrt.TriangleMesh.load(path) for path in paths], "bvh", device="cpu").intersect(*rays)
+    scene = wrt.PartitionedScene.build((str(path) for path in paths), tmp_path / "scene", part_triangles=1000, device="cpu")
+    assert_same_hits(scene.intersect(*rays), expected)
+    np.testing.assert_array_equal(scene.intersect(*rays).geometry_id, expected.geometry_id)
+    assert scene.names == ("0", "1", "2")
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_one_triangle(tmp_path, count):
+    """One part, whose upper tree is one leaf; and coincident triangles in a single cell, divided by their order."""
+    mesh = wrt.TriangleMesh(np.eye(3), np.repeat([[0, 1, 2]], count, axis=0))
+    scene = wrt.PartitionedScene.build(mesh, tmp_path / "one", part_triangles=1, device="cpu")
+    assert scene.part_count == count
+    for mode in MODES:
+        hits = scene.intersect([0, 0, 0], [[1, 1, 1], [-1, 0, 0]], mode=mode)
+        assert hits.primitive_id.tolist() == [0, -1]
+        assert scene.count([0, 0, 0], [1, 1, 1], mode=mode) == count
+
+
+def test_damaged_parts_are_refused(tmp_path, rays):
+    path = tmp_path / "scene"
+    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    expected = scene.occluded(*rays)
+    files = [part_path(path, number) for number in range(scene.part_count)]
+    whole = files[0].read_bytes()
+    for place in (len(whole) // 2, len(whole) // 3):
+        files[0].write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        scene.release()
+        with pytest.raises(ValueError, match="part 0 of this scene, or it is damaged"):
+            scene.occluded(*rays)
+    files[0].write_bytes(whole[:-100])
+    with pytest.raises(ValueError, match="damaged"):
+        scene.occluded(*rays)
+    files[0].write_bytes(files[1].read_bytes())
+    with pytest.raises(ValueError, match="its label is"):
+        scene.occluded(*rays)
+    files[0].unlink()
+    with pytest.raises(FileNotFoundError, match="part 0 of the scene is gone"):
+        scene.occluded(*rays)
+    files[0].write_bytes(whole)
+    np.testing.assert_array_equal(scene.occluded(*rays), expected)
+    text = (path / LIST).read_bytes()
+    (path / LIST).write_bytes(text[:200] + b"x" + text[201:])
+    with pytest.raises(ValueError, match="not the list of a partitioned scene"):
+        wrt.PartitionedScene(path)
+    with pytest.raises(FileNotFoundError, match=r"wrt\.PartitionedScene\.build"):
+        wrt.PartitionedScene(tmp_path / "nothing")
+
+
+def test_a_file_that_was_written_again_is_checked_again(tmp_path, rays):
+    """Parts that were checked once are read without checks as long as their file stays the same."""
+    path = tmp_path / "scene"
+    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    scene.occluded(*rays)
+    file = part_path(path, 0)
+    content, status = bytearray(file.read_bytes()), os.stat(file)
+    content[len(content) // 2] ^= 1
+    file.write_bytes(content)
+    os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns + 1))
+    scene.release()
+    with pytest.raises(ValueError, match="damaged"):
+        scene.occluded(*rays)
+
+
+def test_trees_of_another_version_are_built_again(tmp_path, rays, monkeypatch):
+    path = tmp_path / "scene"
+    expected = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu").intersect(*rays)
+    monkeypatch.setattr(wrt, "__version__", "another")
+    assert_same_hits(wrt.PartitionedScene(path, device="cpu").intersect(*rays), expected)
+
+
+def test_nothing_is_left_of_a_failed_build(tmp_path):
+    def some():
+        yield meshes()[0]
+        raise RuntimeError("the source broke")
+
+    with pytest.raises(RuntimeError, match="the source broke"):
+        wrt.PartitionedScene.build(some(), tmp_path / "scene")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "file").write_text("mine")
+    with pytest.raises(FileExistsError, match="not an empty folder"):
+        wrt.PartitionedScene.build(meshes(), tmp_path / "full")
+    assert (tmp_path / "full" / "file").read_text() == "mine"
+    far = wrt.TriangleMesh(np.eye(3) * 1e12, [[0, 1, 2]])
+    for geometry, error, message in (
+        ([], ValueError, "gives no mesh"),
+        (5, TypeError, "geometry must be meshes"),
+        ([5], TypeError, "must be a wrt.TriangleMesh"),
+        ([tmp_path / "no.ply"], FileNotFoundError, "no mesh file"),
+        ([far], ValueError, "mesh 0 extends"),
+    ):
+        with pytest.raises(error, match=message):
+            wrt.PartitionedScene.build(geometry, tmp_path / "scene")
+    assert [path.name for path in tmp_path.iterdir()] == ["full"]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"part_triangles": 0}, ValueError, "at least 1"),
+        ({"part_triangles": 1.5}, TypeError, "must be an int"),
+        ({"accelerator": "kdtree"}, ValueError, "choose 'bvh'"),
+        ({"memory": "much"}, ValueError, "memory is 'much'"),
+        ({"triangle_test": "komatsu"}, ValueError, "records depend on the origin"),
+        ({"triangle_test": "nothing"}, ValueError, "triangle_test"),
+    ],
+)
+def test_bad_options_of_a_build(tmp_path, options, error, message):
+    with pytest.raises(error, match=message):
+        wrt.PartitionedScene.build(meshes(), tmp_path / "scene", **options)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_options_of_a_query(scene, folder):
+    ray = [0, 0, 0], [0, 0, 1]
+    with pytest.raises(ValueError, match="give more memory, or build the scene with a smaller part_triangles"):
+        wrt.PartitionedScene(folder, memory=1000)
+    with pytest.raises(ValueError, match="mode"):
+        scene.intersect(*ray, mode="fast")
+    with pytest.raises(ValueError, match="records depend on the origin"):
+        scene.occluded(*ray, triangle_test="benthin")
+    with pytest.raises(ValueError, match="does not walk a bvh"):
+        scene.count(*ray, traversal="lockstep")
+    with pytest.raises(TypeError, match="a plan is for one tree"):
+        scene.count(*ray, traversal=wrt.Scene(meshes()[0], "bvh", device="cpu").explain(*ray))
+    with pytest.raises(TypeError, match="folder must be a path"):
+        wrt.PartitionedScene(5)
+
+
+def test_several_threads(scene, whole, rays):
+    expected, found = whole.intersect(*rays).t, []
+    threads = [threading.Thread(target=lambda: found.append(scene.intersect(*rays).t)) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 3
+    assert all(np.array_equal(t, expected) for t in found)
+
+
+def test_divisions():
+    """Every triangle is in one part; parts are no larger than asked, and not much smaller than half of that."""
+    rng = np.random.default_rng(0)
+    points = np.concatenate([rng.normal(size=(20_000, 3)), rng.normal(size=(20_000, 3)) * 1e-5])
+    grid = Grid.over(points.min(axis=0), points.max(axis=0), 4096)
+    cells = grid.cells_of(points, np.repeat(np.arange(len(points), dtype=np.int32)[:, None], 3, axis=1))
+    counts = np.bincount(cells, minlength=int(np.prod(grid.shape)))
+    division = divide(counts.reshape(grid.shape), 1000)
+    seen = np.zeros(len(division.first_part) - 1, dtype=np.int64)
+    parts = np.concatenate([division.parts_of(piece, seen) for piece in np.array_split(cells, 7)])
+    sizes = np.bincount(parts, minlength=division.parts)
+    assert sizes.sum() == len(points)
+    assert sizes.max() <= 1000
+    assert sizes.min() > 0
+    assert division.parts < 2.5 * len(points) / 1000
+
+
+@pytest.mark.parametrize("sides", [(1, 1, 1), (4, 2, 0), (1e-9, 7, 0), (0, 0, 0), (1e6, 1, 1e-3)])
+def test_grids_have_about_as_many_cells_as_asked(sides):
+    grid = Grid.over(np.zeros(3), np.array(sides, dtype=np.float64), 4096)
+    assert np.prod(grid.shape) <= 4096 * 1.01
+    assert np.prod(grid.shape) >= (512 if any(sides) else 1)

@@ -1,0 +1,83 @@
+"""Cycling: each part is loaded once for a block of rays, and all rays that enter its box before their best hits are traced.
+
+Pairs of a ray and a part whose box it meets are listed once, sorted by part (`wrt.kernels.traversal.queued.queue_lists`). Parts
+in memory come first, before they are dropped; then the part that its rays enter earliest, on average. So near parts shorten
+the rays, and a part that no ray reaches any more is not loaded.
+
+Compared with forwarding (`wrt.partitioned.forwarding`), parts are loaded less often, and some rays are traced in parts behind
+their hits.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.query.ray_order import scan_counts, sort_buckets
+from wrt.kernels.runtime.launch import get_num_threads, launch
+from wrt.kernels.traversal.queued.next_queue import gather_numbers
+from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_points, make_mark_pairs
+from wrt.memory import empty
+
+if TYPE_CHECKING:
+    from wrt.partitioned.ray_job import RayJob
+
+MIN_CHUNK = 1 << 12
+"""Rays that are worth a row of counts."""
+
+MAX_PAIRS = 1 << 26
+"""Greatest number of pairs of a block, which take 8 bytes each."""
+
+CHUNK = 1024
+"""Pairs that are worth a chunk of their own."""
+
+
+def cycle(job: RayJob) -> bool:
+    """Traces all rays of a block part by part. Returns False, and does nothing, if they meet too many parts for one block."""
+    listed = list_pairs(job)
+    if listed is None:
+        return False
+    pairs, begins = listed
+    entry, ranges = pairs.entry.numpy(), list(pairwise(begins))
+    distance = [entry[begin:end].mean() if end > begin else np.inf for begin, end in ranges]
+    for number in np.lexsort((distance, ~job.cache.is_loaded)).tolist():
+        begin, end = ranges[number]
+        if begin < end and len(rays := live_rays(job, pairs, begin, end)):
+            job.trace(number, rays)
+    return True
+
+
+def list_pairs(job: RayJob) -> tuple[QueuePairs, list[int]] | None:
+    """The pairs of all rays and parts, and the first pair of each part, followed by the number of pairs.
+
+    None if there are more than `MAX_PAIRS`, unless there is but one ray.
+    """
+    rays, upper, device = job.rays, job.upper, job.device
+    chunk = max(MIN_CHUNK, -(-rays.count // (4 * get_num_threads())))
+    chunks = -(-rays.count // chunk)
+    places, pairs = wp.zeros((chunks, job.parts), dtype=int, device=device), QueuePairs()
+    counting, filling = (make_list_points(upper.width, upper.levels, fill) for fill in (False, True))
+    launch(counting, chunks, [upper.nodes, rays, chunk, places, pairs], device=device, chunk=1)
+    total = int(places.numpy().sum(dtype=np.int64))
+    if total > MAX_PAIRS and rays.count > 1:
+        return None
+    launch(scan_counts, 1, [places], device=device)
+    begins = [*places.numpy()[0].tolist(), total]
+    pairs.ray, pairs.entry = empty(total, wp.int32, device), empty(total, wp.float32, device)
+    launch(filling, chunks, [upper.nodes, rays, chunk, places, pairs], device=device, chunk=1)
+    return pairs, begins
+
+
+def live_rays(job: RayJob, pairs: QueuePairs, begin: int, end: int) -> wp.array:
+    """Numbers of the rays of a part that are not done before it."""
+    bucket = empty(end - begin, wp.uint16, job.device)
+    inputs = [begin, job.rays, job.hits, pairs, bucket]
+    launch(make_mark_pairs(job.query.kind), end - begin, inputs, device=job.device, chunk=CHUNK)
+    places, begins = sort_buckets(bucket, 2)
+    numbers = empty(begins[1], wp.int32, job.device)
+    inputs = [pairs.ray[begin:end], places, numbers]
+    launch(gather_numbers, begins[1], inputs, device=job.device, chunk=CHUNK)
+    return numbers

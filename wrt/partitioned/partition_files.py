@@ -1,0 +1,110 @@
+"""The files of a partitioned scene: a list of its parts, and a scene file for each part.
+
+`scene.npz` lists the parts; `part-00000.npz` and so on are files of `wrt.Scene.save` with two more arrays: the numbers that
+the part's triangles have in the whole scene, and a label that says which part of which scene it is. Each is an archive with a
+checksum (`wrt.scene.archives`). A part whose arrays or label do not match is refused.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from wrt.scene.archives import read_archive, write_archive
+from wrt.scene.storage import UNREADABLE
+
+FORMAT = 1
+"""Version of the list of parts; incremented when the contents change."""
+
+LIST = "scene.npz"
+
+
+@dataclass(frozen=True)
+class PartList:
+    """The parts of a scene, and what they have in common.
+
+    Attributes:
+        mark: identifier of the scene, in the label of each of its parts.
+        names: names of the meshes.
+        first: (meshes + 1,) int64, first triangle of each mesh, and the number of all triangles.
+        center: (3,) float64, which positions are relative to.
+        bounds: (2, 3) float32, corners of the box of all triangles, relative to the centre.
+        low, high: (P, 3) float32, corners of the box of each part, relative to the centre.
+        triangles, vertices, slots: (P,) int64, numbers of triangles, of vertices, and of lanes of leaf blocks of each part.
+        tree_bytes: (P,) int64, bytes of each part's tree.
+    """
+
+    mark: str
+    names: tuple[str | None, ...]
+    first: np.ndarray
+    center: np.ndarray
+    bounds: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    triangles: np.ndarray
+    vertices: np.ndarray
+    slots: np.ndarray
+    tree_bytes: np.ndarray
+
+    ARRAYS = ("first", "center", "bounds", "low", "high", "triangles", "vertices", "slots", "tree_bytes")
+
+    def __len__(self) -> int:
+        """Number of parts."""
+        return len(self.triangles)
+
+    def bytes_with(self, components: int) -> np.ndarray:
+        """(P,) int64: memory of each part with records of so many floats per triangle: as of `wrt.Scene.bytes`, and 4 bytes
+        per triangle for its number in the whole scene."""
+        return self.tree_bytes + 12 * self.vertices + 16 * self.triangles + 4 * components * self.slots
+
+
+def part_path(folder: Path, number: int) -> Path:
+    """The file of a part."""
+    return folder / f"part-{number:05d}.npz"
+
+
+def label_of(mark: str, number: int) -> str:
+    """The label of a part."""
+    return json.dumps({"scene": mark, "part": number})
+
+
+def write_list(folder: Path, parts: PartList) -> None:
+    """Writes the list of parts.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    header = {"partitioned": FORMAT, "mark": parts.mark, "names": parts.names}
+    arrays = {name: getattr(parts, name) for name in PartList.ARRAYS}
+    write_archive(folder / LIST, arrays | {"header": np.array(json.dumps(header))})
+
+
+def read_list(folder: Path) -> PartList:
+    """Reads the list of parts.
+
+    Raises:
+        FileNotFoundError: the folder has none.
+        ValueError: it is damaged, or of another version.
+    """
+    path = folder / LIST
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no partitioned scene in '{folder}': there is no file '{LIST}'; make one with wrt.PartitionedScene.build"
+        )
+    try:
+        arrays = read_archive(path)
+        header = json.loads(str(arrays["header"]))
+        if header["partitioned"] != FORMAT:
+            raise ValueError(f"it has format {header['partitioned']}, and this version of wrt reads format {FORMAT}")
+        values = {name: arrays[name] for name in PartList.ARRAYS}
+        return PartList(mark=header["mark"], names=tuple(header["names"]), **values)
+    except PermissionError:
+        raise
+    except UNREADABLE as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"'{path}' is not the list of a partitioned scene, or it is damaged ({reason}); build it again"
+        ) from error

@@ -1,0 +1,90 @@
+"""Rays on their way through the parts of a scene.
+
+A ray carries all that it needs: the closest hit so far, which shortens it, or the number of crossings. In a part it is an
+ordinary ray, so every traversal and triangle test gives the hits of the whole scene
+(`wrt.kernels.query.part_queries`).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from wrt.execution.executor import trace_chosen
+from wrt.kernels.query.part_queries import MERGES, make_gather
+from wrt.kernels.runtime.launch import launch
+from wrt.memory import new_rays
+from wrt.planning.planner import find_plan
+from wrt.rays.ray_buffers import RayBuffers
+
+if TYPE_CHECKING:
+    from wrt.kernels.layout.bvh_nodes import WideNodes
+    from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+    from wrt.partitioned.part_cache import PartCache
+    from wrt.planning.plan import Plan
+    from wrt.state.query_kinds import Query
+
+CHUNK = 1024
+"""Rays that are worth a chunk of their own."""
+
+
+class UpperTree(NamedTuple):
+    """The tree over the boxes of the parts.
+
+    Attributes:
+        nodes: its nodes; a leaf has the number of its part in the place of its first block.
+        width, levels: children of a node, and levels of a stack for it.
+    """
+
+    nodes: WideNodes
+    width: int
+    levels: int
+
+
+class RayJob:
+    """Rays of a block on their way through the parts.
+
+    Args:
+        cache: the parts.
+        upper: the tree over them.
+        query: kind "closest", "any" or "count", and how parts are traced.
+        rays: the block.
+        coherent: whether neighbouring rays are similar.
+        hits: receives the answers; those of rays that miss everything.
+        corners: (3 N,) receives the corners of the triangles of closest hits.
+        expected_bytes: (P,) memory of each part with the records of the query.
+    """
+
+    def __init__(
+        self,
+        cache: PartCache,
+        upper: UpperTree,
+        query: Query,
+        rays: RayBatch,
+        coherent: bool,
+        hits: HitBatch,
+        corners: wp.array,
+        expected_bytes: np.ndarray,
+    ) -> None:
+        self.cache, self.upper, self.query, self.rays, self.coherent = cache, upper, query, rays, coherent
+        self.hits, self.corners, self.expected_bytes = hits, corners, expected_bytes
+        self.device, self.parts = cache.settings.device, len(cache.parts)
+        self.plan: Plan | None = None
+        self.visits = self.traced = 0
+
+    def trace(self, number: int, order: wp.array) -> None:
+        """Traces the rays of a list in a part, and merges what they find."""
+        part, count, kind = self.cache.part(number, int(self.expected_bytes[number])), len(order), self.query.kind
+        rays = new_rays(count, self.device)
+        launch(make_gather(kind), count, [self.rays, self.hits, order, rays], device=self.device, chunk=CHUNK)
+        buffers = RayBuffers(rays, (count,), False, np.float32, self.coherent, False, [])
+        chosen = find_plan(part.state, buffers, self.query)
+        found, _ = trace_chosen(part.state, chosen, buffers, kind, False)
+        inputs = [order, part.state.device_mesh, part.ids, found.struct(), self.hits, self.corners]
+        launch(MERGES[kind], count, inputs, device=self.device, chunk=CHUNK)
+        self.plan = self.plan or chosen.plan
+        self.visits += 1
+        self.traced += count
+        self.cache.note_use(number)
