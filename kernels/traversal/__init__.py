@@ -27,7 +27,7 @@ from wrt.kernels.traversal import brute_force as brute
 from wrt.kernels.traversal.interleaved import interleaved_bvh
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
-from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel
+from wrt.kernels.traversal.packet.core import entry_point, omnidirectional, packet_kdtree, packet_kernel, repacked_bvh
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
 from wrt.kernels.traversal.queued import queued_bvh
 from wrt.kernels.traversal.single import single_bvh
@@ -178,9 +178,17 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             packets=True,
             mailbox=True,
-            orders=(AS_GIVEN, TILES),
+            orders=(AS_GIVEN, CELLS, TILES),
             two_level={"bvh": NEAREST_QUERIES},
             score=score_packet,
+        ),
+        Traversal(
+            "repacked_packet",
+            "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
+            {"bvh": repacked_bvh.make_kernel},
+            packet_kernel.rays_per_item,
+            packets=True,
+            orders=(AS_GIVEN, CELLS, TILES),
         ),
         Traversal(
             "mlrta",

@@ -61,6 +61,19 @@ class PacketConfig:
 
 
 @dataclass(frozen=True)
+class TileConfig:
+    """Tiles of rays that search for an entry point (`wrt.kernels.traversal.packet.core.entry_point`). For measurements.
+
+    Attributes:
+        packets: packets in the smallest tile.
+        split: number of parts of a large tile, 16 as recommended by Reshetov et al. (2005).
+    """
+
+    packets: int = 4
+    split: int = 16
+
+
+@dataclass(frozen=True)
 class StreamConfig:
     """Options of the traversals whose rays are in streams.
 
@@ -92,6 +105,7 @@ class TraversalConfig:
         single: for single rays.
         packet: for packets.
         stream: for streams.
+        tiles: for entry points.
     """
 
     triangle_test: str
@@ -106,6 +120,7 @@ class TraversalConfig:
     single: SingleConfig = SingleConfig()
     packet: PacketConfig = PacketConfig()
     stream: StreamConfig = StreamConfig()
+    tiles: TileConfig = TileConfig()
 
     @property
     def crossing(self) -> bool:

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.width
 
 LAYOUTS = [PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")]
 START, TRIANGLES, BOXES, LEAF = range(4)
-NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE = range(len(CULLINGS))
+NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE, ENTRY_EXIT = range(len(CULLINGS))
 VERTICES = load_corners(TRIANGLE_TESTS["woop"].record.components)
 FRUSTA = ("frustum", "two_plane", "transient_frustum")
 ERROR = 40.0 / 16.0
@@ -38,10 +38,11 @@ ERROR = 40.0 / 16.0
 @cache
 def culling_loops(layout: PacketLayout) -> wp.Kernel:
     """All loops of all cullings. Item: a packet; `stage` is a hundred times one of those above, and a place in the table."""
-    keep0, keep1, keep2, keep3, keep4, keep5, keep6 = (culling.triangles(layout) for culling in CULLINGS.values())
+    keep0, keep1, keep2, keep3, keep4, keep5, keep6, keep7 = (culling.triangles(layout) for culling in CULLINGS.values())
     none, interval, separated = (CULLINGS[name].boxes(layout) for name in ("none", "interval", "frustum"))
     slopes, planes = CULLINGS["frustum"].start(layout), CULLINGS["two_plane"].start(layout)
     transient, leaf = CULLINGS["transient_frustum"].start(layout), CULLINGS["transient_frustum"].leaf(layout)
+    beside = CULLINGS["entry_exit"].leaf(layout)
 
     @wp.func
     def keep(culling: int, records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]):
@@ -57,11 +58,13 @@ def culling_loops(layout: PacketLayout) -> wp.Kernel:
             return keep4(records, block, bounds)
         elif culling == 5:
             return keep5(records, block, bounds)
-        return keep6(records, block, bounds)
+        elif culling == 6:
+            return keep6(records, block, bounds)
+        return keep7(records, block, bounds)
 
     @wp.func
     def start(culling: int, low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]):
-        if culling == FRUSTUM:
+        if culling == FRUSTUM or culling == ENTRY_EXIT:  # noqa: SIM109 - a kernel knows no `in`
             slopes(low, high, packet, bounds)
         elif culling == TWO_PLANE:
             planes(low, high, packet, bounds)
@@ -88,6 +91,8 @@ def culling_loops(layout: PacketLayout) -> wp.Kernel:
                 loop.answers[i, 0] = separated(loop.boxes, block, packet, bounds, loop.keys[i], 0)
             elif stage == LEAF * 100 + TRANSIENT:
                 loop.answers[i, 0] = leaf(loop.boxes, block, loop.answers[i, 1], packet, bounds)
+            elif stage == LEAF * 100 + ENTRY_EXIT:
+                loop.answers[i, 0] = beside(loop.boxes, block, loop.answers[i, 1], packet, bounds)
         loop.bounds[i] = bounds
 
     return wp.kernel(run, **OPTIONS)
@@ -109,7 +114,7 @@ def twins(loop: Loop, culling: int, shared_origin: bool):
                 keep = interval_keeps(bounds, corners)
             elif culling == CORNER_RAYS:
                 keep = corner_rays_keep(bounds, corners)
-            elif culling == FRUSTUM:
+            elif culling == FRUSTUM or culling == ENTRY_EXIT:  # noqa: SIM109 - a kernel knows no `in`
                 keep = frustum_keeps(bounds, corners)
             elif culling == VERTEX:
                 keep = vertex_keeps(bounds, corners)
@@ -174,7 +179,7 @@ def leaf_lanes(packets: Packets) -> np.ndarray:
 def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     """Sets the packets up, and for a leaf if the culling looks at leaves; the packets that triangles are culled for."""
     run(packets, START, culling)
-    if not CULLINGS[culling].needs_boxes:
+    if culling != "transient_frustum":
         return packets.bounds()["active"] > 0
     answers = packets.loop.answers.numpy().copy()
     answers[:, 1] = leaf_lanes(packets)
@@ -198,7 +203,7 @@ def test_triangles(packets, culling):
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
     lanes = kept_lanes(packets, culling, there)
-    if not CULLINGS[culling].needs_boxes:  # a leaf's frustum is for the triangles in its box
+    if culling != "transient_frustum":  # a leaf's frustum is for the triangles in its box
         t = plain.candidates[there][..., 0]
         ray = plain.ray[there][..., None, None]
         hit = (t >= ray["t_min"]) & (t <= ray["t_max"]) & plain.valid[there][..., None, None]
@@ -303,7 +308,7 @@ def test_frusta(packets, culling):
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
     counts, bounds = plain.valid, packets.bounds()
-    if CULLINGS[culling].needs_boxes:
+    if culling == "transient_frustum":
         enter, leave = meeting(packets, plain)
         lane = leaf_lanes(packets)[:, None, None]
         counts = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
@@ -314,3 +319,30 @@ def test_frusta(packets, culling):
     assert 0.1 < framed.mean() < 1.0
     assert (1 << bounds["frame"][framed] == axes[framed]).all()
     check_frustum(bounds[framed], plain[framed], counts[framed], culling != "frustum")
+
+
+def test_entries_behind_exits(packets):
+    """A leaf is skipped if all rays enter its slab along one axis after they have left that along another."""
+    plain = plain_rays(packets)
+    run(packets, START, "entry_exit")
+    answers = packets.loop.answers.numpy().copy()
+    lane = answers[:, 1] = leaf_lanes(packets)
+    packets.loop.answers.assign(answers)
+    run(packets, LEAF, "entry_exit")
+    there = packets.bounds()["active"] > 0
+    skipped = packets.loop.answers.numpy()[:, 0] == 0
+    boxes = packets.loop.boxes.numpy().reshape(-1, 2, 3, packets.layout.width)[packets.loop.blocks.numpy()[:, 0]]
+    low, high = (np.take_along_axis(boxes[:, end], lane[:, None, None], 2)[:, None, :, 0] for end in (0, 1))
+    slabs = plain.slabs
+    back = slabs["inverse"] < 0
+    with np.errstate(all="ignore"):
+        entry = (np.where(back, high, low) - slabs["origin_in"]) * slabs["inverse"]
+        leave = (np.where(back, low, high) - slabs["origin_out"]) * slabs["inverse"]
+    entry, leave = np.where(np.isnan(entry), -np.inf, entry), np.where(np.isnan(leave), np.inf, leave)
+    first = np.where(plain.valid[..., None], entry, np.inf).min(axis=1)
+    last = np.where(plain.valid[..., None], leave, -np.inf).max(axis=1)
+    expected = np.any([first[:, a] > last[:, b] for a in range(3) for b in range(3) if a != b], axis=0)
+    np.testing.assert_array_equal(skipped[there], expected[there])
+    enter, end = (np.take_along_axis(values, lane[:, None, None], 2)[..., 0] for values in meeting(packets, plain))
+    assert not (enter <= end)[there & skipped].any()
+    assert 0.02 < skipped[there].mean() < 1.0

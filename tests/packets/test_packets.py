@@ -22,10 +22,11 @@ FITTING = [
     for t in ENGINE_TESTS
     for own in (False, True)
     if culling.holds_for(TRIANGLE_TESTS[t])
-    and (t == "woop" or c != "none")
+    and (t == "woop" or c not in ("none", "entry_exit"))
     and not (own and TRIANGLE_TESTS[t].needs_shared_origin)
 ]
-"""Each culling with each test that it holds for (`none`, which does nothing, with one), origins shared or not."""
+"""Each culling with each test that it holds for, origins shared or not; with one test `none`, which does nothing, and
+`entry_exit`, which tests triangles as `frustum` does."""
 
 OTHERS = [(tree, "vertex", "woop", own) for tree in TRAVERSALS["packet"].trees if tree != "bvh" for own in (False, True)]
 """Leaves are leaves: what culling and test do there, one tree shows for all."""
@@ -360,3 +361,30 @@ def test_pictures_are_traced_in_tiles(size, device):
     np.testing.assert_array_equal(scene.occluded(camera.rays(), traversal=plan), expected.is_hit)
     with pytest.raises(ValueError, match="not the pixels of an image"):
         scene.intersect(np.zeros(3), np.ones((64, 3)), traversal=plan)
+
+
+@pytest.mark.width
+@pytest.mark.parametrize("own_origins", [True, False])
+def test_repacked_packets(own_origins, device):
+    """Packets made again below half use, down to one vector, give the hits of single rays; their work shows that they are.
+
+    Every child is tested against each ray of its packet: P tests, or P / 2, or P / 4.
+    """
+    work = []
+    for name in ("wood", "grid", "needles", "degenerate"):
+        mesh = SCENES[name]()
+        scene = wrt.Scene(mesh, "bvh", device=device)
+        near, scattered = ragged(*beams(mesh, 60, own_origins)), mixed_rays(mesh, 3000)
+        spread = wrt.Rays(scattered[0] if own_origins else scattered[0][0], scattered[1])
+        for rays, scale in ((near, 1.0), (spread, 1.0), (near, 1e-35), (spread, 1e25)):
+            scaled = wrt.Rays(rays.origins, (rays.directions * np.float32(scale)).astype(np.float32))
+            expected = scene.intersect(scaled, traversal="single")
+            plan = scene.explain(scaled, traversal="repacked_packet")
+            plan = replace(plan, culling="interval", packet=4 * plan.width)
+            assert plan.shared_origin != own_origins
+            hits = scene.intersect(scaled, traversal=plan, counters=True)
+            assert_same_hits(hits, expected)
+            work.append(hits.counters["boxes"] - plan.width * hits.counters["nodes"])
+    by_rays = np.concatenate(work)
+    assert not (by_rays % (plan.packet // 4)).any()
+    assert (by_rays % (plan.packet // 2)).any()

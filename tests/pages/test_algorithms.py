@@ -21,6 +21,7 @@ from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
+from wrt.kernels.query.packet_orders import PACKET_ORDERS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
@@ -49,6 +50,7 @@ TABLES: dict[str, Iterable[str]] = {
     "Packet cullings": CULLINGS,
     "Mailboxes": MAILBOXES,
     "Orders of rays": ORDERS,
+    "Packet orders": PACKET_ORDERS,
     "Triangle tests": TRIANGLE_TESTS,
     "As published": PUBLISHED,
     "Schedules": SCHEDULES,

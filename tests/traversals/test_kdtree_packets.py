@@ -10,6 +10,7 @@ from conftest import SCENES, assert_same_hits, brute_force
 from test_packets import beams, ragged
 
 import wrt
+from wrt.bench.studies.kdtrees.entry_point_tiles import tile_query
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.packet.core import entry_point
@@ -78,6 +79,20 @@ def test_aepsa_visits_less_than_mlrta():
         work[traversal] = scene.intersect(rays, traversal=traversal, counters=True).counters
     assert work["aepsa"]["nodes"].sum() < work["mlrta"]["nodes"].sum() < 2 * work["packet"]["nodes"].sum()
     assert work["aepsa"]["triangles"].sum() <= work["mlrta"]["triangles"].sum() <= work["packet"]["triangles"].sum()
+
+
+@pytest.mark.parametrize(("packets", "split"), [(1, 1), (2, 64)])
+def test_chosen_tiles_never_show(packets, split):
+    """Tiles of one packet, and tiles of 128 packets in 64 parts."""
+    mesh = SCENES["stadium"]()
+    scene = wrt.Scene(mesh, "kdtree", device="cpu")
+    rays = ragged(*wide_beams(mesh, 24))
+    expected = brute_force(scene, rays)
+    hits = tile_query(scene, rays, "aepsa", packets=packets, split=split)()
+    np.testing.assert_array_equal(hits.t.numpy(), expected.t)
+    np.testing.assert_array_equal(hits.primitive.numpy(), expected.primitive_id)
+    with pytest.raises(ValueError, match="at least 1"):
+        tile_query(scene, rays, "aepsa", packets=0, split=split)
 
 
 @pytest.mark.parametrize("traversal", ENTRY_POINTS)

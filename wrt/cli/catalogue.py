@@ -35,7 +35,7 @@ PAPERS: dict[str, dict[str, str]] = {
     "finding the area of a ray": dict.fromkeys(("auto", "octree", "array"), FALCONE),
     "orders of rays": {
         "none": "the rays' own order",
-        "cells": "Pharr, Kolb, Gershbein, Hanrahan (1997); Garanzha, Loop (2010)",
+        "cells": "Pharr, Kolb, Gershbein, Hanrahan (1997); Månsson, Munkberg, Akenine-Möller (2007); Garanzha, Loop (2010)",
         "tiles": "a picture, tile by tile",
     },
     "as published": dict.fromkeys(
@@ -126,6 +126,7 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators.render_settings import INTEGRATORS
+    from wrt.kernels.query.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
     from wrt.kernels.study.komatsu_2008 import PUBLISHED
@@ -157,6 +158,7 @@ def all_tables() -> dict[str, Rows]:
         "packet cullings": entries(CULLINGS, ("name", "paper")),
         "mailboxes": entries(MAILBOXES, ("name", "paper")),
         "orders of rays": named("orders of rays", ORDERS),
+        "packet orders": entries(PACKET_ORDERS, ("name", "paper")),
         "triangle tests": entries(TRIANGLE_TESTS, tests),
         "fans": others("fans"),
         "as published": named("as published", PUBLISHED),

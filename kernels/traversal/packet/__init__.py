@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal.packet.culling import corner_rays, every_ray, side_planes
+from wrt.kernels.traversal.packet.culling import corner_rays, entry_exit, every_ray, side_planes
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.culling import inverse_frustum as frustum
 from wrt.kernels.traversal.packet.culling import transient_frustum as transient
@@ -56,7 +56,7 @@ class Culling:
         start: `wp.func(low, high, packet, bounds)`, called once per packet; low, high: bounds of the scene.
         leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
             number of rays that meet the box, or any number above `MAX_FEW_RAYS`. If it is at most `MAX_FEW_RAYS`, the rays
-            are listed in `bounds.few`, and no other bounds are updated.
+            are listed in `bounds.few`, and no other bounds are updated. 0 skips the leaf.
         dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
             among the cullings that fit, and never one whose score is 0.
     """
@@ -145,6 +145,15 @@ CULLINGS: dict[str, Culling] = {
             side_planes.cull_triangles,
             accurate=True,
             start=two_plane.start,
+        ),
+        Culling(
+            "entry_exit",
+            "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005), frustum with two tests at leaves",
+            frustum.cull_boxes,
+            frustum.cull_triangles,
+            slopes=True,
+            start=frustum.start,
+            leaf=entry_exit.leaf,
         ),
     )
 }

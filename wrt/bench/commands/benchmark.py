@@ -32,6 +32,7 @@ COMPARISONS = {
     "cluster": ("cluster_command", "cluster_command"),
     "animation": ("animation_command", "animation_command"),
     "auto": ("auto_command", "auto_command"),
+    "bounces": ("bounces_command", "bounces_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
 

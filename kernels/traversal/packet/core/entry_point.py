@@ -57,22 +57,22 @@ from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packe
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.tile_bounds import bound_rays
 from wrt.kernels.traversal.single.single_kdtree import Cell, make_walk, step_guessing
-from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.traversal_config import TileConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
 
-PACKETS = 4
-"""Packets in the smallest tile that searches for an entry point."""
+PACKETS = TileConfig.packets
+"""Packets in the smallest tile that searches for an entry point, if nothing else is chosen."""
 
-SPLIT = 16
-"""Number of parts of a large tile, as recommended by Reshetov et al. (2005)."""
+SPLIT = TileConfig.split
+"""Number of parts of a large tile, as recommended by Reshetov et al. (2005), if nothing else is chosen."""
 
 
 def rays_per_item(config: TraversalConfig) -> int:
     """Rays of a large tile; an item of the kernel is one tile."""
-    return SPLIT * PACKETS * config.packet.rays
+    return config.tiles.split * config.tiles.packets * config.packet.rays
 
 
 @cache
@@ -231,7 +231,8 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
-    packet_rays, small, large = config.packet.rays, PACKETS * config.packet.rays, rays_per_item(config)
+    packet_rays, large = config.packet.rays, rays_per_item(config)
+    small = config.tiles.packets * packet_rays
     size, memory_size = packet_layout(config).size, walk_memory(config)
 
     @wp.func

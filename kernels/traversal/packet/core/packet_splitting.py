@@ -16,11 +16,8 @@ one. `kept` stores the t of a ray while another part is active.
 **When.** A packet is split only if its traversal takes too long. Hits that were found until then are kept, and any-hit rays
 that have one are done (figures: notebooks/records/2026-11-21-packets.md).
 
-**Related work.** Boulos et al. (2008) also react during the traversal, when a packet has too few active rays: they reorder the
-rays of several packets into new ones. Splitting by origins takes rays of one packet only, and moves none in memory.
-
-References:
-    S. Boulos, I. Wald, C. Benthin: Adaptive ray packet reordering. IEEE Symposium on Interactive Ray Tracing 2008.
+**Source.** This reaction is ours. That of Boulos et al. (2008), packets made again where less than half of their rays are
+active, is `wrt.kernels.traversal.packet.core.repacked_bvh`.
 """
 
 from functools import cache

@@ -1,0 +1,80 @@
+"""`wrt bench bounces`: packets by bounce, with the rays of path tracing, and the survey's claims about them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+
+from wrt.bench.commands.command_options import (
+    json_option,
+    load_model,
+    progress,
+    table_console,
+    threads_option,
+    usage_errors,
+    write_json,
+)
+from wrt.bench.studies.bounces.bounce_claims import Verdict, judge
+from wrt.bench.studies.bounces.bounce_comparison import WAYS, BounceFigures, compare_bounces
+from wrt.bench.studies.bounces.bounce_rays import BOUNCES
+from wrt.cli.arguments import target_options
+from wrt.kernels.runtime.launch import get_num_threads
+
+VALUES = {"megarays": "million rays/s", "boxes": "box tests a ray", "triangles": "triangle tests a ray", "usage": "places used"}
+"""Tables that are printed, by field of the figures."""
+
+
+@click.command("bounces")
+@click.argument("models", nargs=-1)
+@target_options
+@click.option("--size", default=256, show_default=True, type=click.IntRange(8, 512), help="One path from SIZE x SIZE pixels.")
+@click.option("--bounces", default=BOUNCES, show_default=True, type=click.IntRange(1, 60), help="Number of the last bounce.")
+@click.option("--rounds", default=3, show_default=True, type=click.IntRange(1), help="Turns of each way.")
+@threads_option
+@json_option
+def bounces_command(
+    models: tuple[str, ...], size: int, bounces: int, rounds: int, threads: int | None, json_file: Path | None
+) -> None:
+    """Orders of packets, repacking, omnidirectional packets and two-plane frusta, bounce by bounce, on MODELS [atrium]."""
+    count, figures = threads or get_num_threads(), []
+    with progress() as on_turn, usage_errors():
+        for model in models or ("atrium",):
+            options = {"size": size, "bounces": bounces, "rounds": rounds, "threads": count}
+            figures += compare_bounces(load_model(model), Path(model).stem, **options, on_turn=on_turn)
+    verdicts = judge(figures)
+    console = table_console(160)
+    print_bounces(figures, console)
+    print_verdicts(verdicts, console)
+    rows = {"threads": count, "bounces": [asdict(row) for row in figures], "verdicts": [asdict(row) for row in verdicts]}
+    write_json(json_file, rows)
+
+
+def print_bounces(figures: Sequence[BounceFigures], console: Any) -> None:
+    """A table for each model and value: a line a way, a column a bounce."""
+    from wrt.bench.core.benchmark_report import new_table
+
+    bounces = sorted({row.bounce for row in figures})
+    for model in dict.fromkeys(row.model for row in figures):
+        for field, what in VALUES.items():
+            table = new_table((model,), tuple(str(bounce) for bounce in bounces))
+            for way in WAYS:
+                cells = {row.bounce: getattr(row, field) for row in figures if (row.model, row.way) == (model, way)}
+                table.add_row(way, *(f"{cells[bounce]:.2f}" if bounce in cells else "" for bounce in bounces))
+            console.print(f"[bold]{what} by bounce[/bold]", highlight=False)
+            console.print(table)
+    if not all(row.same for row in figures):
+        raise click.ClickException("some hits differ from those of single rays")
+
+
+def print_verdicts(verdicts: Sequence[Verdict], console: Any) -> None:
+    """A line a claim."""
+    from wrt.bench.core.benchmark_report import new_table
+
+    table = new_table(("claim",), ("paper", "here: median (least to most)", "holds"))
+    for row in verdicts:
+        table.add_row(row.claim, row.paper, row.found, "yes" if row.holds else "no")
+    console.print(table)
