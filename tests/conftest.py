@@ -25,8 +25,8 @@ ENGINE_TESTS = ("woop", "moeller_trumbore", "komatsu")
 the engine does with a test is the same for all others; `test_triangle_tests.py` shows that they fit in."""
 
 OTHER_WAYS_TO_PACKETS = ("repacked_packet", "mlrta", "aepsa", "omnidirectional", "queued")
-"""Traversals that meet leaves by the steps of "packet" (`wrt.kernels.traversal.packet.core.packet_kernel`), or of "single": what
-they do with one triangle test, and with an origin that must be shared, is the same for all."""
+"""Traversals that meet leaves by the steps of "packet" (`wrt.kernels.traversal.packet.core.packet_kernel`), or of "single":
+what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
 

@@ -13,6 +13,7 @@
     wrt.device.launch(kernel, n, [scene.handle(), ...])  # your own kernels trace rays with wrt.device.closest_hit ...
     scan = wrt.sensors.Lidar.preset("ouster_os1_64").scan(scene, pose)  # lidars and cameras with time, lenses and noise
     image = wrt.render(scene, wrt.PinholeCamera(640, 480, position=(0, -3, 1), look_at=(0, 0, 0)))
+    viewer = wrt.view(scene, block=False)           # the same in a web browser, with the mouse as camera
 
 Names are loaded on first use, so that `import wrt` costs little more than `import warp`.
 """
@@ -73,6 +74,7 @@ _HOME = {
     "TriangleMesh": "wrt.meshes.mesh",
     "UpdatePolicy": "wrt.scene.updates",
     "Verification": "wrt.query.verification",
+    "Viewer": "wrt.viewer.live_view",
     "analyse": "wrt.known_rays.tree_analysis",
     "analyse_areas": "wrt.known_rays.tree_analysis",
     "break_even": "wrt.known_rays.break_even",
@@ -88,6 +90,7 @@ _HOME = {
     "sensors": "wrt",
     "set_num_threads": "wrt.kernels.runtime.launch",
     "show_compiling": "wrt.kernels.compilation.compile_progress",
+    "view": "wrt.viewer.live_view",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -206,6 +206,11 @@ def check_rendering(names):
     np.testing.assert_allclose(np.linalg.norm(names["normals"][hit], axis=1), 1.0, atol=1e-5)
 
 
+def check_live_view(names):
+    if "viewer" in names:  # viser is at hand
+        assert names["viewer"].url.startswith("http://127.0.0.1:")
+
+
 CHECKS = {
     "start.md": check_start,
     "guides/queries.md": check_queries,
@@ -223,6 +228,7 @@ CHECKS = {
     "guides/exact.md": check_exact,
     "guides/known_rays.md": check_known_rays,
     "guides/rendering.md": check_rendering,
+    "guides/live_view.md": check_live_view,
     "guides/gpu.md": lambda names: np.testing.assert_array_equal(names["found"].t.numpy(), names["hits"].t.ravel()),
     "concepts/auto.md": check_auto,
 }

@@ -2,6 +2,7 @@
 
     wrt render -o teapot.png        the built-in teapot
     wrt render bunny.ply -o b.png   any mesh file
+    wrt view bunny.ply              the same in a web browser, live
     wrt info bunny.ply              the mesh and its tree
     wrt verify bunny.ply            hits against brute force in float64
     wrt list                        every builder, traversal, triangle test and built-in scene
@@ -80,6 +81,7 @@ def main() -> None:
 
 for command in (
     LazyCommand("render", "wrt.cli.render", "render", "Renders a mesh file or a built-in scene to an image."),
+    LazyCommand("view", "wrt.cli.view_command", "view", "Shows mesh files or a built-in scene in a web browser."),
     LazyCommand("info", "wrt.cli.figures", "info", "Shows statistics of a mesh and of its tree."),
     LazyCommand("verify", "wrt.cli.verify", "verify", "Checks hits on a mesh against brute force in float64."),
     LazyCommand("list", "wrt.cli.figures", "list_tables", "Lists every algorithm with its paper, and the built-in scenes."),

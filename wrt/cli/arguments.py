@@ -70,10 +70,14 @@ def target_options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def model_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Options for the mesh to load, and for the scene."""
+    """An argument for the mesh to load, and options for the scene."""
+    return click.argument("model", required=False, type=click.Path(path_type=Path))(scene_options(command))
+
+
+def scene_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options for the scene."""
     for option in reversed(
         (
-            click.argument("model", required=False, type=click.Path(path_type=Path)),
             click.option("--scene", help=f"Built-in scene, if no MODEL is given; see `wrt list`. [{DEFAULT_SCENE}]"),
             click.option(
                 "--level", type=click.IntRange(1), help="Tessellation level of the teapot, the same as --option level=N."

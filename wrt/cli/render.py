@@ -134,7 +134,7 @@ def _ambient(
             camera,
             samples=given["samples"] or 4,
             ambient_samples=given["ambient_samples"],
-            ambient_distance=given["ambient_distance"] or _ambient_distance(scene, camera),
+            ambient_distance=given["ambient_distance"] or ambient_distance(scene, camera),
             light=light,
             shadows=given["shadows"],
             smooth=given["smooth"],
@@ -224,7 +224,7 @@ def _camera(mesh: TriangleMesh, builtin: BuiltinScene | None, up: tuple[float, .
         raise click.UsageError(str(error)) from None
 
 
-def _ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:
+def ambient_distance(scene: Scene, camera: PinholeCamera) -> float | None:
     """None (no limit), but a tenth of the scene's diagonal if the camera is inside its box, where all would be dark."""
     low, high = scene.bounds
     inside = ((low < camera.position) & (camera.position < high)).all()

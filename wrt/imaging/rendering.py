@@ -28,7 +28,7 @@ from wrt.rays.rays import Rays
 from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
 
-__all__ = ["corner_normals", "default_light", "render"]
+__all__ = ["AmbientRendering", "corner_normals", "default_light", "render"]
 
 Camera = PinholeCamera | OrthographicCamera
 
@@ -42,32 +42,13 @@ AMBIENT_COLOR = (0.36, 0.39, 0.43)
 _corner_normals: WeakKeyDictionary[Scene, tuple[SceneMesh, dict[float, wp.array]]] = WeakKeyDictionary()
 
 
-def render(
-    scene: Scene,
-    camera: Camera,
-    *,
-    samples: int = 1,
-    light: Any = None,
-    light_color: Any = LIGHT_COLOR,
-    shadows: bool = True,
-    ambient_samples: int = 16,
-    ambient_distance: float | None = None,
-    ambient_color: Any = AMBIENT_COLOR,
-    albedo: Any = 0.8,
-    background: Any = BACKGROUND,
-    smooth: bool = True,
-    crease_angle: float = 60.0,
-    seed: int = 0,
-    traversal: str = AUTO,
-    triangle_test: str = AUTO,
-    progress: Callable[[int, int], Any] | None = None,
-) -> np.ndarray:
-    """Renders an image.
+class AmbientRendering:
+    """A picture by point light and ambient occlusion to which samples are added.
 
-    The same arguments give the same image bit for bit, whatever the number of threads.
+    The same arguments give the same picture bit for bit, whatever the number of threads and the steps in which it advances.
 
     Args:
-        scene: the scene.
+        scene: the scene. Later updates of it do not show.
         camera: a `wrt.PinholeCamera` or `wrt.OrthographicCamera`.
         samples: camera rays per pixel, >= 1.
         light: (3,) position of the light; None for a position above and to the left of the camera (`default_light`).
@@ -84,62 +65,134 @@ def render(
             90).
         seed: seed of the sample pattern.
         traversal, triangle_test: as in `Scene.intersect`.
-        progress: called as progress(done, total) in camera rays, after each tile; an exception that it raises ends the
-            rendering.
+        tile_pixels: most camera rays that are traced at once; None for 65536. It does not change the picture.
 
-    Returns:
-        (height, width, 3) float32 in [0, 1], encoded for display (sRGB), as `wrt.save_image` takes it.
+    Attributes:
+        samples: number of samples of a pixel when the picture is complete.
+        done: number of samples so far.
 
     Raises:
         TypeError: `scene` or `camera` has a wrong type.
         ValueError: a value out of range, or an unknown name.
     """
-    check_types(scene, camera)
-    if not 0.0 < crease_angle < 90.0:
-        raise ValueError(f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)")
-    samples = check_whole("samples", samples, 1)
-    seed = check_whole("seed", seed, 0)
-    settings = _Settings(
-        light=default_light(camera) if light is None else check_point("light", light),
-        lighting=_lighting(light_color, ambient_color, background),
-        shadows=bool(shadows),
-        ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
-        ambient_distance=_check_distance(ambient_distance),
-        seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
-        query={"traversal": traversal, "triangle_test": triangle_test},
-    )
-    with use_threads(scene.num_threads):
-        return _rendered(scene, camera, samples, seed, settings, albedo, crease_angle if smooth else None, progress)
 
+    def __init__(
+        self,
+        scene: Scene,
+        camera: Camera,
+        *,
+        samples: int = 1,
+        light: Any = None,
+        light_color: Any = LIGHT_COLOR,
+        shadows: bool = True,
+        ambient_samples: int = 16,
+        ambient_distance: float | None = None,
+        ambient_color: Any = AMBIENT_COLOR,
+        albedo: Any = 0.8,
+        background: Any = BACKGROUND,
+        smooth: bool = True,
+        crease_angle: float = 60.0,
+        seed: int = 0,
+        traversal: str = AUTO,
+        triangle_test: str = AUTO,
+        tile_pixels: int | None = None,
+    ) -> None:
+        check_types(scene, camera)
+        if not 0.0 < crease_angle < 90.0:
+            raise ValueError(
+                f"crease_angle is {crease_angle}; it must be between 0 and 90 degrees (smooth=False for flat shading)"
+            )
+        self.camera, self.done = camera, 0
+        self.samples = check_whole("samples", samples, 1)
+        self._scene, self._seed = scene, check_whole("seed", seed, 0)
+        self._settings = _Settings(
+            light=default_light(camera) if light is None else check_point("light", light),
+            lighting=_lighting(light_color, ambient_color, background),
+            shadows=bool(shadows),
+            ambient_samples=check_whole("ambient_samples", ambient_samples, 0),
+            ambient_distance=_check_distance(ambient_distance),
+            seed=(seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF,
+            query={"traversal": traversal, "triangle_test": triangle_test},
+        )
+        self.pixels = camera.width * camera.height
+        tiles = -(-self.pixels // check_whole("tile_pixels", TILE_PIXELS if tile_pixels is None else tile_pixels, 1))
+        self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
+        with use_threads(scene.num_threads):
+            expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
+            self._look = _appearance(scene, albedo, crease_angle if smooth else None)
+            self._film = self._black()
 
-def _rendered(
-    scene: Scene,
-    camera: Camera,
-    samples: int,
-    seed: int,
-    settings: _Settings,
-    albedo: Any,
-    crease_angle: float | None,
-    progress: Callable[[int, int], Any] | None,
-) -> np.ndarray:
-    """The image, tile by tile; `crease_angle` is None for flat shading."""
-    pixels = camera.width * camera.height
-    tiles = -(-pixels // TILE_PIXELS)
-    tile = -(-pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
-    expect(_kernels(scene, camera, tile, settings, crease_angle is not None), scene.device)
-    look = _appearance(scene, albedo, crease_angle)
-    picture = wp.zeros((camera.height, camera.width), dtype=wp.vec3, device=scene.device)
-    for sample in range(samples):
-        offset = pixel_offset(sample, samples, seed)
-        for first in range(0, pixels, tile):
-            count = min(tile, pixels - first)
-            rays = camera.rays_on(scene.device, first, count, offset)
-            _Tile(scene, look, settings, first, count).expose(rays, sample, picture)
+    def _black(self) -> wp.array:
+        return wp.zeros((self.camera.height, self.camera.width), dtype=wp.vec3, device=self._scene.device)
+
+    def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> AmbientRendering:
+        """Adds samples to all pixels.
+
+        After an exception the picture holds those samples that all pixels have; it may be continued.
+
+        Args:
+            samples: how many; None for all that are missing.
+            progress: called as progress(done, total) in camera rays, after each tile; an exception that it raises ends the
+                rendering.
+
+        Raises:
+            TypeError, ValueError: `samples` is not a whole number of at least 1.
+        """
+        goal = self.samples if samples is None else min(self.samples, self.done + check_whole("samples", samples, 1))
+        with use_threads(self._scene.num_threads):
+            while self.done < goal:
+                kept = wp.clone(self._film) if self.done else None
+                try:
+                    self._expose(progress)
+                except BaseException:
+                    self._film = self._black() if kept is None else kept
+                    raise
+                self.done += 1
+        return self
+
+    def _expose(self, progress: Callable[[int, int], Any] | None) -> None:
+        """Adds a sample to all pixels, tile by tile."""
+        scene, sample = self._scene, self.done
+        offset = pixel_offset(sample, self.samples, self._seed)
+        for first in range(0, self.pixels, self._tile):
+            count = min(self._tile, self.pixels - first)
+            rays = self.camera.rays_on(scene.device, first, count, offset)
+            _Tile(scene, self._look, self._settings, first, count).expose(rays, sample, self._film)
             if progress is not None:
-                progress(sample * pixels + first + count, samples * pixels)
-    image = wp.empty_like(picture)
-    launch(film.develop, pixels, [picture, samples, image], device=scene.device, chunk=4096)
-    return image.numpy()
+                progress(sample * self.pixels + first + count, self.samples * self.pixels)
+
+    def developed(self) -> wp.array:
+        """(height, width) vec3 on the scene's device, in [0, 1], encoded for display: the mean of the samples so far.
+
+        Raises:
+            ValueError: there are none.
+        """
+        if self.done == 0:
+            raise ValueError("the picture has no samples yet; call advance() first")
+        image = wp.empty_like(self._film)
+        with use_threads(self._scene.num_threads):
+            launch(film.develop, self.pixels, [self._film, self.done, image], device=self._scene.device, chunk=4096)
+        return image
+
+    def image(self) -> np.ndarray:
+        """(height, width, 3) float32 in [0, 1], as `wrt.save_image` takes it; errors as of `developed`."""
+        return self.developed().numpy()
+
+
+def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] | None = None, **options: Any) -> np.ndarray:
+    """Renders an image at once.
+
+    Args:
+        scene, camera, options: as of `AmbientRendering`.
+        progress: as of `AmbientRendering.advance`.
+
+    Returns:
+        (height, width, 3) float32 in [0, 1], encoded for display (sRGB), as `wrt.save_image` takes it.
+
+    Raises:
+        TypeError, ValueError: as `AmbientRendering`.
+    """
+    return AmbientRendering(scene, camera, **options).advance(progress=progress).image()
 
 
 def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:

@@ -89,6 +89,11 @@ class FuzzyScene(Scene):
             self._fuzzy = FuzzyTree.build(self._meshes, self._centers, motion, settings.accelerator, settings.device)
             self._show(0, settings, new_mark())
 
+    @property
+    def frame_count(self) -> int:
+        """Number of frames."""
+        return len(self._meshes)
+
     def show(self, frame: int) -> None:
         """Shows a frame: later queries see the triangles as they are in it.
 

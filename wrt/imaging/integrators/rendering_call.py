@@ -39,7 +39,7 @@ def render(
     Integrators:
 
     * "ambient": all surfaces of one colour, or one for each triangle; a point light with hard shadows; ambient occlusion. Its
-      options are those of `wrt.imaging.rendering.render`: samples, light, light_color, shadows, ambient_samples,
+      options are those of `wrt.imaging.rendering.AmbientRendering`: samples, light, light_color, shadows, ambient_samples,
       ambient_distance, ambient_color, albedo, background, smooth, crease_angle, seed, traversal, triangle_test.
     * "whitted": Whitted's ray tracing: mirrors, glass, hard shadows.
     * "distribution": distribution ray tracing (Cook et al. 1984): also penumbrae, gloss, translucency, depth of field, motion

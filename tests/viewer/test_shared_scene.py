@@ -1,0 +1,148 @@
+"""The scene that clients share, and the arguments of `wrt.view`: no browser, no server."""
+
+import time
+
+import numpy as np
+import pytest
+
+import wrt
+from wrt import scenes
+from wrt.viewer.live_view import is_local
+from wrt.viewer.panels.scene_panel import polar, rotation
+from wrt.viewer.shared_scene import SharedScene
+
+
+@pytest.fixture
+def mesh():
+    return scenes.build("teapot", level=4)
+
+
+def test_versions(mesh):
+    """A version stays as it was; the caller's updates show after `refresh`, the viewer's own at once."""
+    scene = wrt.Scene(mesh, device="cpu")
+    shared, told = SharedScene(scene), []
+    shared.listen(lambda: told.append(shared.current[0]))
+    version, shown = shared.current
+    shared.refresh()
+    assert shared.current[0] == version
+    scene.update(0, vertices=np.add(mesh.vertices, (5.0, 0.0, 0.0)))
+    np.testing.assert_allclose(shown.bounds, mesh.bounds, atol=1e-5)
+    shared.refresh()
+    assert told == [version + 1]
+    np.testing.assert_allclose(shared.current[1].bounds, np.add(mesh.bounds, (5.0, 0.0, 0.0)), atol=1e-4)
+
+
+def test_another_tree_leaves_the_callers_scene(mesh):
+    scene = wrt.Scene(mesh, device="cpu")
+    shared = SharedScene(scene)
+    shared.rebuild("kdtree")
+    assert shared.accelerator.kind == "kdtree"
+    assert scene.accelerator.kind == "bvh"
+    assert shared.build_seconds > 0.0
+    scene.update(0, vertices=np.add(mesh.vertices, (1.0, 0.0, 0.0)))
+    shared.refresh()
+    assert shared.accelerator.kind == "kdtree"
+    np.testing.assert_allclose(shared.current[1].bounds, scene.bounds, atol=1e-5)
+    with pytest.raises(ValueError, match="octree"):
+        shared.rebuild("octree")
+    assert shared.accelerator.kind == "kdtree"
+    shared.rebuild(None)
+    assert shared.accelerator.kind == "bvh"
+
+
+def test_threads(mesh):
+    shared = SharedScene(wrt.Scene(mesh, device="cpu", num_threads=2))
+    assert shared.threads == 2
+    version = shared.current[0]
+    shared.set_threads(1)
+    assert (shared.threads, shared.current[0]) == (1, version + 1)
+    with pytest.raises(ValueError, match="threads"):
+        shared.set_threads(0)
+
+
+def test_instances_are_moved_in_the_callers_scene(mesh):
+    scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh)], device="cpu")
+    shared = SharedScene(scene)
+    version, matrix = shared.current[0], np.eye(4)
+    matrix[0, 3] = 40.0
+    shared.move(1, matrix)
+    np.testing.assert_array_equal(scene.instances[1].transform, matrix)
+    assert shared.current[0] == version + 1
+    assert shared.update_seconds > 0.0
+    with pytest.raises(ValueError, match="instance"):
+        shared.move(7, matrix)
+
+
+def test_animation_plays_and_pauses(mesh):
+    seen, shown = [], []
+    shared = SharedScene(wrt.Scene(mesh, device="cpu"), lambda scene, frame: seen.append(frame), 3)
+    shared.play(200.0, lambda: shown.append(shared.frame))
+    end = time.perf_counter() + 20.0
+    while len(shown) < 5 and time.perf_counter() < end:
+        time.sleep(0.005)
+    shared.pause()
+    assert seen[:5] == [1, 2, 0, 1, 2]
+    count = len(seen)
+    time.sleep(0.05)
+    assert len(seen) == count
+    assert not shared.is_playing
+
+
+def test_scene_without_animation(mesh):
+    shared = SharedScene(wrt.Scene(mesh, device="cpu"))
+    with pytest.raises(ValueError, match="animate="):
+        shared.play(24.0)
+    with pytest.raises(ValueError, match="0 frames"):
+        shared.show_frame(0)
+
+
+def test_fuzzy_scenes_have_their_own_animation():
+    cloth = scenes.waving_cloth(frames=3)
+    scene = wrt.FuzzyScene(cloth.frames, cloth.faces, device="cpu")
+    shared = SharedScene(scene)
+    assert shared.frames == scene.frame_count == 3
+    shared.show_frame(2)
+    assert scene.frame == 2
+
+
+def test_turns_and_stretches_of_instances():
+    """A gizmo knows only turns: what else is in a transform is kept."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        matrix = rng.normal(size=(3, 3))
+        turn, rest = polar(matrix)
+        np.testing.assert_allclose(turn @ rest, matrix, atol=1e-12)
+        np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-12)
+        assert np.linalg.det(turn) == pytest.approx(1.0)
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(rotation(np.array([half, 0.0, 0.0, half])) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_local_interfaces():
+    assert all(map(is_local, ("127.0.0.1", "127.1.2.3", "localhost", "::1")))
+    assert not any(map(is_local, ("0.0.0.0", "::", "192.168.0.7", "")))
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"scene": "bunny.ply"}, TypeError, "scene must be"),
+        ({"integrator": "raster"}, ValueError, "raster"),
+        ({"camera": "front"}, TypeError, "camera must be"),
+        ({"options": {"light": 3}}, ValueError, "no integrator"),
+        ({"animate": print}, ValueError, "frames"),
+        ({"up": (0, 0)}, ValueError, "up"),
+    ],
+)
+def test_bad_arguments(mesh, options, error, words):
+    """Refused before a server starts."""
+    pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
+    with pytest.raises(error, match=words):
+        wrt.view(options.pop("scene", None) or wrt.Scene(mesh, device="cpu"), block=False, port=0, **options)
+
+
+def test_warns_if_others_can_reach_it(mesh):
+    pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
+    with pytest.warns(UserWarning, match="without a password"), wrt.view(mesh, block=False, host="0.0.0.0", port=0) as viewer:
+        assert viewer.url.startswith("http://localhost:")
+    viewer.close()

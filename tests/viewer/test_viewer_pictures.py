@@ -1,0 +1,110 @@
+"""What the viewer's pictures show, without a browser."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import wrt
+from wrt import scenes
+from wrt.imaging.image_files import to_bytes
+from wrt.viewer.pictures.cost_layers import tile_order
+from wrt.viewer.pictures.looks import LOOKS, make_picture
+from wrt.viewer.pictures.wish import Wish
+
+SIZE = 48, 36
+
+
+@pytest.fixture(scope="module", params=["bvh", "kdtree"])
+def scene(request):
+    return wrt.Scene(scenes.build("teapot", level=4), request.param, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def wish():
+    view = scenes.BUILTIN_SCENES["teapot"].camera
+    return Wish(1, (view["position"], view["look_at"], view["up"], view["fov"]), SIZE, samples=2)
+
+
+def finished(scene, wish, scale=1.0, is_coarse=False, **options):
+    picture, checks = make_picture(scene, wish, scale, is_coarse, options), []
+    while not picture.is_complete:
+        picture.advance(lambda *_: checks.append(1))
+    return picture
+
+
+def test_beauty_is_the_picture_of_render(scene, wish):
+    picture = finished(scene, wish, ambient_samples=2)
+    expected = wrt.render(scene, wish.camera_of(), samples=2, ambient_samples=2)
+    np.testing.assert_array_equal(picture.pixels(), to_bytes(expected))
+    assert picture.rays > 0
+
+
+def test_other_integrators(wish):
+    scene = wrt.Scene(scenes.build("teapot", level=4), device="cpu")
+    picture = finished(scene, replace(wish, integrator="whitted", samples=1))
+    expected = wrt.render(scene, wish.camera_of(), integrator="whitted", samples=1)
+    np.testing.assert_array_equal(picture.pixels(), to_bytes(expected))
+
+
+def test_coarse_pictures_are_small_and_have_one_sample(scene, wish):
+    picture = finished(scene, wish, 0.5, True)
+    assert picture.pixels().shape == (18, 24, 3)
+
+
+@pytest.mark.parametrize("look", [name for name in LOOKS if name != "beauty"])
+def test_layers_and_costs(scene, wish, look):
+    """Each look makes a picture with more than one colour; what it shows is that of `intersect`."""
+    picture = finished(scene, replace(wish, look=look))
+    pixels = picture.pixels()
+    assert pixels.shape == (36, 48, 3)
+    if "geometry" not in look and "instance" not in look:
+        assert len(np.unique(pixels.reshape(-1, 3), axis=0)) > 3
+    rays = wish.camera_of().rays()
+    hits = scene.intersect(rays, traversal="single", counters=True)
+    grey = (pixels == pixels[~hits.is_hit][0]).all(axis=-1) if (~hits.is_hit).any() else np.zeros(hits.shape, bool)
+    if look == "depth":
+        assert picture.scale.low == pytest.approx(hits.t[hits.is_hit].min())
+        assert picture.scale.high == pytest.approx(hits.t[hits.is_hit].max())
+        assert (pixels[hits.is_hit].astype(int).sum(axis=-1) > 0).all()
+    if look == "normals":
+        expected = to_bytes((0.5 + 0.5 * hits.normal).astype(np.float32))
+        assert np.abs(pixels[hits.is_hit].astype(int) - expected[hits.is_hit]).max() <= 1
+    if look == "triangle ids":
+        same = hits.primitive_id[:, 1:] == hits.primitive_id[:, :-1]
+        assert (pixels[:, 1:] == pixels[:, :-1]).all(axis=-1)[same].all()
+        assert (pixels[hits.is_hit] != pixels[~hits.is_hit][0]).any(axis=-1).all() if grey.any() else True
+    counted = {"cost: nodes": "nodes", "cost: leaves": "leaves", "cost: triangle tests": "triangles"}
+    if look in counted:
+        np.testing.assert_array_equal(picture.values, hits.counters[counted[look]])
+        assert picture.scale.high == picture.values.max()
+    if look == "cost: packets taken apart":
+        known = picture.values[np.isfinite(picture.values)]
+        assert known.min() >= 0.0
+        assert known.max() <= 100.0
+
+
+def test_costs_of_packets_are_those_of_their_tiles(scene, wish):
+    """All pixels of a tile show one value, and it is what `intersect` counts for the tile's rays."""
+    values = finished(scene, replace(wish, look="cost: nodes of packets")).values
+    tiles = values.reshape(9, 4, 6, 8).swapaxes(1, 2).reshape(54, 32)  # 48 x 36 pixels are 6 x 9 tiles of 8 x 4
+    assert (tiles == tiles[:, :1]).all()
+    rays = wish.camera_of().rays()
+    order = tile_order(*SIZE)
+    directions = rays.directions.reshape(-1, 3)[order]
+    flat = wrt.Rays(rays.origins.reshape(3), directions)
+    plan = replace(scene.explain(flat, traversal="packet"), packet=32, reorder="none")
+    counted = scene.intersect(flat, traversal=plan, counters=True).counters["nodes"]
+    np.testing.assert_array_equal(tiles[:, 0], counted[::32])
+
+
+def test_order_of_tiles_is_a_permutation():
+    """Also where tiles are cut at the edges."""
+    for width, height in ((8, 4), (13, 7), (1, 1), (3, 50)):
+        np.testing.assert_array_equal(np.sort(tile_order(width, height)), np.arange(width * height))
+
+
+def test_options_that_do_not_fit_are_errors(scene, wish):
+    other = "mlrta" if scene.accelerator.kind == "bvh" else "interleaved"
+    with pytest.raises(ValueError, match=other):
+        finished(scene, replace(wish, look="depth", traversal=other))

@@ -1,0 +1,10 @@
+"""The live viewer: a scene in a web browser, ray-traced while the camera moves. It needs the package viser (`wrt[view]`).
+
+* `live_view`: `wrt.view`, and the server that all clients share.
+* `shared_scene`: the scene that is shown: its versions, and what changes it while it runs.
+* `client_session`: one browser: its pictures and its camera.
+* `frame_loop`: the thread that makes the pictures of a client; it knows neither viser nor scenes.
+* `pictures`: what a picture shows: light, layers of hits, or the cost of its rays.
+* `trees`: the way of a ray through a tree, and the boxes of its levels, as lines.
+* `panels`: the parts of the control panel.
+"""

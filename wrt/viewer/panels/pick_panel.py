@@ -1,0 +1,104 @@
+"""Picking: a click on the picture shows what its ray hits, and the ray's way through the tree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrt.viewer.client_session import ClientSession
+from wrt.viewer.trees.box_lines import draw_boxes, heat_colors
+from wrt.viewer.trees.tree_walk import Visit, walk
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = ["PickPanel"]
+
+WAY, POINT = "/wrt/way", "/wrt/picked"
+
+
+class PickPanel:
+    """What was picked last.
+
+    Args:
+        session: the client's.
+
+    Attributes:
+        hits: of the ray that was picked last, a `wrt.Hits`; None before the first click.
+        visits: the boxes on its way; empty for a scene of many trees.
+    """
+
+    def __init__(self, session: ClientSession) -> None:
+        self._session, gui = session, session.client.gui
+        self.hits: Any = None
+        self.visits: list[Visit] = []
+        self._center = np.zeros(3)
+        with gui.add_folder("Pick", expand_by_default=False):
+            self._text = gui.add_markdown("Click on the picture.")
+            self._shows_way = gui.add_checkbox("Way through the tree", initial_value=True)
+            self._steps = gui.add_slider("Visits", min=0, max=1, step=1, initial_value=1)
+        self._steps.on_update(self._redraw)
+        self._shows_way.on_update(self._redraw)
+        session.client.scene.on_click()(self._clicked)
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        self.pick(event.ray_origin, event.ray_direction)
+
+    def pick(self, origin: Any, direction: Any) -> None:
+        """Shows what a ray hits.
+
+        Args:
+            origin, direction: (3,) of the ray, in the coordinates of the scene.
+        """
+        session, wish = self._session, self._session.wish
+        scene = session.shared.current[1]
+        origin, direction = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
+        self.hits = hits = scene.intersect(origin, direction, triangle_test=wish.triangle_test)
+        self._center = scene.center
+        try:
+            self.visits = walk(scene.state, origin, direction)
+        except ValueError:
+            self.visits = []
+        self._text.content = self._described(origin, direction)
+        if hits.is_hit:
+            extent = float(np.linalg.norm(np.ptp(scene.bounds, axis=0)))
+            position = tuple(map(float, hits.position))
+            session.client.scene.add_icosphere(POINT, 0.004 * extent, color=(255, 60, 0), position=position, cast_shadow=False)
+        else:
+            session.client.scene.remove_by_name(POINT)
+        self._steps.max = max(1, len(self.visits))
+        self._steps.value = max(1, len(self.visits))
+        self._draw()
+
+    def _described(self, origin: np.ndarray, direction: np.ndarray) -> str:
+        hits = self.hits
+        leaves = [visit for visit in self.visits if visit.is_leaf]
+        tests = sum(len(visit.triangles) for visit in leaves)
+        way = (
+            f"{len(self.visits) - len(leaves)} inner nodes, {len(leaves)} leaves, {tests} triangle tests"
+            if self.visits
+            else "none: the ray misses the scene's box, or the scene has many trees"
+        )
+        if not hits.is_hit:
+            return f"**Nothing is hit.**  \nway: {way}"
+        rows = (
+            f"**triangle {int(hits.primitive_id)}** of mesh {int(hits.geometry_id)}, instance {int(hits.instance_id)}",
+            f"t {float(hits.t):.7g}",
+            "u, v " + ", ".join(f"{value:.6f}" for value in hits.uv),
+            "position " + ", ".join(f"{value:.6g}" for value in hits.position),
+            "normal " + ", ".join(f"{value:.4f}" for value in hits.normal),
+            f"way: {way}",
+        )
+        return "  \n".join(rows)
+
+    def _redraw(self, event: Any) -> None:
+        self._draw()
+
+    def _draw(self) -> None:
+        """Draws the first visits: early ones blue, late ones red."""
+        count = int(self._steps.value) if self._shows_way.value else 0
+        shown = self.visits[:count]
+        colors = heat_colors(np.arange(len(shown)) / max(len(self.visits) - 1, 1))
+        low, high = ([getattr(visit, name) for visit in shown] for name in ("low", "high"))
+        draw_boxes(self._session.client, WAY, low, high, colors, self._center)

@@ -1,0 +1,187 @@
+"""The controls that all clients share: the tree, threads, the animation, and the instances, which are moved by a gizmo."""
+
+from __future__ import annotations
+
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
+from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.kernels.compilation.cores import available_cores
+from wrt.viewer.shared_scene import SharedScene
+
+if TYPE_CHECKING:
+    import viser
+
+__all__ = ["ScenePanel"]
+
+OWN = "as given"
+BUILDERS = {"bvh": BVH_BUILDERS, "kdtree": KDTREE_BUILDERS}
+GIZMO = "/wrt/gizmo"
+PLOTTED = 60
+"""Builds and frames of the plot."""
+
+
+class ScenePanel:
+    """The shared controls.
+
+    Args:
+        server: of all clients.
+        shared: the scene.
+    """
+
+    def __init__(self, server: viser.ViserServer, shared: SharedScene) -> None:
+        self._server, self._shared = server, shared
+        self._building = threading.Lock()
+        self._builds: list[float] = []
+        self._made: Any = None
+        gui = server.gui
+        threads = shared.threads or available_cores()
+        with gui.add_folder("Scene (shared)", expand_by_default=False):
+            self._tree = gui.add_dropdown("Tree", [OWN, *BUILDERS], initial_value=OWN)
+            self._builder = gui.add_dropdown("Builder", [OWN], initial_value=OWN, disabled=True)
+            self._threads = gui.add_slider("Threads", min=1, max=max(2, available_cores()), step=1, initial_value=threads)
+            self._text = gui.add_markdown("")
+            self._plot = self._new_plot(gui)
+        self._tree.on_update(self._choose_tree)
+        self._builder.on_update(self._choose_builder)
+        self._threads.on_update(self._choose_threads)
+        if shared.frames:
+            self._add_animation(gui)
+        if shared.scene.instances:
+            self._add_gizmo(gui)
+        self._describe()
+
+    def _new_plot(self, gui: Any) -> Any:
+        from viser import uplot
+
+        series = (uplot.Series(label="build"), uplot.Series(label="ms", stroke="#2a6fdb", width=2))
+        return gui.add_uplot((np.zeros(1), np.zeros(1)), series, title="the last builds", aspect=2.0)
+
+    def _choose_tree(self, event: Any) -> None:
+        kind = self._tree.value
+        names = [OWN] if kind == OWN else [*BUILDERS[kind]]
+        self._builder.options = names
+        self._builder.disabled = kind == OWN
+        self.rebuild()
+
+    def _choose_builder(self, event: Any) -> None:
+        self.rebuild()
+
+    def rebuild(self) -> None:
+        """Builds the tree that the controls name; says why if it cannot be built."""
+        kind, builder = self._tree.value, self._builder.value
+        with self._building:
+            if builder not in self._builder.options or (kind == OWN) != (builder == OWN):
+                return  # the two controls change one after the other
+            try:
+                made = None if kind == OWN else (Bvh if kind == "bvh" else KdTree)(builder=builder)
+                if made == self._made:
+                    return
+                self._shared.rebuild(made)
+                self._made = made
+            except (ValueError, TypeError, MemoryError) as error:
+                self._text.content = f"**{type(error).__name__}**: {error}"
+                return
+            self._builds = [*self._builds, 1e3 * self._shared.build_seconds][-PLOTTED:]
+        self._plot.data = np.arange(len(self._builds), dtype=np.float64), np.array(self._builds)
+        self._describe()
+
+    def _choose_threads(self, event: Any) -> None:
+        self._shared.set_threads(int(self._threads.value))
+
+    def _describe(self) -> None:
+        scene = self._shared.current[1]
+        self._text.content = (
+            f"{scene.triangle_count:,} triangles, {scene.accelerator.kind}, {scene.bytes / 1e6:.1f} MB, "
+            f"built in {1e3 * self._shared.build_seconds:.1f} ms"
+        )
+
+    def _add_animation(self, gui: Any) -> None:
+        with gui.add_folder("Animation (shared)"):
+            self._play = gui.add_checkbox("Play", initial_value=False)
+            self._frame = gui.add_slider("Frame", min=0, max=max(1, self._shared.frames - 1), step=1, initial_value=0)
+            self._rate = gui.add_slider("Frames a second", min=1, max=60, step=1, initial_value=24)
+            self._frame_text = gui.add_markdown("")
+        self._play.on_update(self._switch)
+        self._rate.on_update(self._switch)
+        self._frame.on_update(self._choose_frame)
+
+    def _switch(self, event: Any) -> None:
+        if self._play.value:
+            self._shared.play(float(self._rate.value), self._frame_shown)
+        else:
+            self._shared.pause()
+
+    def _choose_frame(self, event: Any) -> None:
+        if event.client is not None and not self._shared.is_playing:  # moved by a hand, not by the animation
+            self._shared.show_frame(int(self._frame.value))
+            self._frame_shown()
+
+    def _frame_shown(self) -> None:
+        self._frame.value = self._shared.frame
+        self._frame_text.content = f"frame {self._shared.frame}, updated in {1e3 * self._shared.update_seconds:.1f} ms"
+
+    def _add_gizmo(self, gui: Any) -> None:
+        count = len(self._shared.scene.instances)
+        with gui.add_folder("Instances (shared)"):
+            self._moves = gui.add_checkbox("Move", initial_value=False)
+            self._instance = gui.add_slider("Instance", min=0, max=max(1, count - 1), step=1, initial_value=0)
+            self._moved_text = gui.add_markdown("")
+        self._moves.on_update(self._place_gizmo)
+        self._instance.on_update(self._place_gizmo)
+
+    def _place_gizmo(self, event: Any) -> None:
+        if not self._moves.value:
+            self._server.scene.remove_by_name(GIZMO)
+            return
+        index = min(int(self._instance.value), len(self._shared.scene.instances) - 1)
+        instance = self._shared.scene.instances[index]
+        turn, stretch = polar(np.asarray(instance.transform, dtype=np.float64)[:3, :3])
+        extent = float(np.linalg.norm(np.ptp(self._shared.scene.bounds, axis=0)))
+        gizmo = self._server.scene.add_transform_controls(
+            GIZMO,
+            scale=0.15 * extent,
+            translation_limits=((-1e30, 1e30),) * 3,
+            position=tuple(map(float, np.asarray(instance.transform)[:3, 3])),
+            wxyz=quaternion(turn),
+            depth_test=False,
+        )
+
+        def moved(event: Any) -> None:
+            matrix = np.eye(4)
+            matrix[:3, :3] = rotation(np.asarray(gizmo.wxyz)) @ stretch
+            matrix[:3, 3] = gizmo.position
+            self._shared.move(index, matrix)
+            self._moved_text.content = f"instance {index}, updated in {1e3 * self._shared.update_seconds:.1f} ms"
+
+        gizmo.on_update(moved)
+
+
+def polar(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A rotation and what remains: matrix = rotation @ remainder."""
+    u, _, v = np.linalg.svd(matrix)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    return turn, turn.T @ matrix
+
+
+def rotation(wxyz: np.ndarray) -> np.ndarray:
+    """(3, 3) of a unit quaternion."""
+    w, x, y, z = wxyz / np.linalg.norm(wxyz)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def quaternion(turn: np.ndarray) -> tuple[float, float, float, float]:
+    """w, x, y, z of a rotation (3, 3)."""
+    from viser.transforms import SO3
+
+    return tuple(map(float, SO3.from_matrix(turn).wxyz))
