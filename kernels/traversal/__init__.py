@@ -48,8 +48,8 @@ from wrt.kernels.traversal.traversal_scores import (
 
 AS_GIVEN, CELLS, TILES = "none", "cells", "tiles"
 ORDERS = (AS_GIVEN, CELLS, TILES)
-"""Orders in which rays are traced (`wrt.kernels.query.ray_order`): as they are given; sorted by the cell of the origin and the
-octant of the direction; the pixels of an image, tile by tile.
+"""Orders in which rays are traced (`wrt.kernels.query.ordering.ray_order`): as they are given; sorted by the cell of the origin
+and the octant of the direction; the pixels of an image, tile by tile.
 """
 
 

@@ -39,7 +39,7 @@ RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 
 
 class Overlap(NamedTuple):
-    """What a sample of packets shares (`wrt.kernels.query.packet_overlap`).
+    """What a sample of packets shares (`wrt.kernels.query.ordering.packet_overlap`).
 
     Attributes:
         share: different steps of the sampled rays of a packet over all their steps, from 1 / `SAMPLED_RAYS` (all rays take the

@@ -17,7 +17,7 @@ from wrt.bench.commands.bounces_command import print_bounces
 from wrt.bench.studies.bounces.bounce_claims import judge
 from wrt.bench.studies.bounces.bounce_comparison import WAYS, BounceFigures, compare_bounces
 from wrt.bench.studies.bounces.bounce_rays import REFLECTED, TRANSMITTED, materials_of, tile_ranks, trace_paths
-from wrt.kernels.query.packet_orders import PACKET_ORDERS
+from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 
 
 def figures(speeds: dict[str, float] | None = None) -> list[BounceFigures]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import wrt
-from wrt.kernels.query.packet_overlap import SAMPLED_RAYS
+from wrt.kernels.query.ordering.packet_overlap import SAMPLED_RAYS
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
 from wrt.planning.packet_sample import measure_overlap

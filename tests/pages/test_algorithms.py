@@ -21,7 +21,7 @@ from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
-from wrt.kernels.query.packet_orders import PACKET_ORDERS
+from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.study.komatsu_2008 import PUBLISHED

@@ -36,7 +36,7 @@ def test_marked_commands(mark):
 
 def test_commands_are_there():
     commands = set(re.findall(r"^wrt (\w+)", README, re.MULTILINE))
-    assert {"render", "info", "verify", "list", "bench", "warm", "job"} == commands == set(main.list_commands(None))
+    assert {"render", "view", "info", "verify", "list", "bench", "warm", "job"} == commands == set(main.list_commands(None))
 
 
 def test_links_lead_somewhere():

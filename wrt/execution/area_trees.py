@@ -34,7 +34,7 @@ from wrt.builders.influence.area_top_level import (
 from wrt.execution.batch import trace_batch
 from wrt.kernels.influence.area_assignment import assign_rays, mark_unassigned
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.query.ray_order import sort_buckets, sort_rays, unsort_hits
+from wrt.kernels.query.ordering.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
 from wrt.memory import empty
 from wrt.planning.plan import Plan, traversal_of

@@ -33,7 +33,7 @@ def trace_batch(
         run(scene, plan, rays, hits, query, work, counters)
         return hits, work if counters else None
 
-    from wrt.kernels.query.ray_order import find_order, sort_rays, unsort_hits
+    from wrt.kernels.query.ordering.ray_order import find_order, sort_rays, unsort_hits
 
     order = find_order(rays, scene.tree.low, scene.tree.high, device)
     sorted_hits, sorted_work = DeviceHits.new(query, rays.count, device), wp.zeros_like(work)

@@ -16,7 +16,7 @@ import warp as wp
 from wrt.execution.triangle_records import record_kernel
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.layout.ray_batch import center_float64_points
-from wrt.kernels.query.coherence_detection import measure_coherence
+from wrt.kernels.query.ordering.coherence_detection import measure_coherence
 from wrt.kernels.runtime import board
 from wrt.kernels.runtime.launch import get_num_threads, specialise
 from wrt.kernels.simd.lanes import native_width

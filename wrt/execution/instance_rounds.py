@@ -129,7 +129,7 @@ class Rounds:
 
     def trace_round(self, turn: int, hits: DeviceHits) -> bool:
         """Traces the rays through their instances of this round. Returns whether there were any."""
-        from wrt.kernels.query.ray_order import scan_counts
+        from wrt.kernels.query.ordering.ray_order import scan_counts
         from wrt.kernels.traversal.two_level.instance_streams import MERGE, count_instances, sort_by_instance
 
         chunks = -(-self.count // self.chunk)
@@ -155,7 +155,7 @@ class Rounds:
 
     def trace_single_rays(self, order: wp.array, hits: DeviceHits) -> None:
         """Traces the rays with these numbers one at a time, ignoring what was found before."""
-        from wrt.kernels.query.ray_order import sort_rays, unsort_hits
+        from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
         rays, found = sort_rays(self.rays, order, empty), DeviceHits.new(self.query, len(order), self.device)
         plan = replace(self.plan, traversal="single")

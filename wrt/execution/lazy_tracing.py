@@ -64,7 +64,7 @@ class LazyQuery:
 
     def trace_until_built(self, hits: DeviceHits) -> None:
         """Traces all rays, and again those that request cells, until none does."""
-        from wrt.kernels.query.ray_order import unsort_hits
+        from wrt.kernels.query.ordering.ray_order import unsort_hits
 
         snapshot = self.tree.current  # from before the rays are traced: they have met whatever it says is built
         self.trace(self.rays, hits)
@@ -81,7 +81,7 @@ class LazyQuery:
 
     def trace_some(self, numbers: np.ndarray) -> tuple[wp.array, DeviceHits, np.ndarray]:
         """Traces some rays; returns their order, their hits, and whether each requested cells."""
-        from wrt.kernels.query.ray_order import sort_rays
+        from wrt.kernels.query.ordering.ray_order import sort_rays
 
         order = wp.array(numbers.astype(np.int32), dtype=int, device=self.tree.device)
         few, found, snapshot = (

@@ -14,7 +14,7 @@ from wrt.execution.traversal_launch import counter_rows
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.compilation.cache_size import l2_bytes
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.query.ray_order import sort_buckets
+from wrt.kernels.query.ordering.ray_order import sort_buckets
 from wrt.kernels.runtime.launch import launch, specialise
 from wrt.kernels.traversal.queued.next_queue import MAX_QUEUES, RayQueue, gather_numbers, make_advance
 from wrt.kernels.traversal.queued.queued_bvh import QueuedNodes

@@ -31,7 +31,7 @@ import warp as wp
 from wrt.execution.area_trees import assign, with_range
 from wrt.execution.batch import trace_batch
 from wrt.imaging.cameras import check_whole
-from wrt.kernels.query.ray_order import sort_rays
+from wrt.kernels.query.ordering.ray_order import sort_rays
 from wrt.kernels.runtime.launch import use_threads
 from wrt.memory import empty
 from wrt.planning.plan import Plan, plan_for_query

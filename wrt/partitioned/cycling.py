@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.kernels.query.ray_order import scan_counts, sort_buckets
+from wrt.kernels.query.ordering.ray_order import scan_counts, sort_buckets
 from wrt.kernels.runtime.launch import get_num_threads, launch
 from wrt.kernels.traversal.queued.next_queue import gather_numbers
 from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_points, make_mark_pairs

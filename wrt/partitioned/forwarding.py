@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.traversal_launch import counter_rows, no_work
-from wrt.kernels.query.ray_order import sort_buckets
+from wrt.kernels.query.ordering.ray_order import sort_buckets
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.queued.next_queue import RayQueue, gather_numbers, make_advance

@@ -8,7 +8,14 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.layout.instance_maps import Placement
-from wrt.kernels.query.packet_overlap import SAMPLED_PACKETS, SAMPLED_RAYS, SampleConfig, SampledScene, SampledTree, make_kernel
+from wrt.kernels.query.ordering.packet_overlap import (
+    SAMPLED_PACKETS,
+    SAMPLED_RAYS,
+    SampleConfig,
+    SampledScene,
+    SampledTree,
+    make_kernel,
+)
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, specialise
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.memory import keep_alive

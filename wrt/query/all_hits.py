@@ -184,7 +184,7 @@ def find_all(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tu
 def find_block(scene: SceneState, plan: Plan, rays: RayBatch, max_hits: int) -> tuple[DeviceHits, np.ndarray]:
     """All hits of the rays of a block, and their offsets."""
     from wrt.kernels.query.hit_lists import gather_hits
-    from wrt.kernels.query.ray_order import find_order, sort_rays, unsort_hits
+    from wrt.kernels.query.ordering.ray_order import find_order, sort_rays, unsort_hits
 
     device = scene.device
     order = wp.empty(0, dtype=int, device=device)

@@ -43,7 +43,7 @@ DIRECTIONS = ((0.5163, 0.3781, 0.7684), (-0.7911, 0.4892, 0.3674), (0.2769, -0.8
 
 def contains(scene: SceneState, points: Any, traversal: str | Plan = AUTO) -> Any:
     """Whether points are inside the scene's meshes; see `wrt.Scene.contains`."""
-    from wrt.kernels.query.ray_order import sort_rays, unsort_hits
+    from wrt.kernels.query.ordering.ray_order import sort_rays, unsort_hits
 
     with use_threads(scene.num_threads):
         buffers = to_device(Rays(points, np.array(DIRECTIONS[0], dtype=np.float32)), scene.device, scene.center)

@@ -57,7 +57,7 @@ def visible(scene: SceneState, points_a: Any, points_b: Any) -> Any:
 def visible_block(scene: SceneState, ends: list[tuple[wp.array, wp.array]], rounding: float) -> np.ndarray:
     """(N,) bool for N pairs, given as the points and the indices of both ends."""
     from wrt.kernels.query.open_segments import UNDECIDED, VISIBLE, classify_by_all_hits, classify_by_nearest, connect_points
-    from wrt.kernels.query.ray_order import sort_rays
+    from wrt.kernels.query.ordering.ray_order import sort_rays
     from wrt.query.all_hits import MAX_TOTAL, find_all
 
     (from_points, from_index), (to_points, to_index) = ends

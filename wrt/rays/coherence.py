@@ -1,4 +1,4 @@
-"""Coherence detection: properties of a batch of rays that a plan depends on; see `wrt.kernels.query.coherence_detection`."""
+"""Coherence detection: properties of a batch of rays that a plan depends on (`wrt.kernels.query.ordering.coherence_detection`)."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from wrt.kernels.query.coherence_detection import PAIRS, measure_coherence
+from wrt.kernels.query.ordering.coherence_detection import PAIRS, measure_coherence
 from wrt.kernels.runtime.recorded_launch import record
 
 MIN_IMAGE_RAYS = 4096

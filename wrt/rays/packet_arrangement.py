@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.layout.ray_batch import RayBatch
-from wrt.kernels.query.packet_orders import PACKET_ORDERS, RayTags, fill_places, find_places
+from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS, RayTags, fill_places, find_places
 from wrt.kernels.runtime.launch import as_device, launch
 from wrt.rays.ray_arrays import lay_out
 from wrt.rays.rays import Rays
@@ -65,7 +65,7 @@ def arrange_rays(
 
     Args:
         rays: N rays.
-        order: key in `wrt.kernels.query.packet_orders.PACKET_ORDERS`.
+        order: key in `wrt.kernels.query.ordering.packet_orders.PACKET_ORDERS`.
         packet: rays of a packet, that of the plan with which they are traced.
         kinds: (N,) integers, types of the rays; None: all are of one type.
         groups: (N,) integers, the property that they share, such as the material that their parents met; None: all share it.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from wrt.kernels.query.coherence_detection import MIN_ROWS
+from wrt.kernels.query.ordering.coherence_detection import MIN_ROWS
 from wrt.rays.coherence import MIN_IMAGE_RAYS
 
 BLOCK = 1 << 16

@@ -49,9 +49,13 @@ EXPOSED = (
 
 
 class Viewer:
-    """A scene shown in web browsers, until `close`.
+    """A scene shown in web browsers, until `close`. Made by `wrt.view`. In a notebook, it shows itself in the cell.
 
-    Made by `wrt.view`, which explains the arguments. In a notebook, it shows itself in the cell.
+    Args:
+        scene, host, port, animate, frames: as in `wrt.view`.
+        camera, up: the camera of a new client, and its axis that points up.
+        first: what a new client is shown.
+        options: of each integrator, by its name, as `wrt.render` takes them.
 
     Attributes:
         url: the address to open.
@@ -140,7 +144,7 @@ class Viewer:
         )
 
     def remove_points(self, name: str = "points") -> None:
-        """Removes points that `add_points` drew."""
+        """Removes the points that `add_points` drew by this name."""
         self._server.scene.remove_by_name(f"/wrt/{name}")
 
     def wait(self) -> None:

@@ -28,7 +28,7 @@ from wrt.planning.plan import traversal_config, traversal_of
 from wrt.planning.planner import make_plan
 from wrt.rays.rays import as_rays
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import CLOSEST
+from wrt.state.query_kinds import CLOSEST, QUERIES
 
 if TYPE_CHECKING:
     from wrt.planning.plan import Plan
@@ -117,7 +117,7 @@ Log = tuple[np.ndarray, np.ndarray]
 def log_of(scene: Scene, origins: Any, directions: Any, cache_bytes: int) -> Log:
     """The visits of the queued traversal for a cache of a size; with a huge one, those of single rays."""
     state = scene.state
-    buffers = on_device(state, as_rays(origins, directions, 0.0, float("inf")), None)
+    buffers = on_device(state, as_rays(origins, directions, 0.0, float("inf")), QUERIES[CLOSEST])
     plan = queued_plan(scene, buffers)
     config = traversal_config(plan, state, CLOSEST, False)
     kernel, records = specialise(make_log_kernel, config), records_of(state, plan, None)

@@ -11,7 +11,7 @@ import numpy as np
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
 from wrt.bench.studies.bounces.bounce_rays import BOUNCES, BounceRays, trace_paths
-from wrt.kernels.query.packet_orders import PACKET_ORDERS
+from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 from wrt.meshes.mesh import TriangleMesh
 from wrt.rays.packet_arrangement import ArrangedRays, arrange_rays
 from wrt.rays.rays import Rays
@@ -28,7 +28,7 @@ class Way:
     Attributes:
         traversal: key in `wrt.kernels.traversal.TRAVERSALS`.
         tree: "bvh" or "kdtree".
-        order: key in `wrt.kernels.query.packet_orders.PACKET_ORDERS`; packets are made before the time is taken.
+        order: key in `wrt.kernels.query.ordering.packet_orders.PACKET_ORDERS`; packets are made before the time is taken.
         culling: of packets.
         reorder: the plan's order; its sort is part of the time.
     """

@@ -15,7 +15,7 @@ many groups leaves lanes idle: the reason why Boulos et al. rejected `group` wit
 **Differences from the paper.** There a packet of camera rays spawns packets of its own. Here the rays of a whole wave are put
 together, so that rays which end leave no gaps, and only `runs` depends on which camera rays are neighbours. Sorting rays
 before they are traced, as Månsson, Munkberg and Akenine-Möller (2007) tried, by origin and direction needs no tags; that is the
-order `cells` of `wrt.kernels.query.ray_order`.
+order `cells` of `wrt.kernels.query.ordering.ray_order`.
 
 **Steps.** Keys are sorted, stably; places where a packet must end are marked; groups are numbered by a scan; the rooms of the
 groups, rounded up to whole packets, are summed; each ray is put into its place.
