@@ -37,8 +37,8 @@ class Plan:
         culling: key in `wrt.kernels.traversal.packet.CULLINGS`; empty without packets.
         stream: rays of a stream; 1 without streams.
         mailbox: key in `wrt.kernels.traversal.mailbox.MAILBOXES`; "none" for trees that store each triangle in one leaf.
-        reorder: the order in which rays are traced (`wrt.kernels.query.ordering.ray_order`): "none", as given; "cells", by cell of
-            the origin and octant of the direction; "tiles", the pixels of an image tile by tile, in packets.
+        reorder: the order in which rays are traced (`wrt.kernels.query.ordering.ray_order`): "none", as given; "cells", by cell
+            of the origin and octant of the direction; "tiles", the pixels of an image tile by tile, in packets.
         cull_backfaces: whether rays hit only the front of triangles.
     """
 

@@ -1,4 +1,4 @@
-"""Coherence detection: properties of a batch of rays that a plan depends on (`wrt.kernels.query.ordering.coherence_detection`)."""
+"""Properties of a batch of rays that a plan depends on, by `wrt.kernels.query.ordering.coherence_detection`."""
 
 from __future__ import annotations
 
