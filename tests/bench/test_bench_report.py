@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from click.testing import CliRunner
 
-from wrt.bench.commands import kdtree_builders_command
+from wrt.bench.commands import kdtree_commands
 from wrt.bench.commands.benchmark import COMPARISONS, bench, run_benchmark
 from wrt.bench.commands.command_options import table_console
 from wrt.bench.core import benchmark_plot as plot
@@ -171,7 +171,7 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
     assert "Traceback" not in done.output
 
 
-@pytest.mark.parametrize("command", [name for name in COMPARISONS if name not in ("animation", "build-sizes")])
+@pytest.mark.parametrize("command", [name for name in COMPARISONS if name not in ("animation", "build-sizes", "cluster")])
 def test_warp_keeps_quiet(command, monkeypatch):
     """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
@@ -194,5 +194,5 @@ def test_streaming_below_its_threshold_is_told(builder, size, exact, capsys):
     """A comparison of builders on a mesh of 4,032 triangles took streaming's exact tree for what its sampling is worth."""
     mesh = TriangleMesh(MESH.vertices, np.resize(MESH.faces, (size, 3)), name="many")
     row = BuilderFigures(builder, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, {"near": 1.0, "random": 1.0})
-    kdtree_builders_command.print_figures([row], mesh, 1, table_console())
+    kdtree_commands.print_figures([row], mesh, 1, table_console())
     assert ("its tree is the exact one" in capsys.readouterr().out) == exact

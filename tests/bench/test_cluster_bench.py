@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from wrt.bench.studies.cluster_simulation import ClusterModel, simulate
-from wrt.bench.studies.town import ground_points, sun_directions, town
+from wrt.bench.studies.clusters.cluster_simulation import ClusterModel, simulate
+from wrt.bench.studies.clusters.town import ground_points, sun_directions, town
 from wrt.cli import main
 
 

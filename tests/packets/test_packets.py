@@ -218,7 +218,7 @@ def test_a_camera_gets_packets_and_random_rays_do_not(tree, otherwise):
     hits = scene.intersect(camera.rays())
     assert hits.plan == plan
     assert_same_hits(hits, scene.intersect(camera.rays(), traversal="single"))
-    directions = np.random.default_rng(0).normal(size=(5000, 3))
+    directions = np.random.default_rng(0).normal(size=(9000, 3))
     if tree == "bvh" and scene.width < 16:
         otherwise = "interleaved"
     assert scene.explain(np.zeros(3), directions).traversal == otherwise

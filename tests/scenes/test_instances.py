@@ -380,7 +380,7 @@ def test_compiles_for_cuda(kind, query, tmp_path):
 
 
 def test_pickles_and_files(tmp_path):
-    """Instances go with a pickle, sharing their mesh; files hold scenes of one level."""
+    """Instances go with a pickle, sharing their mesh, and with a file."""
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, move(5.0), mask=2)], device="cpu")
     revived = pickle.loads(pickle.dumps(scene))
@@ -389,8 +389,11 @@ def test_pickles_and_files(tmp_path):
     down = np.array([[0.2, 0.1, 9.0], [5.2, 0.1, 9.0]]), (0.0, 0.0, -1.0)
     for mask in (None, 1, 2):
         assert_same_hits(revived.intersect(*down, mask=mask), scene.intersect(*down, mask=mask))
-    with pytest.raises(ValueError, match="cannot be saved"):
-        scene.save(tmp_path / "scene.npz")
+    scene.save(tmp_path / "scene.npz")
+    loaded = wrt.Scene.load(tmp_path / "scene.npz", device="cpu")
+    assert len(loaded.parts) == 1
+    for mask in (None, 1, 2):
+        assert_same_hits(loaded.intersect(*down, mask=mask), scene.intersect(*down, mask=mask))
     area = wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=9)
     with pytest.raises(ValueError, match="influence areas"):
         wrt.Scene([wrt.Instance(mesh)], wrt.RayAwareBvh(areas=[area]))

@@ -199,7 +199,8 @@ def test_a_file_that_was_written_again_is_checked_again(tmp_path, rays):
     scene.occluded(*rays)
     file = part_path(path, 0)
     content, status = bytearray(file.read_bytes()), os.stat(file)
-    content[len(content) // 2] ^= 1
+    for part in range(1, 10):  # one of them alone may be in a field of the archive that nobody reads
+        content[len(content) * part // 10] ^= 1
     file.write_bytes(content)
     os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns + 1))
     scene.release()

@@ -39,9 +39,6 @@ MOST_CLIENTS = 16
 MOST_POINTS = 2_000_000
 """Points of a name."""
 
-VISERS_POSITION = 3.0, 3.0, 3.0
-"""Where a browser's camera is before it is told otherwise. A slow browser may report this position first."""
-
 EXPOSED = (
     "the viewer listens on {host}: whoever reaches this computer sees the scene and can change it, without a password. "
     "Leave host out, and reach it through ssh: ssh -L 8080:localhost:8080 HOST"
@@ -200,7 +197,7 @@ class Viewer:
                     "Too many viewers", f"{MOST_CLIENTS} browsers look at this scene. Close one, and load this page again."
                 )
                 return
-            if np.allclose(client.camera.position, VISERS_POSITION):
+            if not np.allclose(client.camera.position, self._first_view[0].position, rtol=1e-4):  # a slow browser is elsewhere
                 place_camera(client, *self._first_view)
             session = ClientSession(client, self.shared, self._first, self._options)
             self.sessions[client.client_id] = session

@@ -22,9 +22,9 @@ DEFAULT_MODELS = ("teapot", "atrium", "wood")
 
 COMPARISONS = {
     "triangle-tests": ("triangle_tests_command", "triangle_tests"),
-    "builders": ("kdtree_builders_command", "builders_command"),
+    "builders": ("kdtree_commands", "builders_command"),
     "ray-aware": ("ray_aware_command", "ray_aware_command"),
-    "layouts": ("kdtree_layouts_command", "layouts_command"),
+    "layouts": ("kdtree_commands", "layouts_command"),
     "build-sizes": ("build_sizes_command", "build_sizes_command"),
     "scaling": ("scaling_command", "scaling_command"),
     "scheduling": ("scaling_command", "scheduling_command"),

@@ -9,9 +9,9 @@ import click
 
 from wrt.bench.commands.command_options import json_option, progress, table_console, usage_errors, write_json
 from wrt.bench.core.benchmark_results import machine
-from wrt.bench.studies.cluster_scaling import EXECUTORS, measure
-from wrt.bench.studies.cluster_simulation import ClusterModel, simulate
-from wrt.bench.studies.town import town
+from wrt.bench.studies.clusters.cluster_scaling import EXECUTORS, measure
+from wrt.bench.studies.clusters.cluster_simulation import ClusterModel, simulate
+from wrt.bench.studies.clusters.town import town
 from wrt.scene.scene import Scene
 
 SIMULATED = (1, 2, 4, 8, 16, 64, 256, 1000)

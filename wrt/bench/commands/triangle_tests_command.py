@@ -41,7 +41,7 @@ def triangle_tests(
     beforehand; operations, and where tests end; errors against float64 and rays that leak between triangles.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing
-    from wrt.bench.core.triangle_test_report import print_tests_report, save_tests_plot
+    from wrt.bench.studies.triangles.triangle_test_report import print_tests_report, save_tests_plot
 
     if plot_file is not None and (reason := matplotlib_missing()) is not None:
         raise click.UsageError(reason)

@@ -157,7 +157,7 @@ def cut_rows(values: Any, shape: tuple[int, ...], axes: int, begin: int, end: in
 
 def is_cut(shape: tuple[int, ...], axes: int) -> bool:
     """Whether each row of a batch with `axes` leading axes has its own part of an array with this leading shape."""
-    return len(shape) == axes and shape[0] != 1
+    return len(shape) == axes > 0 and shape[0] != 1
 
 
 def sliceable(values: Any) -> Any:

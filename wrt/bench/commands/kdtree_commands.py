@@ -1,4 +1,4 @@
-"""`wrt bench builders`: kd-tree builders beside each other, and how they grow."""
+"""`wrt bench builders`: kd-tree builders beside each other, and how they grow. `wrt bench layouts`: orders of nodes."""
 
 from __future__ import annotations
 
@@ -20,8 +20,10 @@ from wrt.bench.commands.command_options import (
     write_json,
 )
 from wrt.bench.studies.build_comparison import kdtree_descriptions
+from wrt.bench.studies.kdtrees import layout_comparison
 from wrt.bench.studies.kdtrees.kdtree_comparison import RAYS, REFERENCE, BuilderFigures, compare_builders
 from wrt.bench.studies.kdtrees.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth
+from wrt.bench.studies.kdtrees.layout_comparison import LayoutFigures, compare_layouts
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.streaming import EXACT
 from wrt.cli.arguments import target_options
@@ -114,3 +116,40 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
     console.print("\n[bold]Growth: time to build, and time / (n log n) as a multiple of the first[/bold]", highlight=False)
     console.print(table)
     console.print("Bytes are per triangle, at the last size of each.", style="dim", highlight=False)
+
+
+@click.command("layouts")
+@click.argument("model", default="teapot")
+@target_options
+@click.option(
+    "--builder", default="in_place", show_default=True, type=click.Choice([*KDTREE_BUILDERS]), help="Builder of the tree."
+)
+@click.option("--width", type=click.Choice([1, 2, 4, 8, 16]), help="Triangles a block; 1 for deep trees. [what suits the CPU]")
+@click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
+@click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
+@threads_option
+def layouts_command(model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None) -> None:
+    """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
+    mesh, count = load_model(model), threads or get_num_threads()
+    with progress() as on_turn, usage_errors():
+        figures = compare_layouts(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
+    print_layouts(figures, mesh, count, table_console())
+
+
+def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
+    """The table of layouts."""
+    from wrt.bench.core.benchmark_report import new_table, times
+
+    columns = [text for rays in layout_comparison.RAYS for text in (f"{rays}, ns a step", "speed")]
+    table = new_table(("layout",), ("node kB", *columns))
+    for row in figures:
+        cells = [text for rays in layout_comparison.RAYS for text in (f"{row.step_ns[rays]:.1f}", times(row.ratios[rays]))]
+        table.add_row(row.layout, f"{row.node_bytes / 1e3:.0f}", *cells)
+    label = f"kd-tree layouts: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
+    console.print(f"[bold]{label}[/bold]", highlight=False)
+    console.print(table)
+    console.print(
+        f"Speed is a ratio to {layout_comparison.REFERENCE}'s; a step is a node or a leaf with its tests.",
+        style="dim",
+        highlight=False,
+    )

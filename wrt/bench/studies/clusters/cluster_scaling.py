@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.bench.studies.town import ground_points, sun_directions
+from wrt.bench.studies.clusters.town import ground_points, sun_directions
 from wrt.query.batches.workers import ProcessPool
 from wrt.query.blocks import BYTES_PER_RAY, Blocks
 from wrt.scene.scene import Scene

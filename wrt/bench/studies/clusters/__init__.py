@@ -1,0 +1,1 @@
+"""Batches on several processes and GPUs: measured on this machine, simulated beyond it."""
