@@ -231,9 +231,15 @@ def test_points_over_the_picture(tab):
 
 def test_idle_uses_no_cpu(tab):
     tab.settle()
-    used = time.process_time()
-    time.sleep(0.5)  # nothing but the viewer's threads runs in this process
-    assert time.process_time() - used < 0.05
+
+    def used() -> float:
+        """Seconds of the process in half a second: of the viewer's threads, and of kernels that other tests compile."""
+        begin = time.process_time()
+        time.sleep(0.5)
+        return time.process_time() - begin
+
+    assert any(used() < 0.05 for _ in range(100))
+    assert max(used() for _ in range(3)) < 0.05
 
 
 def test_clients_that_come_and_go(browser, viewer, tab):
