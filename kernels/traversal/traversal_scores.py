@@ -32,6 +32,9 @@ LEAST_SAMPLED_THROUGH_INSTANCES = 8192
 SHORT_WALK = 5.0
 """Steps of a ray below which a walk is short: a packet then saves more of what each ray costs besides its steps."""
 
+DENSE_RAYS_PER_TRIANGLE = 0.5
+"""Rays per triangle from which long walks count as short ones: many rays of a packet then meet the same triangles."""
+
 RAYS_PER_INSTANCE, SCATTERED_PER_INSTANCE = 256, 1 << 16
 """Rays per instance from which sorting rays by instance pays: for coherent rays, and for others
 (notebooks/records/2026-11-21-instances.md).
@@ -165,7 +168,8 @@ class Situation(NamedTuple):
         limits = self.limits
         if self.instances:
             return self.overlap.share <= limits.instance_share
-        return self.overlap.share <= (limits.short_share if self.overlap.steps < SHORT_WALK else limits.long_share)
+        is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
+        return self.overlap.share <= (limits.short_share if is_short else limits.long_share)
 
 
 Score = Callable[[Situation], tuple[float, str] | None]
