@@ -14,6 +14,7 @@ import warp as wp
 import wrt
 from wrt import memory
 from wrt.builders.kdtree.scan.reference_levels import LiveRange
+from wrt.execution.triangle_records import records_of
 from wrt.memory import GRAIN, BlockPool, large_pages
 
 COUNT = 1 << 20
@@ -156,17 +157,17 @@ def test_records_share_memory_only_one_after_the_other(monkeypatch):
     scene, larger = wrt.Scene(mesh, device="cpu"), wrt.Scene(wrt.TriangleMesh(2.0 * mesh.vertices, mesh.faces), device="cpu")
     plan = scene.explain([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
     memory.release()
-    held = scene.triangles(plan, None).records.numpy()
+    held = records_of(scene.state, plan, None).records.numpy()
     address, kept = held.ctypes.data, held.copy()
     del scene
     gc.collect()
     assert memory._pool.free_bytes == 0, "the view holds them"
-    assert larger.triangles(plan, None).records.ptr != address
+    assert records_of(larger.state, plan, None).records.ptr != address
     np.testing.assert_array_equal(held, kept)
     del held
     gc.collect()
     assert memory._pool.free_bytes == GRAIN
-    assert wrt.Scene(mesh, device="cpu").triangles(plan, None).records.ptr == address
+    assert records_of(wrt.Scene(mesh, device="cpu").state, plan, None).records.ptr == address
 
 
 def test_layouts_worked_out_once():

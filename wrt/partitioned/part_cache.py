@@ -31,7 +31,8 @@ from wrt.partitioned.partition_files import PartList, label_of, part_path
 from wrt.scene.archives import ArrayPlace, array_places, read_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import UNREADABLE, parse_scene, tree_key
-from wrt.state.scene_state import SceneState, Settings
+from wrt.state.scene_settings import Settings
+from wrt.state.scene_state import SceneState
 
 TYPES = {
     "tree.bounds": wp.float32,

@@ -30,14 +30,17 @@ from wrt.planning.plan import stack_levels
 from wrt.planning.planner import DEFAULT_TEST
 from wrt.query.all_hits import part_of
 from wrt.query.blocks import parse_memory, progress_bar
+from wrt.query.query_options import PartOptions, check_options, takes
 from wrt.rays.ray_buffers import RayBuffers, to_device
 from wrt.rays.rays import as_rays
-from wrt.scene.scene import as_settings
 from wrt.state.device_hits import DeviceHits, written
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, COUNT, Query
+from wrt.state.scene_settings import as_settings
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
+    from typing_extensions import Unpack
+
     from wrt.kernels.layout.ray_batch import HitBatch
     from wrt.planning.plan import Plan
 
@@ -48,7 +51,9 @@ MEMORY = "1 GB"
 PART_TRIANGLES = 1 << 18
 """Triangles of a part: about 20 MB. Smaller parts load faster and are visited more often."""
 
-MODES = {"cycle": cycle, "forward": forward}
+CYCLE = "cycle"
+
+MODES = {CYCLE: cycle, "forward": forward}
 """How rays and parts come together, by name."""
 
 BLOCK = 1 << 21
@@ -166,17 +171,9 @@ class PartitionedScene:
             build_parts(geometry, as_folder(folder), settings, int(part_triangles), lambda count, phase: advance(int(count)))
         return cls(folder, memory=memory, triangle_test=triangle_test, device=device, num_threads=num_threads)
 
+    @takes(PartOptions, mode=CYCLE)
     def intersect(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = INF,
-        *,
-        mode: str = "cycle",
-        traversal: str = AUTO,
-        triangle_test: str = AUTO,
-        cull_backfaces: bool = False,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
     ) -> PartitionedHits:
         """Closest hits, those of `wrt.Scene.intersect`.
 
@@ -192,42 +189,26 @@ class PartitionedScene:
                 largest part exceeds the budget; a damaged part.
             FileNotFoundError: a part is gone.
         """
-        query = Query(CLOSEST, traversal, triangle_test, cull_backfaces)
-        buffers, batch, corners, plan = self._answer(as_rays(origins, directions, t_min, t_max), query, mode)
+        check_options(PartitionedScene.intersect, options)
+        buffers, batch, corners, plan = self._answer(as_rays(origins, directions, t_min, t_max), CLOSEST, **options)
         return PartitionedHits(batch, buffers.form, self._parts, corners, plan, self.num_threads)
 
+    @takes(PartOptions, mode=CYCLE)
     def occluded(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = INF,
-        *,
-        mode: str = "cycle",
-        traversal: str = AUTO,
-        triangle_test: str = AUTO,
-        cull_backfaces: bool = False,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
     ) -> Any:
         """Whether each ray hits anything, as of `wrt.Scene.occluded`; arguments and errors as in `intersect`."""
-        query = Query(ANY, traversal, triangle_test, cull_backfaces)
-        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), query, mode)
+        check_options(PartitionedScene.occluded, options)
+        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), ANY, **options)
         return batch.result("occluded", buffers.form)
 
+    @takes(PartOptions, mode=CYCLE)
     def count(
-        self,
-        origins: Any,
-        directions: Any = None,
-        t_min: Any = 0.0,
-        t_max: Any = INF,
-        *,
-        mode: str = "cycle",
-        traversal: str = AUTO,
-        triangle_test: str = AUTO,
-        cull_backfaces: bool = False,
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[PartOptions]
     ) -> Any:
         """Number of hits of each ray, as of `wrt.Scene.count`; arguments and errors as in `intersect`."""
-        query = Query(COUNT, traversal, triangle_test, cull_backfaces)
-        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), query, mode)
+        check_options(PartitionedScene.count, options)
+        buffers, batch, _, _ = self._answer(as_rays(origins, directions, t_min, t_max), COUNT, **options)
         return batch.result("counts", buffers.form)
 
     def release(self) -> None:
@@ -316,9 +297,11 @@ class PartitionedScene:
             )
         return needed
 
-    def _answer(self, rays: Any, query: Query, mode: str) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
+    def _answer(
+        self, rays: Any, kind: str, mode: str = CYCLE, **options: Any
+    ) -> tuple[RayBuffers, DeviceHits, wp.array, Plan | None]:
         """The answers of all rays: the rays on the device, the answers, the corners of triangles hit, and a plan."""
-        run = lookup(MODES, mode, "mode")
+        run, query = lookup(MODES, mode, "mode"), Query(kind, **options)
         check_traversal(query)
         settings = self._cache.settings
         if query.triangle_test != AUTO:

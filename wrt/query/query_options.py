@@ -87,14 +87,25 @@ class ClosestBlockOptions(BlockOptions, PrecisionOptions, total=False):
     """Of `intersect_blocks`."""
 
 
+class PartOptions(FacingOptions, total=False):
+    """Of a `wrt.PartitionedScene`."""
+
+    mode: str
+
+
 OF_BLOCKS = {"memory": MEMORY, "progress": False, "executor": None, "reduce": None, "axis": None}
 
 DEFAULTS: Mapping[str, Any] = {"query": CLOSEST, **OF_BLOCKS, **Query._field_defaults}
 """The default of each option, in the order in which signatures list them."""
 
 
-def takes(options: type) -> Callable[[Method], Method]:
-    """A decorator for methods with `**options`: their signature lists the options, each with its type and default."""
+def takes(options: type, **defaults: Any) -> Callable[[Method], Method]:
+    """A decorator for methods with `**options`: their signature lists the options, each with its type and default.
+
+    Args:
+        options: the names and the types.
+        defaults: those of options that are not in `DEFAULTS`; listed first.
+    """
 
     def sign(method: Method) -> Method:
         signature = inspect.signature(method)
@@ -102,7 +113,7 @@ def takes(options: type) -> Callable[[Method], Method]:
         types = {name: getattr(kind, "__forward_arg__", kind) for name, kind in options.__annotations__.items()}
         listed = [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=types[name])
-            for name, default in DEFAULTS.items()
+            for name, default in {**defaults, **DEFAULTS}.items()
             if name in types
         ]
         method.__signature__ = signature.replace(parameters=[*fixed, *listed])

@@ -15,8 +15,9 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import check_index, find_center, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState
-from wrt.scene.scene import Scene, as_settings
+from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
+from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:

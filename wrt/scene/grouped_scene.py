@@ -34,9 +34,10 @@ from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import run_tasks, use_threads
 from wrt.meshes.placement import as_meshes, check_index, moved_mesh, place_meshes
 from wrt.scene.mesh_state import MeshState, recipe_of
-from wrt.scene.scene import Scene, as_settings
+from wrt.scene.scene import Scene
 from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, as_policy, move_tree
 from wrt.state.query_kinds import AUTO
+from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ from typing import Any
 
 from wrt.kernels.runtime.launch import use_threads
 from wrt.scene.instanced_state import build_instanced_state
-from wrt.scene.scene import Scene, as_settings
+from wrt.scene.scene import Scene
 from wrt.state.query_kinds import AUTO
+from wrt.state.scene_settings import as_settings
 
 
 class InstancedScene(Scene):

@@ -18,7 +18,8 @@ from wrt.meshes.placement import check_index, moved_mesh, place_meshes
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 from wrt.state.query_cache import QueryCache
-from wrt.state.scene_state import SceneState, Settings
+from wrt.state.scene_settings import Settings
+from wrt.state.scene_state import SceneState
 
 if TYPE_CHECKING:
     from pathlib import Path

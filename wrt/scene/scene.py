@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
-from wrt.execution.triangle_records import records_of
+from wrt.accelerators.accelerator import Accelerator
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.launch import as_device, check_num_threads, use_threads
+from wrt.kernels.runtime.launch import check_num_threads, use_threads
 from wrt.meshes.instance import Instance, as_instances, has_instances
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import as_meshes
@@ -20,8 +19,8 @@ from wrt.scene.instanced_state import build_instanced_state
 from wrt.scene.mesh_state import build_state
 from wrt.scene.updates import UpdatePolicy, as_policy
 from wrt.state.query_kinds import AUTO
-from wrt.state.scene_state import SceneState, Settings
-from wrt.tables import lookup
+from wrt.state.scene_settings import as_settings
+from wrt.state.scene_state import SceneState
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -29,9 +28,6 @@ if TYPE_CHECKING:
     from wrt.builders import tree as common
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.execution.area_trees import AreaTrees
-    from wrt.kernels.layout.ray_batch import RayBatch
-    from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
-    from wrt.planning.plan import Plan
     from wrt.scene.scene_statistics import SceneStatistics
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
@@ -390,31 +386,6 @@ class Scene(Queries):
 
         return handle_of(self.state)
 
-    def triangles(self, plan: Plan, rays: RayBatch | None) -> TriangleBlocks:
-        """The triangles in the order of the tree's leaves, as the plan's triangle test stores them.
-
-        Args:
-            plan: the plan with the triangle test and the tree.
-            rays: rays on whose shared origin the records depend; None for tests whose records depend on no origin.
-        """
-        return records_of(self.state, plan, rays)
-
-
-def as_settings(
-    accelerator: str | Accelerator, triangle_test: str, device: str | wp.Device | None, num_threads: int | None
-) -> Settings:
-    """The checked settings of a caller; arguments and errors as in `Scene`."""
-    # Imported here, before any thread queries the scene: the modules of this package import one another, and threads that
-    # enter it from two ends at a time fail.
-    import wrt.kernels.traversal  # noqa: F401
-
-    return Settings(
-        accelerator=resolve_accelerator(accelerator),
-        triangle_test=_as_test(triangle_test),
-        device=as_device(device),
-        num_threads=None if num_threads is None else check_num_threads(num_threads, "num_threads"),
-    )
-
 
 def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any) -> Scene:
     """The scene of a pickle; `cache` knows its tree, if that was kept."""
@@ -423,11 +394,3 @@ def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any
     scene = Scene(geometry, **options, cache=cache)
     scene.state = replace(scene.state, mark=mark)
     return scene
-
-
-def _as_test(name: str) -> str:
-    if name == AUTO:
-        return name
-    from wrt.kernels.triangle import TRIANGLE_TESTS
-
-    return lookup(TRIANGLE_TESTS, name, "triangle_test").name

@@ -18,6 +18,7 @@ import warp as wp
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.state.query_cache import QueryCache
+from wrt.state.scene_settings import Settings
 
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
@@ -25,23 +26,6 @@ if TYPE_CHECKING:
     from wrt.builders.tree import Bvh, KdTree
     from wrt.kernels.query.hit_attributes import SceneMesh
     from wrt.meshes.instance import Instance
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What the caller chose for a scene.
-
-    Attributes:
-        accelerator: the description of its tree.
-        triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`.
-        device: where it lives.
-        num_threads: threads on the CPU; None for `wrt.get_num_threads()`.
-    """
-
-    accelerator: Accelerator
-    triangle_test: str
-    device: wp.Device
-    num_threads: int | None = None
 
 
 def new_mark() -> str:

@@ -266,30 +266,15 @@ def view(
     scene = Scene(scene) if isinstance(scene, TriangleMesh) else scene
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene or a wrt.TriangleMesh, not {type(scene).__name__}")
-    if integrator not in INTEGRATORS:
-        raise ValueError(f"unknown integrator {integrator!r}; choose from {', '.join(INTEGRATORS)}")
     if animate is not None and frames < 1:
         raise ValueError(f"frames is {frames}; an animation needs the number of its frames")
-    up = check_point("up", default_up(scene) if up is None else up)
-    if camera is None:
-        camera = PinholeCamera.framing(scene, 800, 600, up=up)
-    if not isinstance(camera, PinholeCamera):
-        raise TypeError(f"camera must be a wrt.PinholeCamera, not {type(camera).__name__}")
-    pose = tuple(camera.position), tuple(camera.look_at), tuple(camera.up), camera.fov
-    first = Wish(version=0, camera=pose, size=(800, 600), integrator=integrator, samples=samples)
-    given = dict(options or {})
-    if unknown := [name for name in given if name not in INTEGRATORS]:
-        raise ValueError(f"options has {unknown[0]!r}, which is no integrator; choose from {', '.join(INTEGRATORS)}")
+    up = tuple(map(float, check_point("up", default_up(scene) if up is None else up)))
+    camera = PinholeCamera.framing(scene, 800, 600, up=up) if camera is None else camera
+    first, options = first_wish(camera, integrator, samples), dict(options or {})
+    for name in options:
+        check_integrator(name, "options has")
     viewer = Viewer(
-        scene,
-        host=host,
-        port=port,
-        camera=camera,
-        up=tuple(map(float, up)),
-        first=first,
-        options=given,
-        animate=animate,
-        frames=frames,
+        scene, host=host, port=port, camera=camera, up=up, first=first, options=options, animate=animate, frames=frames
     )
     if open_browser:
         with suppress(webbrowser.Error):
@@ -297,6 +282,25 @@ def view(
     if block:
         viewer.wait()
     return viewer
+
+
+def first_wish(camera: Any, integrator: str, samples: int) -> Wish:
+    """What a browser shows at first.
+
+    Raises:
+        TypeError, ValueError: no camera, or no integrator.
+    """
+    check_integrator(integrator, "integrator is")
+    if not isinstance(camera, PinholeCamera):
+        raise TypeError(f"camera must be a wrt.PinholeCamera, not {type(camera).__name__}")
+    pose = tuple(camera.position), tuple(camera.look_at), tuple(camera.up), camera.fov
+    return Wish(version=0, camera=pose, size=(800, 600), integrator=integrator, samples=samples)
+
+
+def check_integrator(name: str, said: str) -> None:
+    """Raises a ValueError for a name that no integrator has; `said` begins the message."""
+    if name not in INTEGRATORS:
+        raise ValueError(f"{said} {name!r}, which is no integrator; choose from {', '.join(INTEGRATORS)}")
 
 
 def is_local(host: str) -> bool:

@@ -15,6 +15,7 @@ from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
 from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
+from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.planning.planner import make_plan
@@ -68,7 +69,7 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHi
     config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(paired_nodes=True))
     hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
-    inputs = [tree.struct(), scene.triangles(plan, rays.batch), rays.batch, hits.struct(), counters]
+    inputs = [tree.struct(), records_of(scene.state, plan, rays.batch), rays.batch, hits.struct(), counters]
     launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
     return hits
 
