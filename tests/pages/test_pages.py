@@ -110,6 +110,11 @@ def check_sensors(names):
     assert (images.depth <= images.distance)[images.instance_id >= 0].all()
     np.testing.assert_allclose(names["direction"] * 2.0 / names["direction"][2], [0.2, -0.1, 2.0], atol=1e-9)
     assert names["sheared"].depth.shape == (480, 640)
+    half = np.sqrt(0.5)
+    turn = names["rotations_of"](*np.array([[1.0, 0, 0, 0], [half, 0, 0, half]]).T)  # by nothing, and by 90 degrees about z
+    np.testing.assert_allclose(turn, [np.eye(3), [[0, -1, 0], [1, 0, 0], [0, 0, 1]]], atol=1e-15)
+    np.testing.assert_array_equal(names["matrices"](np.ones((2, 3)), turn)[:, :3, :3], turn)
+    np.testing.assert_array_equal(names["matrices"](np.ones((2, 3)), turn)[:, :, 3], 1.0)
 
 
 def check_sun_hours(names):
