@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.host_arrays import HostArray
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import workspace
 
@@ -87,6 +88,9 @@ class BlockPool:
     Args:
         kept_bytes: largest number of bytes of free blocks.
         offered_bytes: largest number of bytes beyond that, of blocks that are offered to the operating system (`offer`).
+
+    Attributes:
+        free_bytes: bytes of all free blocks.
     """
 
     def __init__(self, kept_bytes: int = KEPT_BYTES, offered_bytes: int = 0) -> None:
@@ -94,12 +98,7 @@ class BlockPool:
         # reentrant: the garbage collector may free an array, which returns a block, while a block is taken
         self._lock = threading.RLock()
         self._free: OrderedDict[int, np.ndarray] = OrderedDict()
-
-    @property
-    def free_bytes(self) -> int:
-        """Bytes of all free blocks."""
-        with self._lock:
-            return sum(block.nbytes for block in self._free.values())
+        self.free_bytes = 0
 
     def take(self, size: int) -> np.ndarray:
         """A block of at least `size` bytes; a reused one has at most twice as many."""
@@ -107,7 +106,9 @@ class BlockPool:
         with self._lock:
             fitting = [(block.nbytes, key) for key, block in self._free.items() if size <= block.nbytes <= 2 * size]
             if fitting:
-                return self._free.pop(min(fitting)[1])
+                nbytes, key = min(fitting)
+                self.free_bytes -= nbytes
+                return self._free.pop(key)
         return large_pages(size)
 
     def give_back(self, block: np.ndarray) -> None:
@@ -117,13 +118,15 @@ class BlockPool:
             if self.offered_bytes and self.free_bytes + block.nbytes > most and offer(block):
                 most += self.offered_bytes
             self._free[id(block)] = block
+            self.free_bytes += block.nbytes
             while self._free and self.free_bytes > most:
-                self._free.popitem(last=False)
+                self.free_bytes -= self._free.popitem(last=False)[1].nbytes
 
     def release(self) -> None:
         """Frees all free blocks."""
         with self._lock:
             self._free.clear()
+            self.free_bytes = 0
 
 
 def machine_bytes() -> int:
@@ -137,18 +140,38 @@ def machine_bytes() -> int:
 _pool = BlockPool(offered_bytes=machine_bytes() // OFFERED_SHARE)
 
 
+class Lease:
+    """A block of the pool, which returns there when nothing refers to this object any more."""
+
+    __slots__ = ("block",)
+
+    def __init__(self, size: int) -> None:
+        self.block = _pool.take(size)
+
+    def __del__(self) -> None:
+        if hasattr(self, "block"):  # taking it may have failed
+            _pool.give_back(self.block)
+
+
+def empty_host(count: int, dtype: type) -> HostArray:
+    """A flat array with undefined contents; its memory may be reused."""
+    size = count * wp.types.type_size_in_bytes(dtype)
+    if size < MIN_BYTES:
+        owner = block = np.empty(size, dtype=np.uint8)
+    else:
+        owner = Lease(size)
+        block = owner.block
+    return HostArray(block.__array_interface__["data"][0], count, dtype, owner)  # much faster than `ctypes.data`
+
+
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     """A flat array with undefined contents; its memory may be reused."""
     size = count * wp.types.type_size_in_bytes(dtype)
     if not device.is_cpu or size < MIN_BYTES:
         return wp.empty(count, dtype=dtype, device=device)
-    block = _pool.take(size)
-
-    def give_back(pointer: int, size: int) -> None:
-        _pool.give_back(block)
-
-    pointer = block.__array_interface__["data"][0]  # much faster than `ctypes.data`
-    return wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device, deleter=give_back)
+    lease = Lease(size)
+    pointer = lease.block.__array_interface__["data"][0]
+    return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device), lease)
 
 
 def keep_alive(array: wp.array, used: Any) -> wp.array:

@@ -92,14 +92,19 @@ def set_num_threads(count: int | None) -> None:
     _num_threads = None if count is None else check_num_threads(count, "count")
 
 
-@contextmanager
-def use_threads(count: int | None) -> Iterator[None]:
+class use_threads:  # a class, because a generator would take three times as long, and every query enters one
     """Sets the number of threads for launches of the calling thread inside the `with` block; None changes nothing."""
-    token = _local_threads.set(_local_threads.get() if count is None else count)
-    try:
-        yield
-    finally:
-        _local_threads.reset(token)
+
+    __slots__ = ("_count", "_token")
+
+    def __init__(self, count: int | None) -> None:
+        self._count = count
+
+    def __enter__(self) -> None:
+        self._token = _local_threads.set(_local_threads.get() if self._count is None else self._count)
+
+    def __exit__(self, *error: object) -> None:
+        _local_threads.reset(self._token)
 
 
 def check_num_threads(count: int, name: str) -> int:
@@ -175,10 +180,15 @@ class PreparedLaunch:
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
         load([kernel], device)
         self._packed = PackedKernel(kernel, [0, *inputs], device)
+        self._job: tuple[tuple[int, ...], native.Job] | None = None  # of the last run
 
     def argument(self, index: int) -> Any:
         """The packed form of a struct argument. Values that are written to it take effect at the next run."""
         return self._packed.argument(index)
+
+    def set_value(self, index: int, value: int | float) -> None:
+        """Replaces a number among the arguments; the number of the first item is argument 0."""
+        setattr(self._packed.arguments, f"p{index}", value)
 
     def update(self, inputs: Sequence[Any]) -> None:
         """Replaces the arguments; `PackedKernel.update`."""
@@ -207,13 +217,22 @@ class PreparedLaunch:
             for first in range(0, count, largest):
                 self._packed.call_own_range(first, min(largest, count - first))
         elif native.is_available():
-            schedule = SCHEDULES[_schedule.get()]
-            job, memory = native.new_job(
-                self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=schedule
-            )
+            job, memory = self._new_job(count, largest, smallest, threads)
             native.the_pool().run(job, (memory, used))
         else:
             self._run_in_python(count, largest, used)
+
+    def _new_job(self, count: int, largest: int, smallest: int, threads: int) -> tuple[native.Job, Any]:
+        """The job of a run, and the owners of its memory; that of the last run, if it was the same."""
+        schedule = SCHEDULES[_schedule.get()]
+        key = count, largest, smallest, threads, schedule.code
+        if self._job is not None and self._job[0] == key:
+            return self._job[1], self._packed
+        job, memory = native.new_job(
+            self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=schedule
+        )
+        self._job = None if schedule.queues else (key, job)  # queues are used up
+        return job, memory
 
     def _run_in_python(self, count: int, largest: int, used: Any) -> None:
         """Runs the kernel with chunks that Python hands out."""

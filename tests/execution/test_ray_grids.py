@@ -47,7 +47,7 @@ def test_pictures_are_recognised(width, height, dtype):
 
 def test_the_last_origin_counts():
     """Origins are compared to the end, whatever the sample says; NaN is equal to nothing."""
-    origins = np.tile(np.float32([1.0, 2.0, 3.0]), (3 * pictures.BLOCK, 1))
+    origins = np.tile(np.float32([1.0, 2.0, 3.0]), (3 * (1 << 16), 1))
     assert pictures.detect_shared_origin(origins).strides[0] == 0
     for value in (3.5, np.nan):
         other = origins.copy()

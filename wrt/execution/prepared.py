@@ -24,11 +24,11 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
-from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
 from wrt.planning.plan import traversal_config, traversal_of
-from wrt.rays.ray_arrays import new_batch
+from wrt.rays.ray_arrays import new_batch, prepare_arguments
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.device_hits import DeviceHits, written
 from wrt.state.query_kinds import FEW_RAYS
@@ -70,6 +70,9 @@ class PreparedQuery:
             PreparedLaunch(kernel, inputs, device) if is_cpu else RecordedLaunch(kernel, inputs, device, (RAYS, HITS))
         )
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
+        if self._staging is None:
+            prepare_arguments(self._rays)
+        self._divided: tuple[tuple[int, int], tuple[int, int, Chunks]] | None = None  # of the last call, by rays and threads
 
     def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.
@@ -84,7 +87,10 @@ class PreparedQuery:
         if self._walks_single_rays and rays.count <= FEW_RAYS:
             items, chunks = rays.count, FEW_CHUNKS
         else:
-            self._rays.run, items, chunks = divide(scene, self._plan, self._config, rays.count)
+            key = rays.count, get_num_threads()
+            if self._divided is None or self._divided[0] != key:
+                self._divided = key, divide(scene, self._plan, self._config, rays.count)
+            self._rays.run, items, chunks = self._divided[1]
         hits = DeviceHits.new(self.kind, rays.count, scene.device)
         hits.write_to(self._hits, self.kind)
         self._launch.run(items, chunks, (rays, hits))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from wrt.host_arrays import point_at
 from wrt.kernels.query.ordering.coherence_detection import PAIRS, measure_coherence
 from wrt.kernels.runtime.recorded_launch import record
 
@@ -51,7 +52,8 @@ class CoherenceDetector:
     def detect(self, rays: Any, sampled: bool, listed: bool) -> Coherence:
         """Tests pairs of neighbours if `sampled`, and for an image if `listed`."""
         arguments = self.arguments
-        arguments.origins, arguments.directions = rays.origins.__ctype__(), rays.directions.__ctype__()
+        point_at(arguments.origins, rays.origins)
+        point_at(arguments.directions, rays.directions)
         arguments.sampled, arguments.listed = sampled, listed
         self.launch.hooks.forward(ctypes.byref(self.launch.bounds), ctypes.byref(arguments))
         coherent, scattered, columns = self.found.tolist()

@@ -10,14 +10,20 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.host_arrays import HostArray, as_array, point_at
 from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points
 from wrt.kernels.runtime.launch import kept, launch
 from wrt.memory import keep_alive
+from wrt.rays.host_rays import arrange, shared_point, vectors_in_place
 from wrt.rays.ray_grids import detect_shared_origin
-from wrt.rays.rays import Rays, as_range, as_vectors, check_number, common_shape
+from wrt.rays.rays import FLOAT64, Rays, as_range, as_vectors, check_number, common_shape
 
 ZERO_CENTER = np.zeros(3)
 """The centre that directions are relative to."""
+
+
+ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
+"""The arrays of rays."""
 
 
 class Layout(NamedTuple):
@@ -40,7 +46,7 @@ class RayArrays:
     """Rays as flat arrays on the device.
 
     Attributes:
-        origins, directions: (N,) or (1,) vec3.
+        origins, directions: (N,) or (1,) vec3; `batch` has them as Warp arrays.
         t_min, t_max: (N,) or (1,) float32.
         layout: which arrays have one shared element, and what the origins are relative to.
         count: N.
@@ -49,8 +55,8 @@ class RayArrays:
         keep: the arrays that were passed, which must live as long as these.
     """
 
-    origins: wp.array
-    directions: wp.array
+    origins: wp.array | HostArray
+    directions: wp.array | HostArray
     t_min: wp.array
     t_max: wp.array
     layout: Layout
@@ -75,14 +81,17 @@ class RayArrays:
         """The rays for kernels."""
         batch = new_batch(self.layout, self.center)
         batch.count = self.count
-        batch.origins, batch.directions = self.origins, self.directions
+        batch.origins, batch.directions = as_array(self.origins), as_array(self.directions)
         batch.t_min, batch.t_max = self.t_min, self.t_max
         return batch
 
     def write_to(self, arguments: Any) -> None:
-        """Writes the addresses of the arrays and the number of rays into the packed arguments of a batch with this layout."""
-        arguments.origins, arguments.directions = self.origins.__ctype__(), self.directions.__ctype__()
-        arguments.t_min, arguments.t_max = self.t_min.__ctype__(), self.t_max.__ctype__()
+        """Writes the addresses and lengths of the arrays and the number of rays into the packed arguments of a batch with this
+        layout, which `prepare_arguments` has seen."""
+        point_at(arguments.origins, self.origins)
+        point_at(arguments.directions, self.directions)
+        point_at(arguments.t_min, self.t_min)
+        point_at(arguments.t_max, self.t_max)
         arguments.count = self.count
 
 
@@ -99,10 +108,12 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
     t_min = as_range(rays.t_min, "t_min", device)
     t_max = as_range(rays.t_max, "t_max", device)
-    shape = common_shape(origins, directions, t_min, t_max)
-    check_number(shape)
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = detect_shared_origin(origins)
+        if (arrays := _in_place(origins, directions, t_min, t_max, device, center)) is not None:
+            return arrays
+    shape = common_shape(origins, directions, t_min, t_max)
+    check_number(shape)
     centered = _is_float64(origins)
     dtype = np.float64 if centered or _is_float64(directions) else np.float32
     given = origins, directions, t_min, t_max
@@ -114,12 +125,37 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
 
 
+def _in_place(
+    origins: np.ndarray, directions: Any, t_min: Any, t_max: Any, device: wp.Device, center: np.ndarray
+) -> RayArrays | None:
+    """The arrays of rays that need no copy, quickly; None for other rays."""
+    if type(directions) is not np.ndarray or type(t_min) is not float or type(t_max) is not float or device.is_capturing:
+        return None
+    found = arrange(origins, directions)
+    if found is None:
+        return None
+    shape, count, each_origin, each_direction = found
+    given, centered = (origins, directions, t_min, t_max), origins.dtype == FLOAT64
+    points = shared_point(origins, center) if centered else vectors_in_place(origins, each_origin, count)
+    vectors = vectors_in_place(directions, each_direction, count)
+    layout, dtype = Layout(each_origin, each_direction, 0, 0, centered), np.float64 if centered else np.float32
+    low, high = _number(t_min, device.alias), _number(t_max, device.alias)
+    return RayArrays(points, vectors, low, high, layout, count, center, shape, False, dtype, given)
+
+
 def new_batch(layout: Layout, center: np.ndarray) -> RayBatch:
     """A batch with this layout whose arrays are still to be set."""
     batch = RayBatch()
     batch.origin_stride, batch.direction_stride, batch.t_min_stride, batch.t_max_stride, centered = layout
     batch.center = wp.vec3d() if centered else wp.vec3d(*(float(x) for x in center))
     return batch
+
+
+def prepare_arguments(arguments: Any) -> None:
+    """Writes what all contiguous flat arrays have in common into the packed arguments of a batch."""
+    for name, dtype in ARRAYS.items():
+        field = getattr(arguments, name)
+        field.ndim, field.strides[0] = 1, wp.types.type_size_in_bytes(dtype)
 
 
 def _is_float64(values: np.ndarray | wp.array) -> bool:

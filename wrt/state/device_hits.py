@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.host_arrays import HostArray
 from wrt.kernels.layout.ray_batch import HitBatch
-from wrt.memory import empty, keep_alive
+from wrt.memory import empty, empty_host, keep_alive
 from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
 
 if TYPE_CHECKING:
@@ -27,8 +28,9 @@ BLOCK = {"uv": 0, "t": 8, "primitive": 12}
 class DeviceHits:
     """Answers of N rays: those arrays that the query writes, as `wrt.kernels.layout.ray_batch.HitBatch` explains them.
 
-    An array is made when it is first read: answers of few rays in NumPy arrays are NumPy's from the start, and closest hits of
-    few rays, and on CUDA of all, are cut from one allocation, so that the device hardly ever waits for Python.
+    A Warp array is made when it is first read. Answers of few rays in NumPy arrays are NumPy's from the start, other answers
+    on the CPU lie in a `wrt.host_arrays.HostArray`, and closest hits on CUDA are cut from one allocation, so that neither a
+    device nor many cores wait for Python.
 
     Attributes:
         count: N.
@@ -41,7 +43,7 @@ class DeviceHits:
         self.count, self.device = count, device
         self.room, self.begins = 0, None
         self._block: wp.array | None = None
-        self._host: dict[str, np.ndarray] = {}
+        self._host: dict[str, np.ndarray | HostArray] = {}
 
     @classmethod
     def new(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
@@ -50,6 +52,8 @@ class DeviceHits:
         names = written(query)
         if query == CLOSEST and count > 0 and (count <= FEW_RAYS or device.is_cuda):
             hits._block = empty(count, wp.vec4, device)
+        elif device.is_cpu and not device.is_capturing:
+            hits._host = {name: empty_host(count, DTYPES[name]) for name in names}
         else:
             hits.__dict__.update({name: empty(count, DTYPES[name], device) for name in names})
         return hits
@@ -91,7 +95,10 @@ class DeviceHits:
     def _array(self, name: str) -> wp.array | None:
         """An array that was not made with the others."""
         if name in self._host:
-            return wp.array(self._host[name], dtype=DTYPES[name], device=self.device, copy=False)
+            values = self._host[name]
+            if type(values) is HostArray:
+                return values.array
+            return wp.array(values, dtype=DTYPES[name], device=self.device, copy=False)
         if self._block is None or name not in BLOCK:
             return None
         begin = self._block.ptr + BLOCK[name] * self.count
@@ -119,13 +126,16 @@ class DeviceHits:
     def _address(self, name: str) -> int:
         if self._block is not None:
             return self._block.ptr + BLOCK[name] * self.count
-        return getattr(self, name).ptr
+        values = self._host.get(name)
+        return values.ptr if type(values) is HostArray and name not in self.__dict__ else getattr(self, name).ptr
 
     def result(self, name: str, form: ResultForm) -> Any:
         """An array in the leading shape of the rays: a NumPy array, or a Warp array if the rays were."""
         if form.is_warp:
             return shaped(getattr(self, name), form)
-        values = self._host[name] if name in self._host else getattr(self, name).numpy()
+        values = self._host[name] if name in self._host and name not in self.__dict__ else getattr(self, name)
+        if type(values) is not np.ndarray:
+            values = values.numpy()
         return values.reshape(form.shape + values.shape[1:])
 
 

@@ -25,6 +25,9 @@ MAX_COLUMNS = wp.constant(1 << 13)
 ROW_END_FACTOR = wp.constant(4.0)
 """A difference of neighbouring directions that is this many times that of the first two rays ends a row."""
 
+BLOCK = wp.constant(1 << 14)
+"""Words that an item of `compare_neighbours` compares."""
+
 COHERENT, SCATTERED, COLUMNS = 0, 1, 2
 """Indices of the results."""
 
@@ -124,3 +127,26 @@ def measure_coherence(
     results[COLUMNS] = int(0)
     if listed != 0:
         results[COLUMNS] = count_columns(directions)
+
+
+@wp.func_native("""
+    int difference = 0;
+    for (int i = begin; i < end; ++i) difference |= words.data[i] ^ words.data[i - step];
+    return difference;
+""")
+def differences(words: wp.array(dtype=int), begin: int, end: int, step: int) -> int:
+    """The bits in which a word begin .. end - 1 differs from the one `step` places before it.
+
+    Native, because Warp's loops are not compiled to vector instructions; without a branch, so that this one is.
+    """
+    ...
+
+
+@wp.kernel
+def compare_neighbours(first: int, words: wp.array(dtype=int), step: int, found: wp.array(dtype=int)):
+    """Writes 1 to `found[0]` if one of an item's `BLOCK` words differs from the word `step` places before it."""
+    if found[0] != 0:
+        return
+    begin = step + (first + wp.tid()) * BLOCK
+    if differences(words, begin, wp.min(begin + BLOCK, words.shape[0]), step) != 0:
+        found[0] = 1
