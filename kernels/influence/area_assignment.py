@@ -39,6 +39,9 @@ from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES
 
 exact_module(__name__)
 
+ANY_SINE = 2.0
+"""A bound that the sine of no angle reaches."""
+
 
 @wp.struct
 class AreaTree:
@@ -170,6 +173,60 @@ def assign_rays(
         count = load_block(rays, begin, end - begin, lanes, marks)
         find_lists(areas, count, lanes, marks)
         find_areas(areas, count, lanes, marks)
+        store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
+        begin += count
+    sums[item] = sum_blocks(lanes, marks)
+
+
+@wp.func
+def take_areas(
+    areas: AreaTree,
+    given: wp.array(dtype=int),
+    stride: int,
+    begin: int,
+    count: int,
+    lanes: wp.array(dtype=float),
+    marks: wp.array(dtype=int),
+):
+    """Gives each ray of a block its area, if it starts in it; directions are not looked at."""
+    for k in range(count):
+        if marks[wp.static(LIST_LANES) + k] == 0:
+            marks[wp.static(LIST_LANES) + k] = given[(begin + k) * stride]
+    last = int(-1)
+    for k in range(count):
+        which = marks[wp.static(LIST_LANES) + k]
+        if which >= 0 and which != last and marks[k] < 0 and reaches(areas.regions[which], lanes):
+            try_area(which, areas.regions[which], areas.views[which], wp.static(ANY_SINE), areas.touch, which, lanes, marks)
+        last = which
+
+
+@wp.kernel
+def assign_given_rays(
+    first: int,
+    rays: RayBatch,
+    chunk: int,
+    areas: AreaTree,
+    given: wp.array(dtype=int),
+    stride: int,
+    low: wp.vec3,
+    high: wp.vec3,
+    area: wp.array(dtype=wp.uint16),
+    cut: wp.array(dtype=float),
+    rest: wp.array(dtype=float),
+    sums: wp.array(dtype=wp.vec4i),
+):
+    """As `assign_rays`, for rays whose areas are known: `given[i * stride]` of ray i, -1 for none.
+
+    A ray that does not start in the region of its area has none, so a wrong area changes no hit.
+    """
+    item = first + wp.tid()
+    lanes = wp.zeros(shape=(LANE_WORDS,), dtype=float)
+    marks = wp.zeros(shape=(MARK_WORDS,), dtype=int)
+    begin = item * chunk
+    end = wp.min(rays.count, begin + chunk)
+    while begin < end:
+        count = load_block(rays, begin, end - begin, lanes, marks)
+        take_areas(areas, given, stride, begin, count, lanes, marks)
         store_block(begin, count, areas.regions.shape[0], low, high, lanes, marks, area, cut, rest)
         begin += count
     sums[item] = sum_blocks(lanes, marks)

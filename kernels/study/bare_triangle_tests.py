@@ -3,7 +3,7 @@
 `make_frusta`: packets of P rays with a common origin, W rays at a time against one triangle after the other (the test's
 `packet_form`). `make_blocks`: one ray after the other against blocks of W triangles (`block_test`). Both test every triangle
 and keep the closest hit with t > 0, so that the compiler can remove nothing. `make_pairs`: ray i against triangle i, by the
-scalar form.
+scalar form, or by the lanes of a form that has no other. `make_scalar`: every ray against every triangle by the scalar form.
 """
 
 from functools import cache
@@ -12,6 +12,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import FOR_LANES, lanes, lowest_bit
+from wrt.kernels.study.dammertz_keller import ScalarTest
 from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
 exact_module(__name__)
@@ -132,10 +133,35 @@ def make_blocks(test: TestForm, width: int) -> wp.Kernel:
     return specialised_kernel(blocks)
 
 
+def scalar_of(test: TestForm | ScalarTest) -> wp.Function:
+    """`wp.func(records, slot, ray) -> vec3 (t, u, v)` for blocks of one triangle; t is NaN for a miss."""
+    State = test.ray_state
+    if isinstance(test, TriangleTest | ScalarTest):
+        intersect, load = test.intersect, test.record.load
+
+        @wp.func
+        def by_intersect(records: wp.array(dtype=float), slot: int, ray: State):
+            return intersect(ray, load(records, slot, 1))
+
+        return by_intersect
+    block_test, Lane = test.block_test(1), lanes(1)
+
+    @wp.func
+    def by_lanes(records: wp.array(dtype=float), slot: int, ray: State):
+        t = Lane()
+        u = Lane()
+        v = Lane()
+        if (block_test(records, slot, ray, t, u, v) & wp.uint32(1)) == wp.uint32(0):
+            return wp.vec3(wp.nan, 0.0, 0.0)
+        return wp.vec3(t[0], u[0], v[0])
+
+    return by_lanes
+
+
 @cache
-def make_pairs(test: TriangleTest) -> wp.Kernel:
+def make_pairs(test: TestForm | ScalarTest) -> wp.Kernel:
     """Item i tests ray i against triangle i of blocks of width 1. `out` is (t, u, v); t is NaN for a miss."""
-    prepare, intersect, load = test.prepare, test.intersect, test.record.load
+    prepare, scalar = test.prepare, scalar_of(test)
 
     def pairs(
         first: int,
@@ -146,6 +172,36 @@ def make_pairs(test: TriangleTest) -> wp.Kernel:
         out: wp.array(dtype=wp.vec3),
     ):
         i = first + wp.tid()
-        out[i] = intersect(prepare(origins[i * origin_stride], directions[i]), load(records, i, 1))
+        out[i] = scalar(records, i, prepare(origins[i * origin_stride], directions[i]))
 
     return specialised_kernel(pairs)
+
+
+@cache
+def make_scalar(test: TestForm | ScalarTest) -> wp.Kernel:
+    """Closest hits of single rays, triangles one by one. One item is a ray. Arguments as in `make_frusta`."""
+    prepare, scalar = test.prepare, scalar_of(test)
+
+    def one_by_one(
+        first: int,
+        records: wp.array(dtype=float),
+        triangles: int,
+        origins: wp.array(dtype=wp.vec3),
+        origin_stride: int,
+        directions: wp.array(dtype=wp.vec3),
+        out_t: wp.array(dtype=float),
+        out_id: wp.array(dtype=int),
+    ):
+        i = first + wp.tid()
+        state = prepare(origins[i * origin_stride], directions[i])
+        best = float(wp.inf)
+        found = int(-1)
+        for slot in range(triangles):
+            hit = scalar(records, slot, state)
+            if hit[0] > 0.0 and hit[0] < best:
+                best = hit[0]
+                found = slot
+        out_t[i] = best
+        out_id[i] = found
+
+    return specialised_kernel(one_by_one)

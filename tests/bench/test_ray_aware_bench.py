@@ -11,6 +11,7 @@ from click.testing import CliRunner
 import wrt
 from wrt.bench.studies.known_rays import ray_aware_comparison as ray_aware
 from wrt.bench.studies.known_rays import ray_distribution
+from wrt.bench.studies.known_rays.affinity import compare_work
 from wrt.bench.studies.known_rays.node_searches import AxisOrders, Searches
 from wrt.bench.studies.known_rays.ray_cases import DIRECTIONS, SCENES, TREES, Case, cases
 from wrt.builders.bvh.phases.split_axes import AxisChoice
@@ -136,15 +137,25 @@ def test_axis_orders_are_those_of_the_thesis(kind):
     assert figures[0].items % len(boxes.low) == 0
 
 
+def test_work_of_trees():
+    """A row for each workload, tree and way; packets of a camera share what they test."""
+    rows = compare_work(wrt.scenes.build("teapot", level=4, ground=False), size=32)
+    work = {(row["rays"], row["traversal"], row["tree"]): row["boxes"] + row["triangles"] for row in rows}
+    assert len(work) == len(rows) == 6 * 2 * 2
+    assert all(amount > 0.0 for amount in work.values())
+    for tree in ("Bvh", "ProjectedBvh"):
+        assert work["camera", "packet", tree] < 0.5 * work["camera", "single", tree]
+
+
 def test_command(tmp_path):
     file = tmp_path / "figures.json"
     options = ["--size", "8", "--rounds", "1", "--threads", "1", "--traversal", "single", "--json", str(file)]
     result = CliRunner().invoke(main, ["bench", "ray-aware", "random_triangles", *options])
     assert result.exit_code == 0, result.output
     figures = json.loads(file.read_text())["figures"]
-    assert {figure["question"] for figure in figures} == {"search", "build", "trace"}
+    assert {figure["question"] for figure in figures} == {"search", "build", "trace", "affinity"}
     traced = [figure for figure in figures if figure["question"] == "trace"]
-    assert len(traced) == 18
+    assert len(traced) == 24
     assert len({figure["subject"] for figure in traced}) == 6
     for figure in figures:
         assert (figure["work"] is None) == (figure["question"] != "trace")

@@ -24,10 +24,15 @@ from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.launch import CUDA_BLOCK
-from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
+from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.study.pichler_2018 import STUDIED
 from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
+from wrt.kernels.study.replayed_tests import make_kernel as make_replay_kernel
+from wrt.kernels.study.replayed_tests import make_lists
+from wrt.kernels.study.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
@@ -205,8 +210,15 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_pairs(TRIANGLE_TESTS["komatsu"]),
         lambda: make_exit_kernel(PUBLISHED["moeller"]),
         lambda: make_exit_kernel(PUBLISHED["projection"]),
+        lambda: make_scalar(DAMMERTZ_KELLER),
+        lambda: make_replay_kernel(STUDIED["sphere_parametric"], True),
+        lambda: make_lists(9),
+        lambda: make_walk_kernel("sorted", 2, TRIANGLE_TESTS["woop"], True),
     ],
-    ids=["fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"],
+    ids=[
+        *("fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"),
+        *("subdivision", "replay", "lists", "walk"),
+    ],
 )
 def test_for_measurements(make, tmp_path):
     text = compile_to_ptx(make().module, tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from test_influence import picture, window
 from test_projected_bvh import AREA_KINDS, area_of, rays_of
 
 import wrt
+from wrt.bench.studies.known_rays.ray_distribution import random_areas, stretched
 from wrt.builders.bvh.bvh_statistics import unpack
 
 
@@ -178,3 +180,40 @@ def test_bad_input():
     for name in ("box_cost", "triangle_cost"):
         with pytest.raises(ValueError, match=f"{name} is -1"):
             wrt.analyse(scene, **{name: -1})
+
+
+def test_octree_cell_by_cell(tmp_path):
+    """Cells tile the root, leaves list what a look-up finds at any point, and files hold the same."""
+    mesh = wrt.scenes.build("teapot", level=3)
+    areas = random_areas(9)
+    low, high = mesh.bounds
+    areas = [stretched(area, low, high) for area in areas]
+    nowhere = replace(areas[0], position=high + 50.0 * (high - low))
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[nowhere, *areas], top_level="octree", depth=3))
+    found, top = wrt.analyse_octree(scene), scene.area_trees.top
+    assert len(found.level) == top.cells
+    assert 0 not in {number for one in found.areas if one for number in one}, "no triangle is in the first area"
+    volume = (found.high - found.low).prod(axis=1)
+    assert volume[found.is_leaf].sum() == pytest.approx(volume[0])
+    inner = np.flatnonzero(found.parent >= 0)
+    assert (found.low[inner] >= found.low[found.parent[inner]] - 1e-9).all()
+    assert (found.level[inner] == found.level[found.parent[inner]] + 1).all()
+    leaves = np.flatnonzero(found.is_leaf)
+    listed = top.candidates(0.5 * (found.low + found.high)[leaves])
+    for leaf, row in zip(leaves, listed, strict=True):
+        assert found.areas[leaf] == tuple(scene.area_trees.numbers[place] for place in np.flatnonzero(row))
+    assert [row["cells"] for row in found.levels] == np.bincount(found.level).tolist()
+    rectangles, counts = found.cut(2, float(found.low[0, 2] + 0.4 * (found.high - found.low)[0, 2]))
+    area = (rectangles[:, 1] - rectangles[:, 0]).prod(axis=1)
+    assert area.sum() == pytest.approx((found.high - found.low)[0, :2].prod())
+    assert counts.max() > 1
+    found.save_json(tmp_path / "octree.json")
+    written = json.loads((tmp_path / "octree.json").read_text())
+    assert written == found.to_dict()
+    assert len(written["cells"]) == top.cells
+    array = wrt.analyse_octree(wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, top_level="array")))
+    assert array.areas == (tuple(range(9)),)
+    with pytest.raises(ValueError, match="axis is 3"):
+        found.cut(3, 0.0)
+    with pytest.raises(ValueError, match="no influence areas"):
+        wrt.analyse_octree(wrt.Scene(mesh))

@@ -319,3 +319,60 @@ def test_bad_options(options, error, message):
     area = wrt.PointInfluenceArea(position=(0, 0, 0), direction=(1, 1, 1), fov=(9, 9), near=1.0, far=2.0)
     with pytest.raises(error, match=message):
         wrt.RayAwareBvh(**{"areas": [area], **options})
+
+
+@pytest.mark.parametrize("count", [300, 4000])
+def test_given_areas(device, count):
+    """Areas that come with the rays, right and wrong ones, of all triangles and of some, change no hit."""
+    mesh = SCENES["teapot"]()
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    trees = scene.area_trees
+    assert trees.numbers == (0, 1, 3), "no triangle is in the third"
+    assert trees.triangles[1] == mesh.triangle_count > trees.triangles[0] > trees.triangles[2]
+    rays = affine_rays(mesh, count)
+    rays[1][:3] = [[np.nan, 0, 1], [0, 0, 0], [np.inf, 0, 0]]
+    plain = wrt.Scene(mesh, device=device)
+    expected, dark = plain.intersect(*rays), plain.occluded(*rays)
+    assert 0.2 * count < expected.is_hit.sum() < 0.9 * count
+    for areas in (0, 1, 2, np.int64(3), -1, np.random.default_rng(2).integers(-1, 4, count), np.arange(count) * 4 // count):
+        assert_same_hits(scene.intersect(*rays, areas=areas), expected)
+        np.testing.assert_array_equal(scene.occluded(*rays, areas=areas), dark)
+    several = Rays(rays[0].reshape(2, -1, 3), rays[1].reshape(2, -1, 3))
+    np.testing.assert_array_equal(scene.occluded(several, areas=np.array([[1], [3]])), dark.reshape(2, -1))
+    own = wp.array(np.zeros(count, dtype=np.int32), dtype=int, device=device)
+    np.testing.assert_array_equal(scene.occluded(*rays, areas=own), dark)
+
+
+def test_given_areas_are_used(device):
+    """Work is that of the area's tree: for a ray that begins outside of its area, that of the scene's."""
+    mesh = SCENES["teapot"]()
+    scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device)
+    rays = affine_rays(mesh, 2000)
+    work = {}
+    for areas in (None, -1, 0, 1):
+        hits = scene.intersect(*rays, areas=areas, traversal="single", counters=True)
+        work[areas] = hits.counters["nodes"].astype(int)
+    whole = wrt.Scene(mesh, device=device).intersect(*rays, traversal="single", counters=True).counters["nodes"].astype(int)
+    np.testing.assert_array_equal(work[-1], whole)
+    local = wrt.Scene.of_state(scene.area_trees.scenes[1])
+    np.testing.assert_array_equal(work[1], local.intersect(*rays, traversal="single", counters=True).counters["nodes"])
+    outside = ~contain_points([region_of(areas_of(mesh)[0], *mesh.bounds)], rays[0].astype(np.float64))[:, 0]
+    assert 200 < outside.sum() < 1800
+    assert (work[0][outside] == whole[outside]).mean() > 0.99, "but for origins on the region's faces"
+    assert (work[0][~outside] != whole[~outside]).mean() > 0.3
+
+
+def test_given_areas_are_checked(device):
+    mesh = SCENES["teapot"]()
+    scene, rays = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh)), device=device), mixed_rays(mesh, 40)
+    with pytest.raises(ValueError, match=r"wrt\.RayAwareBvh"):
+        wrt.Scene(mesh, device=device).occluded(*rays, areas=0)
+    with pytest.raises(ValueError, match="from -1 to 3"):
+        scene.intersect(*rays, areas=4)
+    with pytest.raises(TypeError, match="integers"):
+        scene.intersect(*rays, areas=0.0)
+    with pytest.raises(ValueError, match="does not broadcast"):
+        scene.intersect(*rays, areas=np.zeros(3, dtype=int))
+    away = wrt.Scene(mesh, wrt.RayAwareBvh(areas=[areas_of(mesh)[2]]), device=device)
+    assert away.area_trees is None
+    assert_same_hits(away.intersect(*rays, areas=0), scene.intersect(*rays))

@@ -24,7 +24,9 @@ from wrt.imaging.integrators.render_settings import INTEGRATORS
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
+from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
+from wrt.kernels.study.pichler_2018 import STUDIED
 from wrt.kernels.traversal import ORDERS, TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -53,6 +55,7 @@ TABLES: dict[str, Iterable[str]] = {
     "Packet orders": PACKET_ORDERS,
     "Triangle tests": TRIANGLE_TESTS,
     "As published": PUBLISHED,
+    "Tried by Pichler": (*STUDIED, DAMMERTZ_KELLER.name),
     "Schedules": SCHEDULES,
     "Integrators": INTEGRATORS,
     "Samplers": SAMPLERS,

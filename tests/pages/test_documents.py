@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from wrt.bench.studies.known_rays import ray_distribution
-from wrt.bench.studies.triangles import komatsu_tables, pichler_tables
+from wrt.bench.studies.known_rays import area_pictures, ray_distribution
+from wrt.bench.studies.triangles import komatsu_packets, komatsu_tables, pichler_tables
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -18,7 +18,13 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "documents.md").read_text(encoding="utf-8")
 
-STUDIES = {"komatsu_tables": komatsu_tables, "pichler_tables": pichler_tables, "ray_distribution": ray_distribution}
+STUDIES = {
+    "area_pictures": area_pictures,
+    "komatsu_packets": komatsu_packets,
+    "komatsu_tables": komatsu_tables,
+    "pichler_tables": pichler_tables,
+    "ray_distribution": ray_distribution,
+}
 
 ROWS = [
     tuple(cell.strip() for cell in line.strip("|").split(" | "))

@@ -16,8 +16,8 @@ OF_PLANS = {"traversal", "triangle_test"}
 OF_BLOCKS = {"mask", "environment", "skip", "memory", "progress", "executor", "reduce", "axis"}
 
 OPTIONS = {
-    "intersect": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip", "counters", "precise"},
-    "occluded": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
+    "intersect": OF_PLANS | {"mask", "environment", "areas", "cull_backfaces", "skip", "counters", "precise"},
+    "occluded": OF_PLANS | {"mask", "environment", "areas", "cull_backfaces", "skip"},
     "count": OF_PLANS | {"mask", "environment", "cull_backfaces", "skip"},
     "intersect_all": OF_PLANS | {"mask", "environment", "cull_backfaces", "max_hits"},
     "explain": OF_PLANS | {"mask", "environment", "cull_backfaces", "query"},

@@ -42,6 +42,20 @@ PAPERS: dict[str, dict[str, str]] = {
         ("moeller", "projection", "pluecker", "proposed"), "Komatsu et al. (2008), with the exits of the paper"
     )
     | {"projection": "Wald (2004), to which Komatsu et al. (2008) refer"},
+    "tried by Pichler": dict.fromkeys(
+        (
+            *("utm_matrix", "utm_rows", "utm_free_matrix", "utm_free_columns", "utm_free_rows"),
+            *("sphere_cross", "sphere_projection", "sphere_parametric", "box_sphere"),
+            *("range_first", "range_delayed", "range_last"),
+        ),
+        "Pichler: Fast CPU Ray-Triangle Intersection Method (2018)",
+    )
+    | {
+        "edge_planes": "Amanatides, Choi: Ray tracing triangular meshes (1997), the first of their tests",
+        "dammertz_keller": (
+            "Dammertz, Keller: Improving ray tracing precision by object space intersection computation (2006)"
+        ),
+    },
     "integrators": {
         "ambient": "Zhukov, Iones, Kronin: An ambient light illumination model (1998); Landis (2002)",
         "whitted": "Whitted: An improved illumination model for shaded display (1980); Hall, Greenberg (1983)",
@@ -129,7 +143,9 @@ def all_tables() -> dict[str, Rows]:
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
+    from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
     from wrt.kernels.study.komatsu_2008 import PUBLISHED
+    from wrt.kernels.study.pichler_2018 import STUDIED
     from wrt.kernels.traversal import ORDERS, TRAVERSALS
     from wrt.kernels.traversal.mailbox import MAILBOXES
     from wrt.kernels.traversal.packet import CULLINGS
@@ -162,6 +178,7 @@ def all_tables() -> dict[str, Rows]:
         "triangle tests": entries(TRIANGLE_TESTS, tests),
         "fans": others("fans"),
         "as published": named("as published", PUBLISHED),
+        "tried by Pichler": named("tried by Pichler", (*STUDIED, DAMMERTZ_KELLER.name)),
         "schedules": [{"name": schedule.name, "paper": schedule.source} for schedule in SCHEDULES.values()],
         "around a hit": others("around a hit"),
         "integrators": named("integrators", INTEGRATORS),

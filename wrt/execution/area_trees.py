@@ -32,7 +32,7 @@ from wrt.builders.influence.area_top_level import (
     triangles_in,
 )
 from wrt.execution.batch import trace_batch
-from wrt.kernels.influence.area_assignment import assign_rays, mark_unassigned
+from wrt.kernels.influence.area_assignment import assign_given_rays, assign_rays, mark_unassigned
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.query.ordering.ray_order import sort_buckets, sort_rays, unsort_hits
 from wrt.kernels.runtime.launch import launch
@@ -43,6 +43,7 @@ from wrt.state.device_hits import DeviceHits
 if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.triangle_boxes import TriangleBoxes
+    from wrt.execution.given_areas import GivenAreas
     from wrt.state.scene_state import SceneState
 
 
@@ -60,6 +61,7 @@ class AreaTrees:
     Attributes:
         areas: the accelerator's areas that some triangle touches.
         scenes: for each area, the scene with the area's tree.
+        numbers: for each area, its place among the accelerator's.
         triangles: for each area, the number of triangles in its tree.
         top: finds the area of a ray.
         low, high: corners, relative to the scene's centre, of a box that contains all hits of rays with an area, including
@@ -67,6 +69,7 @@ class AreaTrees:
     """
 
     areas: tuple[InfluenceArea, ...]
+    numbers: tuple[int, ...]
     scenes: tuple[SceneState, ...]
     triangles: tuple[int, ...]
     top: TopLevel
@@ -92,14 +95,15 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
     """
     accelerator, (low, high) = scene.accelerator, scene.bounds
     touch = lookup_margin(accelerator.areas, scene.center)
-    areas, regions, scenes, counts = [], [], [], []
-    for area in accelerator.areas:
+    areas, numbers, regions, scenes, counts = [], [], [], [], []
+    for number, area in enumerate(accelerator.areas):
         region = region_of(area, low, high)
         ids = triangles_in(region, touch, triangles)
         if len(ids):
             tree = accelerator.build_local(area, select_boxes(triangles, ids), scene.tree.width)
             scenes.append(scene.over(renumber(tree, ids, triangles).to(scene.device)))
             areas.append(area)
+            numbers.append(number)
             regions.append(region)
             counts.append(len(ids))
     if not areas:
@@ -109,14 +113,17 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
     )
     margin = max(triangle_margin(region, touch, low, high) for region in regions)
     corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
-    return AreaTrees(tuple(areas), tuple(scenes), tuple(counts), top, *corners)
+    return AreaTrees(tuple(areas), tuple(numbers), tuple(scenes), tuple(counts), top, *corners)
 
 
 def trace_by_area(
-    scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool
+    scene: SceneState, plan: Plan, rays: RayBatch, query: str, counters: bool, given: GivenAreas | None = None
 ) -> tuple[DeviceHits, wp.array | None]:
-    """Closest hits or occlusion, and each ray's work if it is counted, summed over the area's tree and the scene's."""
-    local, assigned = scene.area_trees, assign(scene, rays)
+    """Closest hits or occlusion, and each ray's work if it is counted, summed over the area's tree and the scene's.
+
+    `given` are the areas of the rays, if they are known.
+    """
+    local, assigned = scene.area_trees, assign(scene, rays, given)
     if assigned.unassigned == rays.count:
         return trace_batch(scene, plan, rays, query, counters)
     batch = PartialBatch(plan, query, counters)
@@ -167,14 +174,16 @@ class AreaAssignment:
         return sort_buckets(self.area, areas + 1)
 
 
-def assign(scene: SceneState, rays: RayBatch) -> AreaAssignment:
-    """Finds the area of each ray."""
+def assign(scene: SceneState, rays: RayBatch, given: GivenAreas | None = None) -> AreaAssignment:
+    """Finds the area of each ray, or where each ray leaves the area that it is given."""
     device, local = scene.device, scene.area_trees
     chunk = CUDA_CHUNK if device.is_cuda else CHUNK
     chunks = -(-rays.count // chunk)
     arrays = [empty(rays.count, dtype, device) for dtype in (wp.uint16, wp.float32, wp.float32)]
     sums = wp.empty(chunks, dtype=wp.vec4i, device=device)
-    launch(assign_rays, chunks, [rays, chunk, local.top.struct, local.low, local.high, *arrays, sums], device=device, chunk=1)
+    known = [] if given is None else [given.areas, given.stride]
+    inputs = [rays, chunk, local.top.struct, *known, local.low, local.high, *arrays, sums]
+    launch(assign_rays if given is None else assign_given_rays, chunks, inputs, device=device, chunk=1)
     left, greatest, fewest, unassigned = sums.numpy().reshape(-1, 4).T
     least_area = len(local) - int(fewest.max(initial=0))
     greatest_area = int(greatest.max(initial=0))

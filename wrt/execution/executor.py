@@ -21,6 +21,7 @@ from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
 
 if TYPE_CHECKING:
+    from wrt.execution.given_areas import GivenAreas
     from wrt.planning.plan import ChosenPlan, Plan
     from wrt.rays.rays import Rays, ResultForm
     from wrt.state.device_hits import DeviceHits
@@ -56,9 +57,14 @@ def answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
 
 
 def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
+    given = None
+    if query.areas is not None:
+        from wrt.execution.given_areas import take_areas
+
+        scene, given = take_areas(scene, query.areas, rays.shape)
     buffers = on_device(scene, rays, query, may_stage(scene, query))
     chosen = find_plan(scene, buffers, query)
-    hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters)
+    hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters, given)
     return Answer(hits, buffers.form, chosen.plan, work)
 
 
@@ -104,9 +110,9 @@ def trace(
 
 
 def trace_chosen(
-    scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kind: str, counters: bool
+    scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kind: str, counters: bool, given: GivenAreas | None = None
 ) -> tuple[DeviceHits, wp.array | None]:
-    """As `trace`, by a plan from the scene's cache."""
+    """As `trace`, by a plan from the scene's cache; `given` are the areas of the rays, if they are known."""
     layout = buffers.layout
     if chosen.prepares and not counters and layout is not None and buffers.count > 0 and not scene.device.is_capturing:
         return run_prepared(scene, chosen, buffers, kind, layout), None
@@ -115,7 +121,7 @@ def trace_chosen(
     if scene.area_trees is not None and plan.accelerator != "none" and kind in (CLOSEST, ANY):
         from wrt.execution.area_trees import trace_by_area
 
-        return trace_by_area(scene, plan, rays, kind, counters)
+        return trace_by_area(scene, plan, rays, kind, counters, given)
     return trace_batch(scene, plan, rays, kind, counters)
 
 

@@ -16,6 +16,7 @@ from wrt.query.query_options import (
     ClosestOptions,
     ExplainOptions,
     ListOptions,
+    OcclusionOptions,
     ValueOptions,
     as_query,
     check_options,
@@ -73,6 +74,9 @@ class Queries:
             environment: in a scene of instances, an int or (...) integers of 32 bits: a ray sees the instances of its
                 environment and those of environment -1; a ray of environment -1, or None, sees those of all. Rays are fast if
                 neighbours have the same environment.
+            areas: in a scene of a `wrt.RayAwareBvh`, an int or (...) integers: the influence area of each ray, by its place in
+                the accelerator's `areas`, -1 for none; None to find it. Saves the search, and for one area that all triangles
+                touch everything else. A wrong area costs time, and changes no hit. Has no effect with `skip` or `precise`.
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
                 order. Not all traversals support this; "auto" chooses one that does.
             skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
@@ -90,20 +94,21 @@ class Queries:
 
         Raises:
             TypeError: an argument has a wrong type.
-            ValueError: wrong shapes, a range that is negative or NaN, an unknown name, arrays on another device; `precise`
-                together with a traversal, a triangle test, counters or culling, or in a scene of instances; `skip` together
-                with a traversal, a triangle test, counters or `precise`, in a scene of instances or a `wrt.FuzzyScene`,
-                with ids of no triangle, hits of another scene, or a shape that does not broadcast to that of the rays; rays
-                that require gradients inside a `wp.Tape` (call `wrt.differentiable_hits` for gradients).
+            ValueError: wrong shapes, a range that is negative or NaN, an unknown name, arrays on another device; `areas` in a
+                scene without influence areas, or numbers of none; `precise` together with a traversal, a triangle test,
+                counters or culling, or in a scene of instances; `skip` together with a traversal, a triangle test, counters
+                or `precise`, in a scene of instances or a `wrt.FuzzyScene`, with ids of no triangle, hits of another scene,
+                or a shape that does not broadcast to that of the rays; rays that require gradients inside a `wp.Tape` (call
+                `wrt.differentiable_hits` for gradients).
         """
         query = as_query(Queries.intersect, CLOSEST, options)
         rays = as_rays(origins, directions, t_min, t_max)
         refuse_tape("intersect", (rays.origins, rays.directions))
         return closest_hits(self.state, rays, query)
 
-    @takes(ValueOptions)
+    @takes(OcclusionOptions)
     def occluded(
-        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[ValueOptions]
+        self, origins: Any, directions: Any = None, t_min: Any = 0.0, t_max: Any = INF, **options: Unpack[OcclusionOptions]
     ) -> Any:
         """Whether each ray hits anything: (...) bool, a NumPy array if the rays were, else a Warp array.
 

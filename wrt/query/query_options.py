@@ -46,13 +46,19 @@ class ValueOptions(MaskOptions, total=False):
     skip: Any
 
 
+class OcclusionOptions(ValueOptions, total=False):
+    """Of `occluded`."""
+
+    areas: Any
+
+
 class PrecisionOptions(TypedDict, total=False):
     """Of closest hits."""
 
     precise: bool
 
 
-class ClosestOptions(ValueOptions, PrecisionOptions, total=False):
+class ClosestOptions(OcclusionOptions, PrecisionOptions, total=False):
     """Of `intersect`."""
 
     counters: bool

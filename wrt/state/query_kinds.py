@@ -24,6 +24,7 @@ class Query(NamedTuple):
         counters: whether the work for each ray is counted.
         mask: of rays in a scene of instances; None for all bits.
         environment: of rays in a scene of instances; None for those that see all.
+        areas: influence areas of the rays in a scene of a `wrt.RayAwareBvh`; None to find them.
         skip: the triangle that each ray ignores; None for none.
         precise: whether closest hits are computed in float64.
         max_hits: largest number of hits that are listed for each ray; None for all.
@@ -36,6 +37,7 @@ class Query(NamedTuple):
     counters: bool = False
     mask: Any = None
     environment: Any = None
+    areas: Any = None
     skip: Any = None
     precise: bool = False
     max_hits: int | None = None

@@ -22,6 +22,8 @@ DEFAULT_MODELS = ("teapot", "atrium", "wood")
 
 COMPARISONS = {
     "triangle-tests": ("triangle_tests_command", "triangle_tests"),
+    "pichler": ("paper_commands", "pichler_command"),
+    "komatsu": ("paper_commands", "komatsu_command"),
     "builders": ("kdtree_commands", "builders_command"),
     "ray-aware": ("ray_aware_command", "ray_aware_command"),
     "layouts": ("kdtree_commands", "layouts_command"),
@@ -97,7 +99,8 @@ def bench(
     "engines" are wrt's own traversals, one by one. With --target x86-64-v3, Embree's C library is limited to AVX2, too; embreex
     and Open3D choose for themselves.
 
-    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench builders [MODEL]` kd-tree builders,
+    `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench pichler` and `wrt bench komatsu
+    [MODELS]` repeat the tables of two papers on them, `wrt bench builders [MODEL]` compares kd-tree builders,
     `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
     build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench auto
     [MODEL]` what "auto" chooses, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to

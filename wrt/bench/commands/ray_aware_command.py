@@ -18,7 +18,9 @@ from wrt.bench.commands.command_options import (
     write_json,
 )
 from wrt.bench.core.benchmark_results import machine
+from wrt.bench.studies.known_rays.affinity import compare_affinity
 from wrt.bench.studies.known_rays.ray_aware_comparison import (
+    GIVEN,
     REFERENCE,
     TRAVERSALS,
     Figure,
@@ -36,10 +38,12 @@ TITLES = {
     "search": "Search of a node's plane, one thread: projected areas / surface areas",
     "build": "Build",
     "trace": "Trace",
+    "affinity": "Area of each ray, found and given, beside tracing",
 }
 
 FOOTNOTE = f"""time / {REFERENCE}: median of the rounds' ratios; above 1 is slower. work: what single rays do, by count and
-by the build's cost model. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area."""
+by the build's cost model. ProjectedBvh: one tree for the rays; RayAwareBvh: the default tree and one for the area; {GIVEN}: the
+same, told the area."""
 
 
 @click.command("ray-aware")
@@ -66,6 +70,7 @@ def ray_aware_command(
         turns = Turns(rounds, count, on_turn)
         figures += compare_builds(mesh, areas, turns)
         figures += compare_traces(mesh, turns, size=size, traversals=traversals or TRAVERSALS)
+        figures += compare_affinity(mesh, turns, size=size)
     console = table_console()
     console.print(f"{mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {count} threads", highlight=False)
     for question, title in TITLES.items():

@@ -6,7 +6,8 @@
 
 Contenders take turns; ratios are medians over the rounds. One thread's time is its processor time, which other
 work on the machine disturbs less; that of several is the clock's. "ProjectedBvh" holds the whole scene in one tree for the
-rays' area; "RayAwareBvh" has the default tree too, and sends each ray that belongs to the area to the area's own tree.
+rays' area; "RayAwareBvh" has the default tree too, and sends each ray that belongs to the area to the area's own tree;
+"areas=0" is the same with the area given in the call.
 
 References:
     L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di Milano,
@@ -52,6 +53,9 @@ from wrt.state.query_kinds import ANY, CLOSEST
 REFERENCE = "Bvh"
 """The tree that all figures refer to."""
 
+GIVEN = "areas=0"
+"""`wrt.RayAwareBvh` that is told the area of all rays."""
+
 SUN = (0.35, 0.5, -0.8)
 """Direction of the directional light."""
 
@@ -96,7 +100,7 @@ class Figure:
         question: "search", "build" or "trace".
         subject: nodes that were searched, or rays.
         traversal: of a trace; None of others.
-        contender: `REFERENCE`, "ProjectedBvh" or "RayAwareBvh".
+        contender: `REFERENCE`, "ProjectedBvh", "RayAwareBvh" or `GIVEN`.
         seconds: median of the rounds.
         ratio, least, greatest: of the rounds; above 1 is slower.
         work: counted cost of single rays; above 1 is more. None but of a trace.
@@ -280,17 +284,19 @@ def compare_traces(
     for known in known_rays(mesh, default, size):
         scenes = {name: Scene(mesh, accelerator, **options) for name, accelerator in accelerators(known.area).items()}
         work = {name: work_of(scene, known) for name, scene in scenes.items()}
+        work[GIVEN] = work["RayAwareBvh"]
         for traversal in traversals:
             runs = {name: partial(ask, scene, known, traversal) for name, scene in scenes.items()}
+            runs[GIVEN] = partial(ask, scenes["RayAwareBvh"], known, traversal, areas=0)
             found = turns.figures("trace", known.name, runs, len(known.rays), traversal)
             figures += [replace(figure, work=work[figure.contender] / work[REFERENCE]) for figure in found]
     return figures
 
 
-def ask(scene: Scene, known: KnownRays, traversal: str) -> Any:
+def ask(scene: Scene, known: KnownRays, traversal: str, **options: Any) -> Any:
     """Asks a scene a workload's question."""
     query = scene.occluded if known.query == ANY else scene.intersect
-    return query(known.rays, traversal=traversal)
+    return query(known.rays, traversal=traversal, **options)
 
 
 def work_of(scene: Scene, known: KnownRays) -> float:

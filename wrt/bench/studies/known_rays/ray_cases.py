@@ -1,7 +1,7 @@
 """Scenes, influence areas and trees of the experiments on known rays: those of Falcone 2024, with scenes that are built in.
 
-The thesis has random triangles, a low-poly head (here: the teapot), a cottage, the walls of it, a wood, a crowd, and Sponza
-(here: the atrium). Each is seen by parallel and by radial rays, four ways: along an axis, turned from it by 15 and by 45
+The thesis has random triangles, a low-poly head (Suzanne), a cottage, the walls of it, a wood, a crowd, and Sponza (here: the
+palace). Each is seen by parallel and by radial rays, four ways: along an axis, turned from it by 15 and by 45
 degrees in a plane of two axes, and oblique to all.
 
 References:
@@ -20,6 +20,7 @@ from math import cos, degrees, radians, sin
 import numpy as np
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
+from wrt.bench.studies.known_rays.ray_scenes import head, palace
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea, PointInfluenceArea, frame_of
 from wrt.known_rays.influence_areas import corners_of
 from wrt.known_rays.ray_casters import PlaneCaster
@@ -28,12 +29,12 @@ from wrt.rays.rays import Rays
 from wrt.scenes import build
 from wrt.scenes.shapes import boxes, copies, lathe, sheets
 
-COVERED = {"walls": (0.35, 0.35), "wood": (0.45, 0.45), "atrium": (0.15, 0.6)}
+COVERED = {"walls": (0.35, 0.35), "wood": (0.45, 0.45), "palace": (0.15, 0.6)}
 """Shares of the scene's width and height, as seen along the rays, that the window of an area shows; 0.9 of others."""
 
-AWAY = {"atrium": 0.13}
+AWAY = {"palace": 0.13}
 """Distance of an area's window, or apex, from the middle of the scene, in radii of the scene's sphere: within the court of the
-atrium; 1.5 of others."""
+palace; 1.5 of others."""
 
 DIRECTIONS = {
     "parallel": (0.0, 1.0, 0.0),
@@ -91,14 +92,14 @@ def crowd(people: int = 24, segments: int = 10, seed: int = 0) -> TriangleMesh:
 SCENES: dict[str, Callable[[], TriangleMesh]] = {
     "random 100": lambda: build("random_triangles", count=100, size=0.25),
     "random 1000": lambda: build("random_triangles", count=1000, size=0.15),
-    "teapot": lambda: build("teapot", level=4, ground=False),
+    "head": head,
     "cottage": cottage,
     "walls": cottage,
     "wood": lambda: build("wood", trees=5, leaves=1),
     "crowd": crowd,
-    "atrium": lambda: build("atrium", bays=(5, 3), storeys=2, detail=2),
+    "palace": palace,
 }
-"""By the thesis' names, but for its head and for Sponza. Of the walls, areas show a part that all rays hit."""
+"""By the thesis' names, but for Suzanne and Sponza. Of the walls, areas show a part that all rays hit."""
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,13 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs
+from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
+from wrt.kernels.study.dammertz_keller import ScalarTest
 from wrt.kernels.study.exit_counts import make_kernel as make_exits
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.kernels.triangle.support.operation_counts import Operations
 from wrt.kernels.triangle.support.record_blocks import Record, TriangleBlocks
-from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
+from wrt.kernels.triangle.support.triangle_contract import TestForm
 
 CPU = "cpu"
 
@@ -126,7 +127,7 @@ Run = Callable[[], tuple[np.ndarray, np.ndarray]]
 """Runs tests and returns (t, id) of the closest hits; inf and -1 for a miss."""
 
 
-def closest(test: TestForm, soup: Soup, rays: Beams, *, frustum: int, width: int) -> Run:
+def closest(test: TestForm | ScalarTest, soup: Soup, rays: Beams, *, frustum: int, width: int) -> Run:
     """What tests all rays against all triangles.
 
     Args:
@@ -135,12 +136,12 @@ def closest(test: TestForm, soup: Soup, rays: Beams, *, frustum: int, width: int
         rays: from one origin, that of the soup, if `frustum` is positive or the test needs it; a multiple of `frustum`.
         frustum: rays that go together, a multiple of the width, `width` of them in lanes; 0: each ray alone, `width`
             triangles in lanes.
-        width: lanes.
+        width: lanes; 0: triangles one by one, by the scalar form.
     """
     if frustum and (frustum % width or rays.count % frustum or rays.stride):
         raise ValueError(f"{rays.count} rays do not make frusta of {frustum} in lanes of {width} from one origin")
-    kernel = make_frusta(test, frustum, width) if frustum else make_blocks(test, width)
-    records, device = soup.records(test.record, width), wp.get_device(CPU)
+    kernel = make_frusta(test, frustum, width) if frustum else make_blocks(test, width) if width else make_scalar(test)
+    records, device = soup.records(test.record, max(width, 1)), wp.get_device(CPU)
     t, found = wp.empty(rays.count, dtype=float, device=CPU), wp.empty(rays.count, dtype=int, device=CPU)
     inputs = [records, len(soup), rays.origins, rays.stride, rays.directions, t, found]
 
@@ -165,7 +166,7 @@ def exits(test: TestForm, soup: Soup, rays: Beams, *, group_rays: int = 1, group
     return Exits(names, tuple(totals[: len(names)]), tuple(totals[len(names) :]))
 
 
-def pairs(test: TriangleTest, soup: Soup, rays: Beams) -> np.ndarray:
+def pairs(test: TestForm | ScalarTest, soup: Soup, rays: Beams) -> np.ndarray:
     """(N, 3) float32 (t, u, v) of ray i and triangle i, t NaN for a miss."""
     out = wp.empty(rays.count, dtype=wp.vec3, device=CPU)
     inputs = [soup.records(test.record, 1), rays.origins, rays.stride, rays.directions, out]

@@ -1,0 +1,130 @@
+"""Dammertz and Keller's test: no plane, no edges; the triangle is divided until its box is as small as float32 can tell.
+
+**Idea.** The hit is searched in object space, not along the ray. A ray that meets the triangle's box is tested against the
+boxes of the four triangles between vertices and midpoints of edges, and so on. What is left in the end is a box of the size
+of a rounding, and the hit is in it, however far away the ray begins.
+
+**Departures.** The paper was not at hand; this follows the outlines in Pichler 2018 and Woop, Benthin and Wald 2013. Division
+ends where the box is no larger than the slack of the box test (`wrt.kernels.simd.boxes.SLACK` of the ray's reach), which is a
+few roundings, or after `MOST` levels. t is that of the last triangle's middle, projected on the ray; u and v are its weights.
+
+**Limits.** Neighbours divide a shared edge at the same points, and boxes are widened, so no ray passes between them. Instead,
+rays are hit that pass beside the triangle by less than the slack. A test takes some 20 levels with four boxes each. A ray in
+the plane of the triangle but beside it may visit every box along a line.
+
+References:
+    H. Dammertz, A. Keller: Improving ray tracing precision by object space intersection computation. IEEE Symposium on
+        Interactive Ray Tracing, 2006.
+    T. A. Pichler: Fast CPU Ray-Triangle Intersection Method. Diploma thesis, TU Wien, 2018.
+    S. Woop, C. Benthin, I. Wald: Watertight ray/triangle intersection. Journal of Computer Graphics Techniques 2(1), 2013.
+"""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.boxes import SLACK, ray_slabs, reach, slab_interval
+from wrt.kernels.triangle.support.record_blocks import VERTICES, Corners, Record, corners_high, corners_low
+from wrt.kernels.triangle.support.vectors import PlainRay, dot, miss, prepare
+
+exact_module(__name__)
+
+MOST = 24
+"""Levels: each halves the edges, and float32 has 24 digits."""
+
+SIZE = 3 * MOST + 1
+"""Triangles that wait: each level leaves three."""
+
+Waiting = wp.types.matrix(shape=(SIZE, 13), dtype=wp.float32)
+"""Of each: its vertices, the weights u and v of its first vertex, the size of its weights (below 0: upside down), its level."""
+
+
+@wp.func
+def part(waiting: Waiting, row: int):
+    """The vertices of a triangle that waits."""
+    corners = Corners()
+    corners.a = wp.vec3(waiting[row, 0], waiting[row, 1], waiting[row, 2])
+    corners.b = wp.vec3(waiting[row, 3], waiting[row, 4], waiting[row, 5])
+    corners.c = wp.vec3(waiting[row, 6], waiting[row, 7], waiting[row, 8])
+    return corners
+
+
+@wp.func
+def middle(p: wp.vec3, q: wp.vec3):
+    """Midpoint of an edge, the same from both of its sides."""
+    return 0.5 * p + 0.5 * q
+
+
+@wp.func
+def push(waiting: wp.ref[Waiting], row: int, a: wp.vec3, b: wp.vec3, c: wp.vec3, u: float, v: float, size: float, level: float):
+    """Lets a triangle wait."""
+    for axis in range(3):
+        waiting[row, axis] = a[axis]
+        waiting[row, 3 + axis] = b[axis]
+        waiting[row, 6 + axis] = c[axis]
+    waiting[row, 9] = u
+    waiting[row, 10] = v
+    waiting[row, 11] = size
+    waiting[row, 12] = level
+
+
+@wp.func
+def intersect(ray: PlainRay, corners: Corners):
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
+    distance = reach(ray.origin, corners_low(corners), corners_high(corners))
+    slabs = ray_slabs(ray.origin, ray.direction, distance)
+    least = SLACK * distance
+    square = dot(ray.direction, ray.direction)
+    if not (square > 0.0 and distance < wp.inf):
+        return miss()
+    waiting = Waiting()
+    push(waiting, 0, corners.a, corners.b, corners.c, 0.0, 0.0, 1.0, 0.0)
+    count = int(1)
+    while count > 0:
+        count -= 1
+        here = part(waiting, count)
+        u = waiting[count, 9]
+        v = waiting[count, 10]
+        size = waiting[count, 11]
+        level = waiting[count, 12]
+        low = corners_low(here)
+        high = corners_high(here)
+        span = slab_interval(slabs, low, high)
+        if span[0] <= span[1]:
+            side = high - low
+            if wp.max(side[0], wp.max(side[1], side[2])) <= least or level >= float(wp.static(MOST)):
+                centre = (here.a + here.b + here.c) / 3.0
+                return wp.vec3(dot(centre - ray.origin, ray.direction) / square, u + size / 3.0, v + size / 3.0)
+            half = 0.5 * size
+            ab = middle(here.a, here.b)
+            bc = middle(here.b, here.c)
+            ca = middle(here.c, here.a)
+            push(waiting, count, here.a, ab, ca, u, v, half, level + 1.0)
+            push(waiting, count + 1, ab, here.b, bc, u + half, v, half, level + 1.0)
+            push(waiting, count + 2, ca, bc, here.c, u, v + half, half, level + 1.0)
+            push(waiting, count + 3, bc, ca, ab, u + half, v + half, -half, level + 1.0)
+            count += 4
+    return miss()
+
+
+@dataclass(frozen=True)
+class ScalarTest:
+    """A test of one ray and one triangle, with neither lanes nor traversals; attributes as those of a `TriangleTest`."""
+
+    name: str
+    paper: str
+    record: Record
+    ray_state: type
+    prepare: wp.Function
+    intersect: wp.Function
+
+
+TEST = ScalarTest(
+    name="dammertz_keller",
+    paper="Dammertz, Keller: Improving ray tracing precision by object space intersection computation (2006)",
+    record=VERTICES,
+    ray_state=PlainRay,
+    prepare=prepare,
+    intersect=intersect,
+)
