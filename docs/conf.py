@@ -75,6 +75,9 @@ def draw_pictures() -> None:
     folder.mkdir(exist_ok=True)
     drawings.draw_rooms(folder / "rooms.svg")
     drawings.draw_query(folder / "query.svg")
+    guides = HERE / "guides" / "drawn"
+    guides.mkdir(exist_ok=True)
+    drawings.draw_frames(guides / "frames.svg")
 
 
 gather_pages()

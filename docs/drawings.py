@@ -1,4 +1,4 @@
-"""The pictures of the architecture page, drawn from the code as it stands: rooms on their floors, and the path of a query."""
+"""Pictures of the pages: rooms on their floors and the path of a query, from the code as it stands; frames of sensors."""
 
 from __future__ import annotations
 
@@ -108,6 +108,48 @@ def draw_query(path: Path) -> None:
     axes.set_xlim(0, 9)
     axes.set_ylim(0.5, len(QUERY) + 0.5)
     axes.axis("off")
+    figure.savefig(path)
+
+
+FRAMES = (
+    ("world (ENU)", (("x, east", 1.0, 0.0), ("y, north", 0.62, 0.55), ("z, up", 0.0, 1.0))),
+    ("lidar (REP 103)", (("x, forward", 0.62, 0.55), ("y, left", -1.0, 0.0), ("z, up", 0.0, 1.0))),
+    ("camera, optical frame", (("x, right", 1.0, 0.0), ("y, down", 0.0, -1.0), ("z, forward", 0.62, 0.55))),
+)
+"""Frames and their axes: name and direction in the drawing. Forward goes into the picture, drawn as a slanted line."""
+
+AXIS_COLOURS = ("#b23a3a", "#3f7d4e", "#3a5fa8")
+
+
+def draw_frames(path: Path) -> None:
+    """The frames of sensors beside one another, and the pixels of an image."""
+    figure = Figure(figsize=(9.6, 2.7))
+    for number, (title, axes) in enumerate(FRAMES):
+        panel = figure.add_axes((0.01 + 0.245 * number, 0.02, 0.23, 0.86))
+        for (name, x, y), colour in zip(axes, AXIS_COLOURS, strict=True):
+            panel.add_patch(FancyArrowPatch((0, 0), (x, y), arrowstyle="-|>", mutation_scale=12, color=colour, lw=1.8))
+            side = "left" if x > 0.1 else "center"
+            panel.text(x * 1.06, y * 1.12 + (0.06 if y == 0.0 else 0.0), name, color=colour, fontsize=8.5, ha=side, va="bottom")
+        panel.set(xlim=(-1.5, 1.7), ylim=(-1.3, 1.35), aspect="equal")
+        panel.set_title(title, fontsize=9.5)
+        panel.axis("off")
+    panel = figure.add_axes((0.765, 0.06, 0.22, 0.78))
+    for k in range(5):
+        panel.plot([k - 0.5, k - 0.5], [-0.5, 2.5], color="#8a8f98", lw=0.7)
+        if k < 4:
+            panel.plot([-0.5, 3.5], [k - 0.5, k - 0.5], color="#8a8f98", lw=0.7)
+    panel.plot([0, 1], [0, 0], "o", color="#222", ms=4)
+    panel.text(-0.05, -0.72, "(0, 0)", fontsize=8.5, ha="center")
+    panel.text(1.1, -0.72, "(1, 0)", fontsize=8.5, ha="center")
+    for end, name, at, colour in (
+        (((3.3, 1.6)), "u", (3.0, 1.4), AXIS_COLOURS[0]),
+        ((2.0, 2.9), "v", (1.7, 2.8), AXIS_COLOURS[1]),
+    ):
+        panel.add_patch(FancyArrowPatch((2.0, 1.6), end, arrowstyle="-|>", mutation_scale=12, color=colour, lw=1.8))
+        panel.text(*at, name, color=colour, fontsize=9)
+    panel.set(xlim=(-0.9, 3.9), ylim=(3.2, -1.0), aspect="equal")
+    panel.set_title("image (OpenCV)", fontsize=9.5)
+    panel.axis("off")
     figure.savefig(path)
 
 

@@ -18,13 +18,15 @@
 A kernel receives a scene as `scene.handle()`, the scene in its present state, in a parameter of type `SceneHandle`. For one
 ray at a time, it can call:
 
-* `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id and uv, bit
-  for bit as `Scene.intersect` returns them;
+* `closest_hit(scene, origin, direction, t_min, t_max)`: a `Hit` with the fields t, primitive_id, geometry_id, instance_id and
+  uv, bit for bit as `Scene.intersect` returns them;
 * `any_hit(...)`: a bool, as `Scene.occluded`; `count_hits(...)`: an int, as `Scene.count`;
 * `first_hit(...)`, then `next_hit(scene, origin, direction, hit, t_max)` until it misses: all hits, as
   `Scene.intersect_all`. Each call is a new search from the previous hit on: nothing is stored, and the number of hits is
   not limited;
-* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as in `wrt.Hits`.
+* `position(scene, hit)`, `normal(scene, hit)`, `spawn(scene, hit, direction)`: as in `wrt.Hits`;
+* `seeing(scene, mask, environment)`: in a scene of instances, the handle for rays that see those instances only, as `mask` and
+  `environment` of `Scene.intersect`. `Scene.handle(mask=..., environment=...)` chooses for all rays.
 
 Positions are in the scene's coordinates, vec3 or vec3d; the functions subtract the scene's centre in float64. A kernel that
 calls them must be made by `kernel`, or by `wp.kernel` with the same options: without gradients, which these functions do
@@ -51,13 +53,16 @@ from wrt.kernels.query.device_functions import (
     count_hits,
     first_hit,
     handle_type,
+    instances_handle_type,
     is_handle,
     next_hit,
     normal,
     position,
+    seeing,
     spawn,
 )
 from wrt.kernels.runtime import launch as launching
+from wrt.meshes.instance import EVERY, MAX_MASK, check_environment, check_mask
 from wrt.planning.plan import Plan, stack_levels
 from wrt.tapes import takes_gradients, tape_records
 
@@ -76,6 +81,7 @@ __all__ = [
     "next_hit",
     "normal",
     "position",
+    "seeing",
     "spawn",
 ]
 
@@ -149,23 +155,31 @@ def has_backward(kernel: wp.Kernel) -> bool:
     return bool(kernel.module.options["enable_backward"] if own is None else own)
 
 
-def handle_of(scene: SceneState) -> Any:
+def handle_of(scene: SceneState, mask: int | None = None, environment: int | None = None) -> Any:
     """The kernel argument for a scene: `Scene.handle`."""
     scene.require("handle")
+    if mask is not None or environment is not None:
+        scene.require_instances("mask and environment of a handle")
+    mask = MAX_MASK if mask is None else check_mask(mask)
+    environment = EVERY if environment is None else check_environment(environment)
     scene.complete()
     plan = Plan(
         accelerator=scene.accelerator.kind,
         traversal="single",
         triangle_test=TRIANGLE_TEST,
-        width=scene.tree.width,
+        width=scene.width,
         coherent=False,
         shared_origin=False,
         reason="inside a kernel",
     )
-    levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" else 0
-    handle = launching.specialise(partial(handle_type, plan.accelerator, plan.width), levels)()
-    handle.tree = scene.tree.struct()
-    handle.triangles = records_of(scene, plan, None)
+    levels = stack_levels(scene.tree.depth) if plan.accelerator == "bvh" or scene.instances else 0
+    if scene.instances:
+        handle = launching.specialise(partial(instances_handle_type, plan.accelerator, plan.width), levels)()
+        handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
+        handle.mask, handle.environment = wp.uint32(mask), environment
+    else:
+        handle = launching.specialise(partial(handle_type, plan.accelerator, plan.width), levels)()
+        handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)
     return handle

@@ -16,7 +16,7 @@ import mmap
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import cycle
 from typing import Any
@@ -47,6 +47,9 @@ STAGGER = 4096 + 1088
 """Bytes by which the start of a block in its first page is shifted against the previous one, 16 in turn. Without the shift,
 arrays that a kernel accesses at the same index share the same few cache lines (notebooks/records/2026-11-22-memory.md).
 """
+
+ALIGNED = 256
+"""Bytes at whose multiples arrays of one allocation begin, as CUDA's own allocations do."""
 
 _begins = cycle(range(0, 16 * STAGGER, STAGGER))
 
@@ -172,6 +175,26 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     lease = Lease(size)
     pointer = lease.block.__array_interface__["data"][0]
     return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device), lease)
+
+
+def empty_together(kinds: Mapping[str, type], count: int, device: wp.Device) -> dict[str, wp.array]:
+    """Flat arrays of `count` elements, with undefined contents; `kinds`: the type of each.
+
+    On CUDA they are cut from one allocation: the device then waits for Python once and not for each.
+    """
+    if not device.is_cuda:
+        return {name: empty(count, dtype, device) for name, dtype in kinds.items()}
+    return cut_together(kinds, count, device)
+
+
+def cut_together(kinds: Mapping[str, type], count: int, device: wp.Device) -> dict[str, wp.array]:
+    """The arrays of `empty_together` from one allocation, each at a multiple of `ALIGNED` bytes."""
+    sizes = [-(-count * wp.types.type_size_in_bytes(dtype) // ALIGNED) * ALIGNED for dtype in kinds.values()]
+    block, found, begin = wp.empty(sum(sizes), dtype=wp.uint8, device=device), {}, 0
+    for (name, dtype), size in zip(kinds.items(), sizes, strict=True):
+        part = wp.array(ptr=(block.ptr or 0) + begin, dtype=dtype, shape=count, device=device)
+        found[name], begin = keep_alive(part, block), begin + size
+    return found
 
 
 def keep_alive(array: wp.array, used: Any) -> wp.array:

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,6 +56,7 @@ class InstanceForest:
         environments: (E,) int32, ascending: those with instances of their own.
         roots: (E,) int32, root of each, from which its own and the shared instances are reached.
         layered: (N,) bool, the instances in trees of several nodes, whose quality depends on where they are.
+        layered_count: their number.
     """
 
     child: np.ndarray
@@ -83,8 +85,19 @@ class InstanceForest:
             "_steps": steps,
             "_above": (above[0][by_child], above[1][by_child]),
             "_above_first": np.searchsorted(self.child[above][by_child], np.arange(len(self.child) + 1)),
+            "layered_count": int(np.count_nonzero(self.layered)),
         }
         self.__dict__.update(known)
+
+    @cached_property
+    def links(self) -> tuple[np.ndarray, ...]:
+        """For code that walks from the leaves up, int32: the first lane of each instance and the lanes in which instances are;
+        the first lane of each node and the lanes in which nodes are. A lane is node W + lane.
+        """
+        width = self.child.shape[1]
+        places = (values[0] * width + values[1] for values in (self._leaves, self._above))
+        firsts = (self._leaf_first, self._above_first)
+        return tuple(values.astype(np.int32) for pair in zip(firsts, places, strict=True) for values in pair)
 
     @property
     def depth(self) -> int:

@@ -32,6 +32,7 @@ from wrt.kernels.traversal.leaf import Candidate, Counters, start
 from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
 from wrt.kernels.traversal.single.walk_table import WALKS
 from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT, NEXT, StackConfig, TraversalConfig
+from wrt.kernels.traversal.two_level.instance_single import PARTS, InstanceTree, make_search_instances
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -54,6 +55,8 @@ class Hit:
     """Weights of the triangle's second and third vertex; 0 for a miss."""
     triangle: int
     """Index of the triangle within the scene; -1 for a miss."""
+    instance_id: int
+    """Index of the instance, or of the mesh in a scene without instances; -1 for a miss."""
 
 
 @wp.struct
@@ -64,25 +67,28 @@ class NoScene:
 
 
 @wp.func
-def search_closest(scene: NoScene, ray: Ray, after: int):
-    """The closest hit of a valid ray. Each handle type adds an overload, as for the next three functions."""
+def search_closest(scene: NoScene, ray: Ray, origin: wp.vec3d, after: int):
+    """The closest hit of a valid ray, whose origin relative to the scene's centre is also given in float64.
+
+    Each handle type adds an overload, as for the next three functions.
+    """
     return start(ray.t_max)
 
 
 @wp.func
-def search_any(scene: NoScene, ray: Ray, after: int):
+def search_any(scene: NoScene, ray: Ray, origin: wp.vec3d, after: int):
     """Any hit, if there is one."""
     return start(ray.t_max)
 
 
 @wp.func
-def search_count(scene: NoScene, ray: Ray, after: int):
+def search_count(scene: NoScene, ray: Ray, origin: wp.vec3d, after: int):
     """A candidate whose `primitive` is the number of crossings minus one."""
     return start(ray.t_max)
 
 
 @wp.func
-def search_next(scene: NoScene, ray: Ray, after: int):
+def search_next(scene: NoScene, ray: Ray, origin: wp.vec3d, after: int):
     """The first crossing that follows the one with triangle `after` at t_min. The other three functions ignore `after`."""
     return start(ray.t_max)
 
@@ -125,12 +131,72 @@ def handle_type(kind: str, width: int, levels: int) -> type:
     return handle
 
 
-def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
-    """`wp.func(scene, ray, after) -> best`: the overload of a `search_*` function for one handle type."""
+@cache
+def instances_handle_type(kind: str, width: int, levels: int) -> type:
+    """The handle struct of a scene of instances; as `handle_type`.
+
+    Args:
+        kind: of the trees of meshes, key in `PARTS`.
+        width: as in `TraversalConfig`.
+        levels: as in `StackConfig`, for both levels.
+    """
+    Part = PARTS[kind]
+
+    class InstancesHandle:
+        top: InstanceTree
+        parts: wp.array(dtype=Part)
+        mesh: SceneMesh
+        mask: wp.uint32
+        environment: int
+
+    InstancesHandle.__qualname__ = f"InstancesHandle_{kind}_{width}_{levels}"
+    handle = wp.struct(InstancesHandle)
+    _handles.add(handle)
+    for query, search in SEARCHES.items():
+        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, stack=StackConfig(levels))
+        search.add_overload(make_instances_search(handle, make_search_instances(config, kind, levels), results_of(config)))
+    seeing.add_overload(make_seeing(handle))
+    return handle
+
+
+def make_instances_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
+    """As `make_search`, for the handle of a scene of instances."""
     follows_crossing = Results is PreviousCrossing
 
     @wp.func
-    def search(scene: handle, ray: Ray, after: int):
+    def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
+        hits = Results()
+        if wp.static(follows_crossing):
+            hits.t = ray.t_min
+            hits.primitive = after
+        work = Counters()
+        return walk(scene.top, scene.parts, origin, ray, scene.mask, scene.environment, hits, 0, work)
+
+    return search
+
+
+def make_seeing(handle: type) -> wp.Function:
+    """`seeing` for a handle type."""
+
+    @wp.func
+    def with_sight(scene: handle, mask: wp.uint32, environment: int):
+        other = handle()
+        other.top = scene.top
+        other.parts = scene.parts
+        other.mesh = scene.mesh
+        other.mask = mask
+        other.environment = environment
+        return other
+
+    return with_sight
+
+
+def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
+    """`wp.func(scene, ray, origin, after) -> best`: the overload of a `search_*` function for one handle type."""
+    follows_crossing = Results is PreviousCrossing
+
+    @wp.func
+    def search(scene: handle, ray: Ray, origin: wp.vec3d, after: int):
         hits = Results()
         if wp.static(follows_crossing):
             hits.t = ray.t_min
@@ -142,9 +208,21 @@ def make_search(handle: type, walk: wp.Function, Results: type) -> wp.Function:
 
 
 @wp.func
-def ray_in(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
-    """A ray of the caller relative to the scene's centre; a float64 origin is rounded after the centre is subtracted."""
-    return checked_ray(wp.vec3(wp.vec3d(origin) - scene.mesh.center), wp.vec3(direction), t_min, t_max)
+def centered(scene: Any, origin: wp.vec3):
+    """The origin of a caller's ray relative to the scene's centre."""
+    return wp.vec3d(origin) - scene.mesh.center
+
+
+@wp.func
+def centered(scene: Any, origin: wp.vec3d):  # noqa: F811  (an overload)
+    """A float64 origin is rounded to float32 there, as in batch queries."""
+    return wp.vec3d(wp.vec3(origin - scene.mesh.center))
+
+
+@wp.func
+def ray_in(origin: wp.vec3d, direction: Any, t_min: float, t_max: float):
+    """A ray of the caller; its origin is relative to the scene's centre."""
+    return checked_ray(wp.vec3(origin), wp.vec3(direction), t_min, t_max)
 
 
 class QueryFunction(wp.Function):
@@ -193,12 +271,16 @@ def hit_of(scene: Any, best: Candidate):
     hit.primitive_id = -1
     hit.geometry_id = -1
     hit.triangle = -1
+    hit.instance_id = -1
     if best.primitive >= 0:
         hit.t = best.t
         hit.triangle = best.primitive
         hit.uv = wp.vec2(best.u, best.v)
-        hit.geometry_id = geometry_of(scene.mesh, best.primitive)
-        hit.primitive_id = best.primitive - scene.mesh.geometry_first[hit.geometry_id]
+        hit.instance_id = geometry_of(scene.mesh, best.primitive)
+        hit.geometry_id = hit.instance_id
+        if scene.mesh.placements.shape[0] > 0:
+            hit.geometry_id = scene.mesh.placements[hit.instance_id].geometry
+        hit.primitive_id = best.primitive - scene.mesh.geometry_first[hit.instance_id]
     return hit
 
 
@@ -215,30 +297,33 @@ def closest_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: fl
             an infinity, or whose direction has no component of at least 2^-126, misses.
         t_min, t_max: closed range: a hit counts if t_min <= t <= t_max. t_min must be at least 0.
     """
-    ray = ray_in(scene, origin, direction, t_min, t_max)
+    start_point = centered(scene, origin)
+    ray = ray_in(start_point, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
-        best = search_closest(scene, ray, -1)
+        best = search_closest(scene, ray, start_point, -1)
     return hit_of(scene, best)
 
 
 @wp.func
 def any_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
     """Whether a ray has any hit, as `Scene.occluded`. Arguments as in `closest_hit`."""
-    ray = ray_in(scene, origin, direction, t_min, t_max)
+    start_point = centered(scene, origin)
+    ray = ray_in(start_point, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
-        best = search_any(scene, ray, -1)
+        best = search_any(scene, ray, start_point, -1)
     return best.primitive >= 0
 
 
 @wp.func
 def count_hits(scene: Any, origin: Any, direction: Any, t_min: float, t_max: float):
     """Number of surface crossings of a ray, as `Scene.count`. Arguments as in `closest_hit`."""
-    ray = ray_in(scene, origin, direction, t_min, t_max)
+    start_point = centered(scene, origin)
+    ray = ray_in(start_point, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
-        best = search_count(scene, ray, -1)
+        best = search_count(scene, ray, start_point, -1)
     return best.primitive + 1
 
 
@@ -249,10 +334,11 @@ def first_hit(scene: Any, origin: Any, direction: Any, t_min: float, t_max: floa
     Each crossing of the surface is one hit. At an edge `closest_hit` may return another of the triangles that share it.
     Arguments as in `closest_hit`.
     """
-    ray = ray_in(scene, origin, direction, t_min, t_max)
+    start_point = centered(scene, origin)
+    ray = ray_in(start_point, direction, t_min, t_max)
     best = start(t_max)
     if ray.valid:
-        best = search_next(scene, ray, -1)
+        best = search_next(scene, ray, start_point, -1)
     return hit_of(scene, best)
 
 
@@ -262,10 +348,11 @@ def next_hit(scene: Any, origin: Any, direction: Any, hit: Hit, t_max: float):
 
     It is a miss if there is no further hit up to t_max, or if `hit` is a miss.
     """
-    ray = ray_in(scene, origin, direction, hit.t, t_max)
+    start_point = centered(scene, origin)
+    ray = ray_in(start_point, direction, hit.t, t_max)
     best = start(t_max)
     if ray.valid and hit.triangle >= 0:
-        best = search_next(scene, ray, hit.triangle)
+        best = search_next(scene, ray, start_point, hit.triangle)
     return hit_of(scene, best)
 
 
@@ -285,3 +372,15 @@ def normal(scene: Any, hit: Hit):
 def spawn(scene: Any, hit: Hit, direction: wp.vec3):
     """(vec3d) origin for a ray of this direction that leaves a hit, as computed by `Hits.spawn`; NaN for a miss."""
     return spawn_origin(scene.mesh, hit.triangle, hit.uv, direction)
+
+
+@wp.func
+def seeing(scene: NoScene, mask: wp.uint32, environment: int):
+    """The handle of a scene of instances, for rays of another mask and environment than `Scene.handle` was given.
+
+    Args:
+        scene: `Scene.handle()` of a scene of instances.
+        mask: a ray sees the instances whose masks have a bit in common with it.
+        environment: a ray sees the instances of this environment and those that all share; -1 for those of all.
+    """
+    return scene

@@ -108,6 +108,11 @@ class PackedKernel:
                 setattr(self.arguments, f"p{index}", packed)
         self._inputs = inputs
 
+    def replace(self, index: int, struct: Any) -> None:
+        """Packs another struct in the place of one."""
+        self._inputs = [*self._inputs[:index], struct, *self._inputs[index + 1 :]]
+        setattr(self.arguments, f"p{index}", struct.__ctype__())
+
     def forget(self, but: Container[int]) -> None:
         """Lets go of all arguments but objects of these identities; before the next call, `update` must replace them."""
         self._inputs = [value if id(value) in but else None for value in self._inputs]

@@ -190,6 +190,10 @@ class PreparedLaunch:
         """Replaces a number among the arguments; the number of the first item is argument 0."""
         setattr(self._packed.arguments, f"p{index}", value)
 
+    def replace(self, index: int, struct: Any) -> None:
+        """Replaces an argument that is a struct; `index` as of `argument`."""
+        self._packed.replace(index, struct)
+
     def update(self, inputs: Sequence[Any]) -> None:
         """Replaces the arguments; `PackedKernel.update`."""
         self._packed.update([0, *inputs])

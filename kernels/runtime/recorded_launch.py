@@ -36,6 +36,7 @@ class RecordedLaunch:
 
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device, structs: Sequence[int]) -> None:
         self._launch = record(kernel, inputs, device)
+        self._inputs = [0, *inputs]
         self._structs = {index: [0, *inputs][index].__ctype__() for index in structs}
         for index, packed in self._structs.items():
             self._launch.set_param_at_index_from_ctype(index, packed)
@@ -44,6 +45,11 @@ class RecordedLaunch:
     def argument(self, index: int) -> Any:
         """The packed form of a struct among the kernel's arguments: what is written there holds for the next run."""
         return self._structs[index]
+
+    def replace(self, index: int, struct: Any) -> None:
+        """Replaces an argument that is a struct; `index` as of `argument`."""
+        self._inputs[index] = struct  # keeps the arrays alive
+        self._launch.set_param_at_index_from_ctype(index, struct.__ctype__())
 
     def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
         """Runs the kernel for the items 0 .. count - 1, on the device's current stream; arguments as of `PreparedLaunch`."""

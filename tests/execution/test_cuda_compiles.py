@@ -23,6 +23,7 @@ from wrt.builders.kdtree.phases.kdtree_subtrees import make_build_subtrees
 from wrt.builders.kdtree.scan.reference_chunks import make_decide
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.layout.mesh_placement import make_shift
+from wrt.kernels.query import instance_exact, instance_gradients
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.study.bare_triangle_tests import make_blocks, make_frusta, make_pairs, make_scalar
 from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
@@ -45,6 +46,7 @@ from wrt.kernels.traversal.traversal_config import (
     StackConfig,
     TraversalConfig,
 )
+from wrt.kernels.traversal.two_level import instance_single
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.ferko import VARIANTS
 from wrt.kernels.triangle.support.block_packing import make_kernel as make_packing_kernel
@@ -162,6 +164,23 @@ def test_traversal(traversal, tree, triangle_test, query, tmp_path):
     text = compile_to_ptx(kernel.module, tmp_path)
     assert ".entry" in text
     assert not FUSIBLE.search(text)
+
+
+SKIPPING = TraversalConfig("woop", 2, "count", skipping=True, stack=StackConfig(8))
+EXACT = TraversalConfig("woop", 2, "exact", stack=StackConfig(8))
+THROUGH_INSTANCES = {
+    "closest": lambda: instance_single.make_kernel(TraversalConfig("woop", 2, stack=StackConfig(8)), "bvh", 8),
+    "skip": lambda: instance_single.make_skipping_kernel(SKIPPING, "bvh", 8),
+    "precise": lambda: instance_exact.make_kernel(EXACT, "bvh", 8),
+    "gradients": lambda: instance_gradients.make_kernel(wp.vec3, wp.vec3, wp.vec3d, wp.transformf, False),
+}
+
+
+@pytest.mark.parametrize("name", THROUGH_INSTANCES)
+def test_instances(name, tmp_path):
+    text = compile_to_ptx(THROUGH_INSTANCES[name]().module, tmp_path)
+    assert ".entry" in text
+    assert name == "gradients" or not FUSIBLE.search(text)  # sums of gradients may fuse: no hit depends on them
 
 
 @pytest.mark.parametrize("query", NEAREST_QUERIES)

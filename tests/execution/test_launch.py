@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ import wrt
 from wrt.kernels.runtime import launch as launching
 from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
 from wrt.kernels.runtime.launch_loop import Step, launch_loop
+from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 
 
 @wp.kernel(enable_backward=False)
@@ -256,3 +259,36 @@ for _ in range(20):
 assert len(set(visits.numpy().tolist())) <= 21
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120, cwd=os.path.dirname(__file__))
+
+
+@wp.struct
+class Scaled:
+    values: wp.array(dtype=float)
+    factor: float
+
+
+@wp.kernel(enable_backward=False)
+def write_scaled(first: int, scaled: Scaled, out: wp.array(dtype=float)):
+    i = first + wp.tid()
+    out[i] = scaled.factor * scaled.values[i]
+
+
+@pytest.mark.parametrize("make", [PreparedLaunch, partial(RecordedLaunch, structs=(1,))], ids=["prepared", "recorded"])
+def test_another_struct_in_a_prepared_launch(make, device):
+    """Its arrays live as long as the launch, and those of the first one may be gone."""
+    device, count = wp.get_device(device), 5000
+    if make is PreparedLaunch and device.is_cuda:
+        pytest.skip("launches on CUDA are recorded")
+
+    def scaled(factor: float) -> Scaled:
+        struct = Scaled()
+        struct.values, struct.factor = wp.array(np.arange(count), dtype=float, device=device), factor
+        return struct
+
+    out = wp.zeros(count, dtype=float, device=device)
+    launch = make(write_scaled, [scaled(1.0), out], device)
+    for factor in (1.0, 2.0, 3.0):
+        launch.replace(1, scaled(factor))
+        gc.collect()
+        launch.run(count, Chunks())
+        np.testing.assert_array_equal(out.numpy(), factor * np.arange(count, dtype=np.float32))

@@ -180,3 +180,20 @@ def test_layouts_worked_out_once():
     again = wp.array(nodes, dtype=LiveRange, device="cpu").numpy()
     assert again.dtype == layout
     assert again.tobytes() == nodes.tobytes()
+
+
+def test_arrays_of_one_allocation():
+    """Aligned, apart, and alive as long as one of them."""
+    kinds, device = {"a": wp.vec3, "b": wp.float64, "c": wp.int32}, wp.get_device("cpu")
+    found = memory.cut_together(kinds, 1000, device)
+    for number, (name, array) in enumerate(found.items()):
+        assert (array.dtype, array.shape) == (kinds[name], (1000,))
+        array.fill_(number + 1)
+    last = found.pop("c")
+    np.testing.assert_array_equal(found["a"].numpy(), 1.0)
+    np.testing.assert_array_equal(found["b"].numpy(), 2.0)
+    assert (found["b"].ptr - found["a"].ptr) % memory.ALIGNED == 0
+    del found, array
+    gc.collect()
+    np.testing.assert_array_equal(last.reshape((10, 100)).numpy(), 3)
+    assert len(memory.cut_together(kinds, 0, device)["a"]) == 0

@@ -258,7 +258,7 @@ def test_code_runs(page, tmp_path, monkeypatch):
         pytest.skip(f"all of docs/{page} ran and was right but the blocks that need {', '.join(missing)}")
 
 
-DRAWN = {"drawn/rooms.svg": "draw_rooms", "drawn/query.svg": "draw_query"}
+DRAWN = {"drawn/rooms.svg": "draw_rooms", "drawn/query.svg": "draw_query", "drawn/frames.svg": "draw_frames"}
 """Pictures that are drawn when the site is built, and what draws them."""
 
 

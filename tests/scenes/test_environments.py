@@ -10,9 +10,9 @@ from test_instances import BALL, BOX, asked_alone, move, random_instances
 
 import wrt
 from wrt.builders.bvh.instance_forest import MAX_PACKED
+from wrt.instances.instance_boxes import build_upper
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE
 from wrt.scene.archives import read_archive, write_archive
-from wrt.scene.instance_boxes import build_upper
 
 LAST = (1 << 31) - 1
 NUMBERS = [-1, 0, 1, 7, LAST]
@@ -247,3 +247,24 @@ def test_wrong_environments_are_refused(case, scene):
     with pytest.raises(kind, match=message):
         call(scene)
     assert scene.state is before
+
+
+def test_a_few_moves_write_what_a_new_scene_has():
+    """All that is on the host, to the bit: one call of a kernel writes it, beside the array operations that move many."""
+    rng = np.random.default_rng(5)
+    members = [wrt.Instance(BALL if k % 3 else BOX, move(rng.uniform(-40, 40)), environment=k % 7 - 1) for k in range(120)]
+    scene = wrt.Scene(members, "bvh", device="cpu")
+    for rows in ([7], [0, 33, 119], list(range(20, 52)), list(range(60))):
+        matrices = np.array([scene.instances[row].transform for row in rows])
+        matrices[:, :3, :3] = np.diag([1.0, -0.7, 1.3]) + rng.uniform(-0.1, 0.1, (len(rows), 3, 3))
+        matrices[:, :3, 3] += rng.uniform(-0.3, 0.3, (len(rows), 3))
+        scene.update(rows, transform=matrices, mask=5)
+        ours, new = scene.state, wrt.Scene(scene.instances, "bvh", device="cpu").state
+        np.testing.assert_array_equal(ours.center, new.center)
+        assert ours.boxes.extremes == new.boxes.extremes
+        for name in ("origin", "box", "norms"):
+            np.testing.assert_array_equal(getattr(ours.boxes, name), getattr(new.boxes, name))
+        np.testing.assert_array_equal(ours.table, new.table)
+        np.testing.assert_array_equal(ours.tree.corners, new.tree.corners)
+        np.testing.assert_array_equal(ours.tree.host, ours.tree.forest.bounds(*ours.tree.corners))
+    assert scene.state.table["mask"][7] == 5

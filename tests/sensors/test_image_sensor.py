@@ -116,3 +116,105 @@ LENS = BrownConrady(60.0, 60.0, 7.5, 24.5)
 def test_wrong_arguments(scene, call, error, message):
     with pytest.raises(error, match=message):
         call(scene)
+
+
+@pytest.fixture(scope="module")
+def moving():
+    """A coloured box that moves and turns before a wall, and a camera that drives and turns; both known over 0.3 s."""
+    import trimesh
+
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    placed = [np.eye(4), trimesh.transformations.rotation_matrix(0.4, (0, 0, 1))]
+    placed[0][:3, 3], placed[1][:3, 3] = (6.0, 0.5, 0.0), (6.5, -0.5, 0.3)
+    members = [wrt.Instance(wall(10.0, -100.0, 100.0)), wrt.Instance(wrt.TriangleMesh(box.vertices, box.faces), placed[0])]
+    body = Trajectory.from_matrices([0.0, 0.3], placed)
+    drive = Trajectory.from_matrices([0.0, 0.3], [FORWARD, look_at([0.5, 0.2, 0.1], [3.0, 0.5, 0.1])])
+    return wrt.Scene(members, device="cpu"), body, drive
+
+
+def expected_flow(images: wrt.sensors.CameraImages, body: Trajectory, drive: Trajectory, seconds: float) -> np.ndarray:
+    """Of a camera with a global shutter, by NumPy and the lens."""
+    there = body.at(images.start + seconds) @ np.linalg.inv(body.at(images.start))
+    carried = images.position @ there[:3, :3].T + there[:3, 3]
+    points = np.where((images.instance_id == 1)[..., None], carried, images.position)
+    pose = drive.at(images.start + seconds)
+    columns, rows = np.meshgrid(np.arange(images.camera.width), np.arange(images.camera.height))
+    return images.camera.lens.project((points - pose[:3, 3]) @ pose[:3, :3]) - np.stack([columns, rows], axis=-1)
+
+
+def test_flow(moving):
+    """Forward and backward, with a lens; of bodies that move and of a camera that does."""
+    scene, body, drive = moving
+    camera = Camera(64, 48, BrownConrady(60.0, 60.0, 31.5, 23.5, distortion=(-0.1, 0.01, 1e-3, -1e-3)))
+    for time, seconds in ((0.0, 0.2), (0.2, -0.1)):
+        images = camera.capture(scene, drive, time=time, motions={1: body}, flow=seconds)
+        assert images.flow.shape == (48, 64, 2)
+        assert set(np.unique(images.instance_id)) >= {0, 1}
+        np.testing.assert_allclose(images.flow, expected_flow(images, body, drive, seconds), atol=1e-4)
+        assert np.abs(images.flow[images.instance_id == 1]).max() > 0.5
+    with pytest.raises(ValueError, match="the times of the flow"):
+        camera.capture(scene, drive, flow=0.4)
+    with pytest.raises(ValueError, match="flow is 0"):
+        camera.capture(scene, drive, flow=0.0)
+
+
+def test_flow_in_slices_and_of_many_cameras(moving):
+    """A rolling shutter: each row is compared with the same time later. Cameras at rest, one call."""
+    scene, body, _ = moving
+    camera = Camera(32, 40, BrownConrady(30.0, 30.0, 15.5, 19.5), line_delay=1e-3)
+    images = camera.capture(scene, FORWARD, motions={1: body}, slices=5, flow=0.1)
+    speed = np.diff(body.positions, axis=0)[0] / 0.3
+    box = images.instance_id == 1
+    assert box.sum() > 20
+    spin = body.velocities(0.0)[1]
+    centre = body.positions[0] + speed * images.time[:, None]
+    arm = images.position - centre[:, None]
+    shift = 0.1 * (speed + np.cross(spin, arm))
+    later = camera.lens.project((images.position + shift) @ FORWARD[:3, :3])
+    columns, rows = np.meshgrid(np.arange(32), np.arange(40))
+    np.testing.assert_allclose(images.flow[box], (later - np.stack([columns, rows], axis=-1))[box], atol=0.3)
+    assert np.abs(images.flow[images.instance_id == 0]).max() < 1e-4
+    pair = Camera(32, 40, camera.lens).capture(scene, np.stack([FORWARD, FORWARD]), motions={1: body}, flow=0.1, albedo=True)
+    assert pair.flow.shape == (2, 40, 32, 2)
+    assert pair.albedo.shape == (2, 40, 32, 3)
+    np.testing.assert_array_equal(pair.flow[0], pair.flow[1])
+
+
+def test_albedo(moving):
+    """The materials' colours, whatever the light; 0 where nothing is."""
+    scene, body, drive = moving
+    camera = Camera(32, 24, BrownConrady(30.0, 30.0, 15.5, 11.5))
+    materials = [wrt.Material(color=(0.2, 0.4, 0.6)), wrt.Material(color=(0.9, 0.1, 0.3))]
+    images = camera.capture(scene, drive, motions={1: body}, albedo=True, materials=materials)
+    expected = np.array([(0.0, 0.0, 0.0), (0.2, 0.4, 0.6), (0.9, 0.1, 0.3)], dtype=np.float32)[images.instance_id + 1]
+    np.testing.assert_allclose(images.albedo, expected, atol=1e-6)
+    assert camera.capture(scene, FORWARD).albedo is None
+    assert camera.capture(scene, FORWARD).flow is None
+    with pytest.raises(ValueError, match="albedo=True"):
+        camera.capture(scene, FORWARD, materials=materials)
+    one_level = wrt.Scene(scene.flattened(), device="cpu")
+    colours = camera.capture(one_level, FORWARD, albedo=True, materials=materials[1])
+    seen = colours.geometry_id == 0
+    assert seen.any()
+    np.testing.assert_allclose(colours.albedo[seen], np.broadcast_to(materials[1].color, (seen.sum(), 3)), atol=1e-6)
+
+
+def test_colour(moving):
+    """A picture by an integrator sees what the other images see: through the lens, at the time, and black without a ray."""
+    scene, body, drive = moving
+    lens = wrt.sensors.KannalaBrandt(20.0, 20.0, 31.5, 23.5, max_angle=0.9)
+    camera = Camera(64, 48, lens, line_delay=1e-3)
+    picture = camera.render(scene, drive, motions={1: body}, samples=1, lights=[wrt.Sky(1.0)], depth=2, sampler="random")
+    images = camera.capture(scene, drive)
+    still = (picture.layers["instance_id"] == 0) & (images.instance_id == 0)
+    assert still.sum() > 500
+    np.testing.assert_allclose(picture.layers["depth"][still], images.distance[still], rtol=1e-5)
+    assert (picture.layers["instance_id"] == 1).sum() > 20
+    _, rays = lens.unproject(np.stack(np.meshgrid(np.arange(64.0), np.arange(48.0)), axis=-1))
+    outside = np.isnan(rays[..., 0])
+    assert outside.sum() > 100
+    assert (picture.linear[outside] == 0.0).all()
+    assert np.isfinite(picture.linear).all()
+    assert picture.linear[still].max() > 0.0
+    with pytest.raises(ValueError, match="the times of the image"):
+        camera.render(scene, drive, time=0.28)

@@ -366,3 +366,34 @@ def test_wrong_arguments(case):
 def test_wrong_scans(head_on, options, message):
     with pytest.raises(ValueError, match=message):
         Lidar(pattern=BEAM).scan(head_on["scene"], options.pop("pose", np.eye(4)), **options)
+
+
+def test_presets_have_the_angles_of_their_manuals():
+    """In the order of firings, to a hundredth of a degree; and the maker's default angles, to a thousandth."""
+    pattern = Lidar.preset("velodyne_hdl32e").pattern
+    fired = np.argsort(pattern.times[:, 0])
+    elevations = np.degrees(np.arcsin(pattern.directions[fired, 0, 2]))
+    manual = [
+        -30.67,
+        -9.33,
+        -29.33,
+        -8.00,
+        -28.00,
+        -6.66,
+        -26.66,
+        -5.33,
+        -25.33,
+        -4.00,
+        -24.00,
+        -2.67,
+        -22.67,
+        -1.33,
+        -21.33,
+        0.0,
+    ]
+    manual += [-20.0, 1.33, -18.67, 2.67, -17.33, 4.0, -16.0, 5.33, -14.67, 6.67, -13.33, 8.0, -12.0, 9.33, -10.67, 10.67]
+    np.testing.assert_allclose(elevations, manual, atol=0.011)
+    pattern = Lidar.preset("ouster_os1_64").pattern
+    elevations = np.degrees(np.arcsin(pattern.directions[:, 0, 2]))
+    np.testing.assert_allclose(elevations[:6], [16.611, 16.084, 15.557, 15.029, 14.502, 13.975], atol=1e-3)
+    np.testing.assert_allclose(elevations[31:33], [0.264, -0.264], atol=1e-3)

@@ -130,6 +130,7 @@ def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kin
     if chosen.missed_savings:
         scene.cache.missed_savings += chosen.missed_savings * buffers.count
     prepared = chosen.take(layout) or PreparedQuery(scene, chosen.carried_out, kind, layout)
+    prepared.fit(scene)
     if layout in (STAGED, STAGED_CENTERED):
         hits = prepared.run_staged(buffers.given)
     else:

@@ -23,7 +23,7 @@ from weakref import finalize
 import numpy as np
 import warp as wp
 
-from wrt.execution.traversal_launch import HITS, RAYS, divide, kernel_and_inputs, no_work
+from wrt.execution.traversal_launch import HITS, RAYS, TREE, divide, kernel_and_inputs, no_work
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
@@ -54,11 +54,12 @@ class PreparedQuery:
     """
 
     def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
-        self.kind, self._plan = kind, plan
+        self.kind, self._plan, self._mesh = kind, plan, scene.device_mesh
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = traversal_config(self._plan, scene, kind, False)
         device = scene.device
         self._staging = None
+        self._relative = layout == STAGED if isinstance(layout, str) else not layout.centered
         if layout in (STAGED, STAGED_CENTERED):
             self._staging = borrow_staging(self, kind, device, scene.center if layout == STAGED else np.zeros(3))
         rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
@@ -73,6 +74,16 @@ class PreparedQuery:
         if self._staging is None:
             prepare_arguments(self._rays)
         self._divided: tuple[tuple[int, int], tuple[int, int, Chunks]] | None = None  # of the last call, by rays and threads
+
+    def fit(self, scene: SceneState) -> None:
+        """Makes this serve a state whose instances are elsewhere than in the one that it was prepared for."""
+        if scene.device_mesh is not self._mesh:
+            self._launch.replace(TREE, scene.upper())
+            if self._relative:
+                self._rays.center[:] = scene.center.tolist()
+                if self._staging is not None:
+                    self._staging.rays.center = wp.vec3d(*map(float, scene.center))
+            self._mesh = scene.device_mesh
 
     def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.

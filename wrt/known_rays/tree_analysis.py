@@ -199,12 +199,14 @@ def analyse(
 
     Raises:
         TypeError: an argument has a wrong type.
-        ValueError: the scene has another kind of tree, `rays` is empty, a cost is out of range, a statistic has the name of a
-            column that is there already, or does not return one number for each box.
+        ValueError: a scene of instances or of another kind of tree, `rays` is empty, a cost is out of range, a statistic has
+            the name of a column that is there already, or does not return one number for each box.
     """
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.tree import Bvh
 
+    if scene.instances:
+        raise ValueError("a scene of instances has a tree for each mesh; analyse wrt.Scene(scene.flattened()), or one mesh")
     if not isinstance(scene.tree, Bvh):
         raise ValueError(f"scene has a {scene.accelerator.kind}; analyse measures wrt.Bvh and wrt.ProjectedBvh")
     if area is not None and not isinstance(area, InfluenceArea):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ MAX_CONDITION = 1e12
 
 MAX_SCALE = 2.0**100
 """Largest factor by which a map may enlarge or shrink, so that ray directions in the mesh's space stay within float32."""
+
+TINY = float(np.finfo(np.float64).tiny)
 
 MAX_MASK = (1 << 32) - 1
 
@@ -98,6 +101,9 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         raise ValueError(f"{name} must be a finite (4, 4) matrix, not of shape {matrix.shape}: {matrix.tolist()}")
     if not (np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)) <= 1e-12).all():
         raise ValueError(f"{name} must be affine, its last row (0, 0, 0, 1); got {matrix[3].tolist()}")
+    if is_surely_regular(*matrix.ravel().tolist()[:11]):
+        matrix.flags.writeable = False
+        return matrix
     sizes = np.linalg.svd(matrix[:3, :3], compute_uv=False)
     if sizes[2] > 0.0 and not (sizes[0] <= MAX_SCALE and sizes[2] >= 1.0 / MAX_SCALE):
         raise ValueError(
@@ -111,6 +117,16 @@ def check_transform(transform: Any, name: str = "transform") -> np.ndarray:
         )
     matrix.flags.writeable = False
     return matrix
+
+
+def is_surely_regular(
+    a: float, b: float, c: float, _x: float, d: float, e: float, f: float, _y: float, g: float, h: float, i: float
+) -> bool:
+    """Whether the linear part of a finite map is far from singular, by bounds on its singular values that take no time."""
+    square = a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + i * i
+    largest = sqrt(square)  # at least the largest singular value
+    least = abs(a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)) / max(square, TINY)  # at most the smallest one
+    return largest <= MAX_SCALE and least >= 1.0 / MAX_SCALE and largest < MAX_CONDITION * least
 
 
 def check_transforms(transforms: Any, count: int) -> np.ndarray:
@@ -263,9 +279,14 @@ def is_graph(geometry: Any) -> bool:
 
 def graph_instances(scene: Any) -> list[Instance]:
     """The nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
-    meshes = {name: mesh for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))}
-    placed = [scene.graph[node] for node in scene.graph.nodes_geometry]
-    instances = [Instance(meshes[name], matrix) for matrix, name in placed if name in meshes]
+    placed = [scene.graph[node] for node in graph_nodes(scene)]
+    instances = [Instance(scene.geometry[name], matrix) for matrix, name in placed]
     if not instances:
         raise ValueError("no triangles in the trimesh.Scene: it needs a mesh (point clouds and paths do not count)")
     return instances
+
+
+def graph_nodes(scene: Any) -> list[str]:
+    """Names of the nodes of a trimesh.Scene that hold triangles, in the order of its graph."""
+    filled = {name for name, mesh in scene.geometry.items() if len(getattr(mesh, "faces", ()))}
+    return [node for node in scene.graph.nodes_geometry if scene.graph[node][1] in filled]

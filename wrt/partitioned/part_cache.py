@@ -183,7 +183,7 @@ class PartCache:
         self.traffic.bytes_read += sum(array.nbytes for array in arrays.values())
         if str(arrays["label"]) != label_of(self.parts.mark, number):
             raise ValueError(f"its label is {arrays['label']}")
-        (mesh,), accelerator, _, known = parse_scene(arrays)
+        (mesh,), accelerator, _, known, _ = parse_scene(arrays)
         ids, count = arrays["ids"], int(self.parts.triangles[number])
         if ids.dtype != np.int32 or ids.shape != (count,) or mesh.triangle_count != count:
             raise ValueError(f"it has {mesh.triangle_count} triangles and {ids.shape} numbers, not {count}")

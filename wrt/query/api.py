@@ -80,8 +80,8 @@ class Queries:
             cull_backfaces: whether rays hit only the front of triangles, from where their vertices are in counter-clockwise
                 order. Not all traversals support this; "auto" chooses one that does.
             skip: each ray ignores one triangle, usually the one that it starts on. Either the `wrt.Hits` of this scene at
-                which the rays start (a miss skips nothing), or, in a scene of one mesh, (...) primitive ids, -1 for none;
-                the leading shape broadcasts to that of the rays. Neighbouring and coincident triangles are not skipped.
+                which the rays start (a miss skips nothing), or, in a scene of one mesh or instance, (...) primitive ids, -1 for
+                none; the leading shape broadcasts to that of the rays. Neighbouring and coincident triangles are not skipped.
                 Rays are traced one at a time. To leave the surface instead of ignoring one triangle, start rays from
                 `Hits.spawn`.
             traversal: "auto", a key of `wrt.kernels.traversal.TRAVERSALS`, or a `Plan`, such as `explain` returns. A plan
@@ -90,16 +90,15 @@ class Queries:
             counters: whether to count each ray's work (`Hits.counters`).
             precise: whether to answer as brute force in float64 would, on rays and vertices as given, without rounding
                 them to float32: the triangle, t, uv, position and normal, the last four in float64. A direction that is zero
-                or infinite in float32 misses. Uses a traversal and a triangle test of its own.
+                or infinite in float32 misses. Uses a traversal and a triangle test of its own. Instances are mapped in float64.
 
         Raises:
             TypeError: an argument has a wrong type.
             ValueError: wrong shapes, a range that is negative or NaN, an unknown name, arrays on another device; `areas` in a
                 scene without influence areas, or numbers of none; `precise` together with a traversal, a triangle test,
-                counters or culling, or in a scene of instances; `skip` together with a traversal, a triangle test, counters
-                or `precise`, in a scene of instances or a `wrt.FuzzyScene`, with ids of no triangle, hits of another scene,
-                or a shape that does not broadcast to that of the rays; rays that require gradients inside a `wp.Tape` (call
-                `wrt.differentiable_hits` for gradients).
+                counters or culling; `skip` together with a traversal, a triangle test, counters or `precise`, in a
+                `wrt.FuzzyScene`, with ids of no triangle, hits of another scene, or a shape that does not broadcast to that of
+                the rays; rays that require gradients inside a `wp.Tape` (call `wrt.differentiable_hits` for gradients).
         """
         query = as_query(Queries.intersect, CLOSEST, options)
         rays = as_rays(origins, directions, t_min, t_max)

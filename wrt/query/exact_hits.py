@@ -11,9 +11,9 @@ import warp as wp
 
 from wrt.execution.executor import on_device
 from wrt.execution.triangle_records import records_of
-from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.memory import empty
-from wrt.planning.plan import traversal_config
+from wrt.kernels.runtime.launch import kept, launch, specialise, use_threads
+from wrt.memory import empty, keep_alive
+from wrt.planning.plan import stack_levels, traversal_config
 from wrt.planning.planner import DEFAULT_TEST, find_plan
 from wrt.query.hits import Hits
 from wrt.rays.ray_arrays import flatten_shared
@@ -33,10 +33,10 @@ class PreciseHits(Hits):
     """Closest hits in float64: as `Hits`, but t, uv, position and normal are float64, whatever the type of the rays."""
 
     def __init__(
-        self, hits: ExactHits, rounded: DeviceHits, mesh: ExactMesh, form: ResultForm, scene: SceneState, plan: Plan
+        self, hits: ExactHits, rounded: DeviceHits, triangles: list[Any], form: ResultForm, scene: SceneState, plan: Plan
     ) -> None:
         super().__init__(rounded, form, scene, plan)
-        self._exact, self._exact_mesh = hits, mesh
+        self._exact, self._exact_triangles = hits, triangles
 
     @cached_property
     def t(self) -> Any:
@@ -48,19 +48,24 @@ class PreciseHits(Hits):
 
     @cached_property
     def position(self) -> Any:
-        from wrt.kernels.query.exact_closest import exact_positions
-
         out = self._empty(wp.vec3d)
-        self._launch(exact_positions, self._exact_mesh, self.batch.primitive, self._exact.uv, out)
+        self._launch(self._kernels.exact_positions, *self._exact_triangles, self.batch.primitive, self._exact.uv, out)
         return self._out(out)
 
     @cached_property
     def normal(self) -> Any:
-        from wrt.kernels.query.exact_closest import exact_normals
-
         out = self._empty(wp.vec3d)
-        self._launch(exact_normals, self._exact_mesh, self.batch.primitive, out)
+        self._launch(self._kernels.exact_normals, *self._exact_triangles, self.batch.primitive, out)
         return self._out(out)
+
+    @property
+    def _kernels(self) -> Any:
+        """The module of the kernels for these triangles."""
+        if len(self._exact_triangles) == 1:
+            from wrt.kernels.query import exact_closest as kernels
+        else:
+            from wrt.kernels.query import instance_exact as kernels
+        return kernels
 
 
 def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
@@ -76,18 +81,43 @@ def find_precisely(scene: SceneState, rays: Rays, query: Query) -> PreciseHits:
     with use_threads(scene.num_threads):
         buffers, device = on_device(scene, rays, query), scene.device
         plan = replace(find_plan(scene, buffers, Query(CLOSEST, "single", DEFAULT_TEST)).plan, reason="in float64")
-        hits, mesh = ExactHits(), exact_mesh(scene)
+        hits = ExactHits()
         rounded = DeviceHits.new(EXACT, buffers.count, device)
         hits.rounded = rounded.struct()
         hits.t = empty(buffers.count, wp.float64, device)
         hits.uv = empty(buffers.count, wp.vec2d, device)
         center = wp.vec3d(*map(float, scene.center))
         scene.complete()
-        triangles = records_of(scene, plan, None)
-        inputs = [scene.tree.struct(), triangles, mesh, center, exact_rays(rays, buffers, device), hits]
-        kernel = specialise(partial(make_kernel, plan.accelerator), traversal_config(plan, scene, EXACT, False))
-        launch(kernel, buffers.count, inputs, device=device)
-    return PreciseHits(hits, rounded, mesh, buffers.form, scene, plan)
+        config, exact = traversal_config(plan, scene, EXACT, False), exact_rays(rays, buffers, device)
+        if scene.instances:
+            from wrt.kernels.query.instance_exact import make_kernel as make_instance_kernel
+
+            batch, geometries = buffers.batch, exact_geometries(scene)
+            inputs = [scene.upper(), scene.lower(plan, batch), geometries, center, batch, exact, hits]
+            factory = partial(make_instance_kernel, kind=plan.accelerator, levels=stack_levels(scene.tree.depth))
+            triangles = [scene.device_mesh, geometries]
+        else:
+            mesh = exact_mesh(scene)
+            inputs = [scene.tree.struct(), records_of(scene, plan, None), mesh, center, exact, hits]
+            factory, triangles = partial(make_kernel, plan.accelerator), [mesh]
+        launch(specialise(factory, config), buffers.count, inputs, device=device)
+    return PreciseHits(hits, rounded, triangles, buffers.form, scene, plan)
+
+
+def exact_geometries(scene: SceneState) -> wp.array:
+    """The triangles that instances share in float64 on the scene's device; made once, and kept as long as the meshes."""
+    from wrt.kernels.query.instance_exact import ExactGeometry
+
+    key, tables = ("float64", ""), scene.cache.tables
+    if key not in tables:
+        table = []
+        for part in scene.parts:
+            geometry = ExactGeometry()
+            geometry.mesh, geometry.center = exact_mesh(part), wp.vec3d(*part.center.tolist())
+            table.append(geometry)
+        with kept(scene.device):
+            tables[key] = keep_alive(wp.array(table, dtype=ExactGeometry, device=scene.device), table)
+    return tables[key]
 
 
 def exact_mesh(scene: SceneState) -> ExactMesh:

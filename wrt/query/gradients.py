@@ -1,4 +1,4 @@
-"""Hits with gradients with respect to rays and vertices, for a `wp.Tape`."""
+"""Hits with gradients with respect to rays, vertices and transforms of instances, for a `wp.Tape`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import load
+from wrt.kernels.runtime.launch import kept, launch, load
 from wrt.rays.rays import as_vectors
 
 if TYPE_CHECKING:
     from wrt.query.api import Queries
     from wrt.query.hits import Hits
+
+
+TRANSFORMS = (wp.mat44, wp.mat44d, wp.transformf, wp.transformd)
 
 
 @dataclass(frozen=True)
@@ -35,8 +38,10 @@ class DifferentiableHits:
     normal: wp.array
 
 
-def differentiable_hits(scene: Queries, hits: Hits, origins: Any, directions: Any, vertices: Any = None) -> DifferentiableHits:
-    """Recomputes hits as smooth functions of rays and vertices; the triangle that each ray hits is fixed.
+def differentiable_hits(
+    scene: Queries, hits: Hits, origins: Any, directions: Any, vertices: Any = None, transforms: Any = None
+) -> DifferentiableHits:
+    """Recomputes hits as smooth functions of rays, vertices and transforms; the triangle that each ray hits is fixed.
 
         hits = scene.intersect(origins, directions)  # not on the tape
         with wp.Tape() as tape:
@@ -51,24 +56,22 @@ def differentiable_hits(scene: Queries, hits: Hits, origins: Any, directions: An
 
     Args:
         scene: the scene that was queried.
-        hits: its result. Rays and vertices may have changed since, as long as the rays still hit the same triangles.
+        hits: its result. Rays, vertices and transforms may have changed since, as long as the rays hit the same triangles.
         origins, directions: (..., 3) as in `intersect`, with the hits' leading shape, or one vector for all rays.
-        vertices: (V, 3) of all meshes, concatenated, in the scene's coordinates; None for the scene's own.
+        vertices: (V, 3) of all meshes, concatenated: in the scene's coordinates, or, in a scene of instances, each mesh once
+            (`Scene.meshes`) in its own space. None for the scene's own.
+        transforms: in a scene of instances, (I, 4, 4) of all of them, or a Warp array (I,) of mat44, mat44d or `wp.transform`
+            (whose quaternions are not normalised); None for the scene's own.
 
     Returns:
         The hits as arrays with gradients.
 
     Raises:
         TypeError: an argument is not an array of real numbers.
-        ValueError: a wrong shape, hits of another scene, a scene of instances, or an array on another device.
+        ValueError: a wrong shape, hits of another scene, transforms in a scene without instances, an array on another device.
     """
-    from wrt.kernels.query.hit_gradients import make_kernel
+    from wrt.kernels.query import hit_gradients, instance_gradients
 
-    if scene.instances:
-        raise ValueError(
-            "gradients need a scene without instances; use wrt.Scene(scene.flattened()), which numbers the triangles of all "
-            "instances, for hits and gradients"
-        )
     device, count, shape = scene.device, len(hits.batch.t), hits.shape or (1,)
     if hits.batch.t.device != device:
         raise ValueError(f"hits are on {hits.batch.t.device}, the scene on {device}; pass hits of this scene")
@@ -81,17 +84,77 @@ def differentiable_hits(scene: Queries, hits: Hits, origins: Any, directions: An
         )
     start, origin_stride = _ray_vectors(origins, "origins", shape, device)
     toward, direction_stride = _ray_vectors(directions, "directions", shape, device)
-    double = any(values.dtype is wp.vec3d for values in (start, toward, *(() if vertices is None else (points,))))
+    if transforms is not None:
+        scene.state.require_instances("transforms")
+    places = _transforms(scene, transforms, device) if scene.instances else None
+    given = (start, toward, *(() if vertices is None else (points,)), *(() if transforms is None else (places,)))
+    double = any(values.dtype in (wp.vec3d, wp.mat44d, wp.transformd) for values in given)
     Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
     outputs = [
         wp.full(count, value, dtype=dtype, device=device, requires_grad=True)
         for value, dtype in ((np.inf, Scalar), (0.0, Pair), (np.nan, Vector), (0.0, Vector))
     ]
-    kernel = make_kernel(start.dtype, toward.dtype, points.dtype, double)
-    inputs = [start, origin_stride, toward, direction_stride, points, scene.device_mesh.faces, hits.batch.primitive]
+    inputs = [start, origin_stride, toward, direction_stride, points]
+    if scene.instances:
+        kernel = instance_gradients.make_kernel(start.dtype, toward.dtype, points.dtype, places.dtype, double)
+        inputs += [places, *_placed_triangles(scene, hits)]
+    else:
+        kernel = hit_gradients.make_kernel(start.dtype, toward.dtype, points.dtype, double)
+        inputs += [scene.device_mesh.faces, hits.batch.primitive]
     load([kernel], device)
     wp.launch(kernel, dim=count, inputs=inputs, outputs=outputs, device=device)
     return DifferentiableHits(*(values.reshape(shape) for values in outputs))
+
+
+def _transforms(scene: Queries, transforms: Any, device: wp.Device) -> wp.array:
+    """(I,) matrices or poses of all instances; a Warp array keeps its gradient.
+
+    Raises:
+        TypeError: an array of another type.
+        ValueError: another number of transforms, or an array on another device.
+    """
+    count = len(scene.instances)
+    if isinstance(transforms, wp.array):
+        if transforms.dtype not in TRANSFORMS or transforms.shape != (count,):
+            raise TypeError(
+                f"transforms must be a Warp array ({count},) of mat44, mat44d, transform or transformd, not "
+                f"{transforms.shape} of {transforms.dtype.__name__}"
+            )
+        if transforms.device != device:
+            raise ValueError(f"transforms are on {transforms.device}, the scene on {device}; copy them there")
+        return transforms
+    values = [one.transform for one in scene.instances] if transforms is None else transforms
+    matrices = np.asarray(values)
+    if matrices.dtype.kind not in "fiu":
+        raise TypeError(f"transforms must hold real numbers, not {matrices.dtype}")
+    if matrices.shape != (count, 4, 4):
+        raise ValueError(f"transforms have the shape {matrices.shape}; pass ({count}, 4, 4), one for each instance")
+    kind = wp.mat44 if matrices.dtype == np.float32 else wp.mat44d
+    return wp.array(np.ascontiguousarray(matrices, dtype=wp.dtype_to_numpy(kind._wp_scalar_type_)), dtype=kind, device=device)
+
+
+def _placed_triangles(scene: Queries, hits: Hits) -> list[wp.array]:
+    """Faces of all meshes, the face and the instance that each ray hits, and 1 or -1, for mirrored ones, for each instance."""
+    from wrt.kernels.query.instance_gradients import number_faces
+
+    device, tables = scene.device, scene.state.cache.tables
+    key = ("faces", "")
+    if key not in tables:
+        faces, first_vertex, first_face = [], 0, [0]
+        for mesh in scene.meshes:
+            faces.append(mesh.faces + first_vertex)
+            first_vertex, first_face = first_vertex + mesh.vertex_count, [*first_face, first_face[-1] + mesh.triangle_count]
+        with kept(device):
+            tables[key] = (
+                wp.array(np.concatenate(faces).astype(np.int32), dtype=wp.vec3i, device=device),
+                wp.array(np.array(first_face), dtype=int, device=device),
+            )
+    faces, first_face = tables[key]
+    instance, geometry, local = hits.located
+    face_of = wp.empty_like(local)
+    launch(number_faces, len(local), [geometry, local, first_face, face_of], device=device)
+    signs = np.sign(np.linalg.det(np.array([one.transform[:3, :3] for one in scene.instances])))
+    return [faces, face_of, instance, wp.array(signs, dtype=wp.float64, device=device)]
 
 
 def _on_device(values: Any, name: str, device: wp.Device) -> wp.array:

@@ -102,15 +102,15 @@ class Hits:
     @cached_property
     def primitive_id(self) -> Any:
         alone = self._mesh.geometry_first.shape[0] == 2  # of a single mesh, triangles are numbered as through the scene
-        return self.batch.result("primitive", self._form) if alone else self._out(self._located[2])
+        return self.batch.result("primitive", self._form) if alone else self._out(self.located[2])
 
     @cached_property
     def geometry_id(self) -> Any:
-        return self._out(self._located[1])
+        return self._out(self.located[1])
 
     @cached_property
     def instance_id(self) -> Any:
-        return self._out(self._located[0])
+        return self._out(self.located[0])
 
     @cached_property
     def is_hit(self) -> Any:
@@ -260,7 +260,7 @@ class Hits:
         return {name: np.ascontiguousarray(work[name]).reshape(self.shape) for name in work.dtype.names}
 
     @cached_property
-    def _located(self) -> tuple[wp.array, wp.array, wp.array]:
+    def located(self) -> tuple[wp.array, wp.array, wp.array]:
         """Instance, geometry, and triangle within the geometry."""
         from wrt.kernels.query.hit_attributes import locate_geometry
 

@@ -17,7 +17,7 @@ import warp as wp
 from wrt.execution.executor import Answer, on_device
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, specialise, use_threads
-from wrt.planning.plan import plan_for_query, traversal_config
+from wrt.planning.plan import plan_for_query, stack_levels, traversal_config
 from wrt.planning.planner import find_plan
 from wrt.query.hits import Hits
 from wrt.state.device_hits import DeviceHits
@@ -58,10 +58,17 @@ def answer_skipping(scene: SceneState, rays: Rays, query: Query) -> Answer:
         carried_out = plan_for_query(plan, query.kind)
         scene.complete()
         hits = DeviceHits.new(query.kind, buffers.count, scene.device)
-        triangles = records_of(scene, carried_out, buffers.batch)
-        inputs = [scene.tree.struct(), triangles, buffers.batch, skipped, hits.struct()]
         config = replace(traversal_config(carried_out, scene, query.kind, False), skipping=True)
-        kernel = specialise(partial(make_kernel, carried_out.accelerator), config)
+        if scene.instances:
+            from wrt.kernels.traversal.two_level.instance_single import make_skipping_kernel
+
+            triangles = [scene.upper(), scene.lower(carried_out, buffers.batch)]
+            kind, levels = carried_out.accelerator, stack_levels(scene.tree.depth)
+            kernel = specialise(partial(make_skipping_kernel, kind=kind, levels=levels), config)
+        else:
+            triangles = [scene.tree.struct(), records_of(scene, carried_out, buffers.batch)]
+            kernel = specialise(partial(make_kernel, carried_out.accelerator), config)
+        inputs = [*triangles, buffers.batch, skipped, hits.struct()]
         launch(kernel, buffers.count, inputs, device=scene.device, chunk=1024)
     return Answer(hits, buffers.form, plan)
 
@@ -70,13 +77,8 @@ def check_skip(scene: SceneState, others: dict[str, Any]) -> None:
     """Refuses arguments and scenes that `skip` does not support.
 
     Raises:
-        ValueError: a scene of instances or a `wrt.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
+        ValueError: a `wrt.FuzzyScene`, or an argument in `others` that is neither "auto" nor False.
     """
-    if scene.instances:
-        raise ValueError(
-            "skip needs a scene without instances; start rays at hits.spawn(directions) instead, "
-            "or use wrt.Scene(scene.flattened()), which numbers the triangles of all instances"
-        )
     if scene.only_single:
         raise ValueError(
             "skip needs a scene with one tree; start rays at hits.spawn(directions) instead, or use wrt.Scene(scene.meshes)"
@@ -100,9 +102,10 @@ def skipped_triangles(skip: Any, scene: SceneState, buffers: RayBuffers) -> wp.a
             raise ValueError("skip holds hits of another scene; pass hits of this scene")
         values, shape = skip.batch.primitive, skip.shape
     else:
-        if len(scene.meshes) > 1:
+        if (count := len(scene.instances) or len(scene.meshes)) > 1:
+            what = "instance" if scene.instances else "mesh"
             raise ValueError(
-                f"skip holds triangles of one mesh, and the scene has {len(scene.meshes)}; pass the wrt.Hits where rays start"
+                f"skip holds triangles of one {what}, and the scene has {count}; pass the wrt.Hits where rays start"
             )
         values, shape = (skip, skip.shape) if isinstance(skip, wp.array) else as_triangles(skip, scene.triangle_count)
     if isinstance(values, wp.array) and values.device != scene.device:

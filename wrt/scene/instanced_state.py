@@ -11,7 +11,7 @@ microseconds an instance; trees of meshes stay.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -19,15 +19,16 @@ import numpy as np
 import warp as wp
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
-from wrt.execution.triangle_records import records_of
-from wrt.kernels.layout.instance_maps import Geometry, Placement
+from wrt.instances.few_moves import MOST_AT_ONCE, move_few
+from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
+from wrt.instances.instance_tables import geometry_table, part_table, upper_struct
+from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import kept, use_threads
-from wrt.memory import keep_alive
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.node_graph import NodeGraph
 from wrt.meshes.placement import check_index, find_center
-from wrt.scene.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -55,13 +56,11 @@ class InstancedState(SceneState):
         given: the mesh of each of `mesh_states` as the caller gave it.
         moved: instances that moved since the upper level was built, of those in trees of several nodes.
         last_update: of the tree of the mesh whose vertices the last update moved; None if it moved none.
+        graph: the nodes on which instances hang; None if the scene was made without a graph.
     """
 
     refused: ClassVar[dict[str, str]] = {
         "statistics": "a scene of instances has many trees; call wrt.Scene(scene.meshes[0]).statistics() for one mesh",
-        "float64 vertices": "a scene of instances has no vertices in float64, which precise=True and gradients need; "
-        "use wrt.Scene(scene.flattened())",
-        "handle": "kernels need the handle of a single tree, not of instances; use wrt.Scene(scene.flattened()).handle()",
     }
 
     geometry_ids: tuple[int, ...] = ()
@@ -72,6 +71,7 @@ class InstancedState(SceneState):
     given: tuple[Any, ...] = ()
     moved: int = 0
     last_update: UpdateReport | None = None
+    graph: NodeGraph | None = None
 
     @property
     def triangle_count(self) -> int:
@@ -103,6 +103,16 @@ class InstancedState(SceneState):
         """Memory of all trees, triangles and maps, and of the records made so far."""
         return sum(part.bytes for part in self.mesh_states) + self.tree.bytes + self.device_mesh.placements.capacity
 
+    @property
+    def exact_vertices(self) -> wp.array:
+        """(V,) vec3d on the device: the vertices of all meshes, each once, in its own space; made once for these meshes."""
+        key, tables = ("vertices", ""), self.cache.tables
+        if key not in tables:
+            vertices = np.concatenate([mesh.vertices for mesh in self.meshes]).astype(np.float64)
+            with kept(self.device):
+                tables[key] = wp.array(vertices, dtype=wp.vec3d, device=self.device)
+        return tables[key]
+
     def contents(self) -> str:
         """What is in the scene, in words."""
         return f"{len(self.instances)} instances of {len(self.meshes)} meshes"
@@ -116,29 +126,13 @@ class InstancedState(SceneState):
 
     def upper(self) -> InstanceTree:
         """The upper level, as traversals read it."""
-        from wrt.kernels.traversal.two_level.instance_single import InstanceTree
-
-        top = InstanceTree()
-        top.tree, top.order = self.tree.struct(), self.tree.primitive
-        top.placements, top.stretch = self.device_mesh.placements, self.boxes.stretch
-        top.environments, top.roots = self.tree.environments, self.tree.roots
-        top.root, top.shared_root = self.tree.forest.root, self.tree.forest.shared_root
-        return top
+        return upper_struct(self.tree, self.device_mesh, self.boxes.stretch)
 
     def lower(self, plan: Plan, rays: RayBatch) -> wp.array:
         """The trees of the meshes and their records for the plan's triangle test, as traversals of `rays` read them; cached."""
-        from wrt.kernels.traversal.two_level.instance_single import PARTS
-
         key, tables = (plan.accelerator, plan.triangle_test), self.cache.tables
         if key not in tables:
-            kind, table, used = PARTS[plan.accelerator], [], []
-            for mesh in self.mesh_states:
-                part, blocks = kind(), records_of(mesh, plan, rays)
-                part.tree, part.triangles = mesh.tree.struct(), blocks
-                table.append(part)
-                used.append((mesh.tree, blocks))
-            with kept(self.device):
-                tables[key] = keep_alive(wp.array(table, dtype=kind, device=self.device), used)
+            tables[key] = part_table(self.mesh_states, plan, rays, self.device)
         return tables[key]
 
     def updated(
@@ -147,7 +141,7 @@ class InstancedState(SceneState):
         vertices: Any,
         transform: Any,
         mask: int | None,
-        policy: UpdatePolicy,
+        policy: UpdatePolicy | None,
         environment: int | None = None,
     ) -> InstancedState:
         """The state after instances, or the vertices of a mesh, have moved; as `wrt.Scene.update`."""
@@ -169,8 +163,8 @@ class InstancedState(SceneState):
             if vertices is not None:
                 return self._bent(tuple(instances), rows, vertices, policy)
             if environment is not None:
-                return self.with_instances(tuple(instances))
-            return self._moved(tuple(instances), np.unique(chosen))
+                return self.with_instances(tuple(instances), self.graph)
+            return self._moved(tuple(instances), chosen if len(chosen) == 1 else np.unique(chosen))
 
     def chosen(self, index: Any) -> np.ndarray:
         """(M,) numbers of the instances that a caller means: an index, or several.
@@ -201,28 +195,31 @@ class InstancedState(SceneState):
         )
         check_extent(instances, self.geometry_ids, [part.meshes[0] for part in states])
         placed = place_instances(instances, self.geometry_ids, states, covers, self.settings, self.mark)
+        placed = replace(placed, graph=self.graph)
         given = (*self.given[:number], part.meshes[0], *self.given[number + 1 :])
         return replace(placed, given=given, last_update=part.last_update)
 
     def _moved(self, instances: tuple[Instance, ...], rows: np.ndarray) -> InstancedState:
         """The state after some instances have moved: the nodes above them get new boxes."""
+        layered = self.tree.forest.layered
+        moved = self.moved + int(np.count_nonzero(layered[rows]))
+        keeps = 2 * moved <= self.tree.forest.layered_count
+        if keeps and len(rows) <= MOST_AT_ONCE:
+            found = move_few(self, instances, rows)
+            if found is not None:
+                return assemble(self, instances, *found, moved)
         transforms = np.array([instances[row].transform for row in rows])
         numbers = np.array([self.geometry_ids[row] for row in rows])
         boxes = self.boxes.with_rows(rows, InstanceBoxes.of(transforms, numbers, self.covers))
         if not boxes.are_resolved:
             check_extent(instances, self.geometry_ids, [part.meshes[0] for part in self.mesh_states])
-        moved = self.moved + int(np.count_nonzero(self.tree.forest.layered[rows]))
-        if 2 * moved > np.count_nonzero(self.tree.forest.layered):
-            tree, moved = None, 0
-        else:
-            tree = self.tree
         table = self.table.copy()
-        boxes.write(table, rows)
+        write_maps(table, rows, transforms)
         table["mask"][rows] = [instances[row].mask for row in rows]
-        return assemble(self, instances, boxes, table, tree, moved, rows)
+        return place(self, instances, boxes, table, self.tree if keeps else None, moved if keeps else 0, rows)
 
-    def with_instances(self, instances: tuple[Instance, ...]) -> InstancedState:
-        """The state of other instances. Meshes that are here already keep their trees.
+    def with_instances(self, instances: tuple[Instance, ...], graph: NodeGraph | None) -> InstancedState:
+        """The state of other instances, on these nodes. Meshes that are here already keep their trees.
 
         Raises:
             ValueError: as `wrt.InstancedScene`.
@@ -230,14 +227,25 @@ class InstancedState(SceneState):
         known = {}
         for given, state, points in zip(self.given, self.mesh_states, self.covers.each, strict=True):
             known[id(given)] = known[id(state.meshes[0])] = state, points
-        return place_members(instances, self.settings, None, self.mark, known)
+        return replace(place_members(instances, self.settings, None, self.mark, known), graph=graph)
+
+    def with_nodes(self, nodes: Mapping[str, Any]) -> InstancedState:
+        """The state after nodes of the graph have moved, and with them what hangs on them; as `wrt.Scene.move`."""
+        if self.graph is None:
+            raise ValueError("the scene has no graph; make it from a trimesh.Scene, or move instances with update")
+        graph, rows = self.graph.moved(nodes)
+        if not len(rows):
+            return replace(self, graph=graph)
+        moved = self.updated(rows, None, graph.world[graph.node_of[rows]], None, None)
+        return replace(moved, graph=graph)
 
 
 def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> InstancedState:
     """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
-    return place_members(as_instances(geometry), settings, cache, new_mark(), {})
+    graph = NodeGraph.of_geometry(geometry)
+    return replace(place_members(as_instances(geometry), settings, cache, new_mark(), {}), graph=graph)
 
 
 def place_members(
@@ -301,7 +309,7 @@ def place_instances(
     transforms, known = np.array([instance.transform for instance in instances]), Covers.of(covers, states)
     boxes = InstanceBoxes.of(transforms, numbers, known)
     table = np.zeros(len(instances), dtype=Placement.numpy_dtype())
-    boxes.write(table, slice(None))
+    write_maps(table, slice(None), transforms)
     table["geometry"], table["first"] = geometry_ids, first[:-1]
     table["mask"] = [instance.mask for instance in instances]
     mesh = SceneMesh()
@@ -322,10 +330,10 @@ def place_instances(
         table=table,
         given=tuple(state.meshes[0] for state in states),
     )
-    return assemble(blank, instances, boxes, table, None, 0)
+    return place(blank, instances, boxes, table, None, 0)
 
 
-def assemble(
+def place(
     old: InstancedState,
     instances: tuple[Instance, ...],
     boxes: InstanceBoxes,
@@ -344,8 +352,8 @@ def assemble(
         moved: as in `InstancedState`.
         rows: instances that are elsewhere, if a tree is given.
     """
-    center, device = boxes.frame[0], old.settings.device
-    if tree is not None and (old.boxes.frame[0] == center).all() and old.boxes.frame[1] == boxes.frame[1]:
+    center, device = np.array(boxes.frame[0]), old.settings.device
+    if tree is not None and old.boxes.frame == boxes.frame:
         table["origin"][rows] = boxes.origin[rows] - center
         corners = tuple(values.copy() for values in tree.corners)
         corners[0][rows], corners[1][rows] = boxes.rounded(rows)
@@ -357,34 +365,36 @@ def assemble(
         tree = build_upper(corners, environments, max(old.mesh_states[0].width, 2), depth, device)
     else:
         tree = tree.with_boxes(*corners, rows)
-    mesh = SceneMesh()
+    return assemble(old, instances, boxes, table, tree, moved)
+
+
+def assemble(
+    old: InstancedState,
+    instances: tuple[Instance, ...],
+    boxes: InstanceBoxes,
+    table: np.ndarray,
+    tree: UpperTree,
+    moved: int,
+) -> InstancedState:
+    """As `place`, with all that is on the host; the table has origins, and the tree is around the boxes."""
+    mesh, center = SceneMesh(), boxes.frame[0]
     mesh.geometry_first, mesh.geometries = old.device_mesh.geometry_first, old.device_mesh.geometries
-    mesh.center, mesh.low, mesh.high = wp.vec3d(*center.tolist()), tree.low, tree.high
-    mesh.placements = on_device(table, Placement, device)
-    state = replace(
+    mesh.center, mesh.low, mesh.high = wp.vec3d(*center), tree.low, tree.high
+    mesh.placements = on_device(table, Placement, old.settings.device)
+    if old.built_tree is not None and old.tree.forest is tree.forest:
+        cache = old.cache.of_moved()
+    else:
+        cache = QueryCache()
+        cache.tables.update(old.cache.tables)  # of the meshes alone
+    return replace(
         old,
-        center=center,
+        center=np.array(center),
         built_tree=tree,
         device_mesh=mesh,
         instances=instances,
         boxes=boxes,
         table=table,
         moved=moved,
-        cache=QueryCache(),
+        cache=cache,
         last_update=None,
     )
-    state.cache.tables.update(old.cache.tables)  # of the meshes alone
-    return state
-
-
-def geometry_table(states: Sequence[SceneState], device: wp.Device) -> wp.array:
-    """The table of meshes, as kernels read it."""
-    table, used, first = [], [], 0
-    for state in states:
-        geometry = Geometry()
-        geometry.vertices, geometry.faces = state.device_mesh.vertices, state.device_mesh.faces
-        geometry.first_face = first
-        table.append(geometry)
-        used.append(state.device_mesh)
-        first += state.triangle_count
-    return keep_alive(wp.array(table, dtype=Geometry, device=device), used)

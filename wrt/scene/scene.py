@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator
+from wrt.instances.members import Members
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import check_num_threads, use_threads
-from wrt.meshes.instance import Instance, as_instances, has_instances
+from wrt.meshes.instance import Instance, has_instances
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import as_meshes
 from wrt.query.api import Queries
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
     from wrt.scene.updates import UpdateReport
 
 
-class Scene(Queries):
+class Scene(Queries, Members):
     """Triangle meshes in a tree, against which rays are traced.
 
     The tree is built at once, or where rays visit it (`wrt.KdTree(builder="lazy")`). Several threads may use a scene at the
@@ -43,7 +45,8 @@ class Scene(Queries):
     Args:
         geometry: a `TriangleMesh`, a trimesh.Trimesh or trimesh.Scene, a `wrt.Instance`, or a sequence of such. Each mesh of a
             sequence is a geometry of its own (`Hits.geometry_id`), in one tree with the others. With an instance or a
-            trimesh.Scene in it, the scene has two levels (`wrt.InstancedScene`): each node of the graph is an instance.
+            trimesh.Scene in it, the scene has two levels (`wrt.InstancedScene`): each node of the graph that holds triangles is
+            an instance, and `move` moves nodes by name.
         accelerator: "auto", "bvh", "kdtree", or a description such as `wrt.KdTree(builder="in_place")`.
         triangle_test: "auto" or a key of `wrt.kernels.triangle.TRIANGLE_TESTS`: the test of queries that name no
             other. Only the default one counts crossings exactly; `count`, `intersect_all` and `contains` always use it.
@@ -127,43 +130,6 @@ class Scene(Queries):
         """
         self.state = self.state.updated(index, vertices, transform, mask, as_policy(rebuild), environment)
 
-    def add(self, instances: Any) -> np.ndarray:
-        """Adds instances, after those that are there. Trees of meshes stay; those of new meshes are built.
-
-        Args:
-            instances: a `wrt.Instance`, or several. Instances of one mesh object share its tree with those that are there.
-
-        Returns:
-            (M,) int64, their indices (`Hits.instance_id`).
-
-        Raises:
-            TypeError: something else than instances.
-            ValueError: a scene without instances, or as `wrt.InstancedScene`. The scene is then unchanged.
-        """
-        self.state.require_instances("add")
-        added, first = as_instances(instances), len(self.instances)
-        with use_threads(self.num_threads):
-            self.state = self.state.with_instances((*self.instances, *added))
-        return np.arange(first, first + len(added))
-
-    def remove(self, index: Any) -> None:
-        """Removes instances. Later ones move up, as in a list; trees of meshes stay, unless nobody uses them any more.
-
-        Args:
-            index: index of an instance, or several.
-
-        Raises:
-            TypeError: not ints.
-            ValueError: a scene without instances, no such instance, or no instance would be left. The scene is then unchanged.
-        """
-        self.state.require_instances("remove")
-        gone = set(self.state.chosen(index).tolist())
-        left = tuple(one for number, one in enumerate(self.instances) if number not in gone)
-        if not left:
-            raise ValueError("index names all instances, and a scene has at least one; hide them with mask=0")
-        with use_threads(self.num_threads):
-            self.state = self.state.with_instances(left)
-
     def updating(self, *args: Any, threads: int = 1, **options: Any) -> AbstractContextManager[None]:
         """Updates the scene in the background while the `with` block queries its previous version.
 
@@ -216,8 +182,11 @@ class Scene(Queries):
         """
         from wrt.scene.storage import load_scene
 
-        meshes, accelerator, triangle_test, known = load_scene(path)
-        return cls(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
+        meshes, accelerator, triangle_test, known, graph = load_scene(path)
+        scene = cls(meshes, accelerator, triangle_test=triangle_test, device=device, num_threads=num_threads, cache=known)
+        if graph is not None:
+            scene.state = replace(scene.state, graph=graph)
+        return scene
 
     @property
     def accelerator(self) -> Accelerator:
@@ -322,8 +291,10 @@ class Scene(Queries):
     def exact_vertices(self) -> wp.array:
         """(V,) vec3d on the device: the vertices of all meshes as they were given, for answers in float64; computed once.
 
+        Those of instances are in the meshes' own spaces.
+
         Raises:
-            ValueError: the scene is of instances, or of fuzzy boxes.
+            ValueError: the scene is of fuzzy boxes.
         """
         return self.state.exact_vertices
 
@@ -374,23 +345,26 @@ class Scene(Queries):
 
         return scene_statistics(self.state)
 
-    def handle(self) -> Any:
+    def handle(self, *, mask: int | None = None, environment: int | None = None) -> Any:
         """The scene for your own kernels, as the functions of `wrt.device` take it.
 
         A struct that refers to the scene's arrays and keeps them alive. Making it takes about 0.1 ms.
 
+        Args:
+            mask, environment: in a scene of instances, which of them rays see, as of `intersect`; `wrt.device.seeing` chooses
+                ray by ray.
+
         Raises:
-            ValueError: the scene has many trees.
+            TypeError, ValueError: a mask or an environment in a scene without instances, of a wrong type, or out of range; a
+                scene of influence areas or of fuzzy boxes.
         """
         from wrt.device import handle_of
 
-        return handle_of(self.state)
+        return handle_of(self.state, mask, environment)
 
 
-def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any) -> Scene:
-    """The scene of a pickle; `cache` knows its tree, if that was kept."""
-    from dataclasses import replace
-
+def unpickle_scene(geometry: Any, options: dict[str, Any], mark: str, cache: Any, graph: Any = None) -> Scene:
+    """The scene of a pickle; `cache` knows its tree, if that was kept; graph: of a scene of instances."""
     scene = Scene(geometry, **options, cache=cache)
-    scene.state = replace(scene.state, mark=mark)
+    scene.state = replace(scene.state, mark=mark, **({} if graph is None else {"graph": graph}))
     return scene

@@ -10,15 +10,15 @@ instances for each slice, one slice after the other; `slice_mesh` is the part fr
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
 
+from wrt.instances.instance_boxes import InstanceBoxes, build_upper, on_device, write_maps
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.meshes.instance import check_extent, check_transforms
-from wrt.scene.instance_boxes import InstanceBoxes, build_upper, on_device
 from wrt.scene.instanced_state import InstancedState
 from wrt.state.query_cache import QueryCache
 
@@ -47,13 +47,10 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
                 placed[number] = placed[number].moved(matrix, placed[number].mask, placed[number].environment)
             check_extent(placed, state.geometry_ids, [part.meshes[0] for part in state.mesh_states])
     rows = (np.arange(slices)[:, None] * count + moving).ravel()
-    table, center = np.tile(state.table, slices), boxes.frame[0]
+    table, center = np.tile(state.table, slices), np.array(boxes.frame[0])
     table["origin"] = np.tile(state.boxes.origin - center, (slices, 1))
-    table["to_scene"][rows], table["to_object"][rows], table["origin"][rows] = (
-        moved.to_scene,
-        moved.to_object,
-        moved.origin - center,
-    )
+    write_maps(table, rows, matrices)
+    table["origin"][rows] = moved.origin - center
     environments = np.concatenate([np.full(len(still), -1), np.repeat(np.arange(slices), len(chosen))]).astype(np.int32)
     old, device = state.tree, state.device
     tree = build_upper(boxes.rounded(), environments, old.width, old.parts_depth, device, np.concatenate([still, rows]))
@@ -68,11 +65,8 @@ def sliced(state: InstancedState, chosen: list[int], transforms: np.ndarray) -> 
 
 def joined(one: InstanceBoxes, rows: np.ndarray, other: InstanceBoxes) -> InstanceBoxes:
     """Some of the boxes, and the others after them."""
-    arrays = []
-    for field in fields(InstanceBoxes):
-        values, axis = getattr(one, field.name), 1 if field.name in ("low", "high") else 0
-        arrays.append(np.concatenate([values.take(rows, axis=axis), getattr(other, field.name)], axis=axis))
-    return InstanceBoxes(*arrays)
+    box = np.concatenate([one.box[:, rows], other.box], axis=1)
+    return InstanceBoxes(np.concatenate([one.origin[rows], other.origin]), box, np.concatenate([one.norms[rows], other.norms]))
 
 
 def slice_mesh(state: InstancedState, number: int) -> SceneMesh:

@@ -33,6 +33,7 @@ from wrt.builders.tree_check import check_tree
 from wrt.materials.stored_materials import pack_materials, unpack_materials
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.node_graph import NOWHERE, NodeGraph
 from wrt.scene.archives import read_archive, write_archive
 
 if TYPE_CHECKING:
@@ -46,6 +47,9 @@ FORMAT = 2
 """Version of the file format; incremented when the contents change."""
 
 TREES = {"bvh": Bvh, "kdtree": KdTree}
+
+NODE_FIELDS = ("parents", "local", "node_of")
+"""What a file holds of a scene's graph besides the names of its nodes."""
 
 INSTANCE_FIELDS = ("transform", "mask", "environment")
 """What a file holds of each instance besides the number of its mesh."""
@@ -234,6 +238,9 @@ def scene_arrays(scene: SceneState) -> dict[str, np.ndarray]:
             arrays |= {f"materials.{number}.{name}": array for name, array in own.items()}
     if scene.instances:
         header["keys"] = [key_of(part) for part in scene.parts]
+        if scene.graph is not None:
+            header["nodes"] = list(scene.graph.names)
+            arrays |= {f"nodes.{name}": getattr(scene.graph, name) for name in NODE_FIELDS}
         arrays["geometry"] = np.array(scene.geometry_ids)
         for name in INSTANCE_FIELDS:
             arrays[name] = np.array([getattr(instance, name) for instance in scene.instances])
@@ -245,7 +252,11 @@ def scene_arrays(scene: SceneState) -> dict[str, np.ndarray]:
     return arrays
 
 
-def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], Accelerator, str, TreeSource]:
+Stored = tuple["list[TriangleMesh] | list[Instance]", "Accelerator", str, TreeSource, "NodeGraph | None"]
+"""Geometry, accelerator, triangle test, trees and graph of a scene in a file."""
+
+
+def load_scene(path: str | Path) -> Stored:
     """Reads a scene from a file; see `wrt.Scene.load`."""
 
     path = Path(path)
@@ -260,7 +271,7 @@ def load_scene(path: str | Path) -> tuple[list[TriangleMesh] | list[Instance], A
         raise ValueError(f"'{path}' is not a scene that wrt saved, or it is damaged ({reason}); save it again") from error
 
 
-def parse_scene(arrays: dict[str, np.ndarray]) -> tuple[list[TriangleMesh] | list[Instance], Accelerator, str, TreeSource]:
+def parse_scene(arrays: dict[str, np.ndarray]) -> Stored:
     """The scene in the arrays of a file.
 
     Raises:
@@ -287,7 +298,24 @@ def parse_scene(arrays: dict[str, np.ndarray]) -> tuple[list[TriangleMesh] | lis
         known = StoredTree(header["key"], unpack_tree(tree, sum(mesh.triangle_count for mesh in meshes)))
         kind, geometry = tree["kind"], meshes
     accelerator = ACCELERATORS[str(kind)](**header["accelerator"])
-    return geometry, accelerator, header["triangle_test"], known
+    graph = graph_of(header["nodes"], arrays, len(geometry)) if "nodes" in header else None
+    return geometry, accelerator, header["triangle_test"], known, graph
+
+
+def graph_of(names: list[str], arrays: Mapping[str, np.ndarray], instances: int) -> NodeGraph:
+    """The graph in a file.
+
+    Raises:
+        ValueError, KeyError, TypeError: the arrays do not hold a graph of so many instances.
+    """
+    parents, local, node_of = (arrays[f"nodes.{name}"] for name in NODE_FIELDS)
+    count = len(names)
+    if parents.shape != (count,) or local.shape != (count, 4, 4) or node_of.shape != (instances,):
+        raise ValueError("the graph's arrays do not fit its nodes and instances")
+    ends = ((parents, np.arange(count)), (node_of, np.full(instances, count)))
+    if any(values.dtype.kind != "i" or (values < NOWHERE).any() or (values >= end).any() for values, end in ends):
+        raise ValueError("the graph's numbers of nodes are out of range")
+    return NodeGraph(tuple(map(str, names)), parents, local.astype(np.float64), node_of)
 
 
 def arrays_below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
@@ -322,8 +350,8 @@ def key_of(scene: SceneState) -> str:
     return tree_key(mesh.vertices.numpy(), mesh.faces.numpy(), scene.accelerator, scene.tree.width)
 
 
-def pack_scene(scene: SceneState) -> tuple[Any, dict[str, Any], str, PackedTree | None]:
-    """What a pickle of a scene holds: geometry, options, mark, and its tree, if that is one and is kept."""
+def pack_scene(scene: SceneState) -> tuple[Any, ...]:
+    """What a pickle of a scene holds: geometry, options, mark, its tree, if that is one and is kept, and its graph, if any."""
     options = {
         "accelerator": scene.accelerator,
         "triangle_test": scene.triangle_test,
@@ -331,7 +359,7 @@ def pack_scene(scene: SceneState) -> tuple[Any, dict[str, Any], str, PackedTree 
         "num_threads": scene.num_threads,
     }
     if scene.instances or not is_storable(scene.accelerator):
-        return scene.instances or scene.meshes, options, scene.mark, None
+        return scene.instances or scene.meshes, options, scene.mark, None, getattr(scene, "graph", None)
     return scene.meshes, options, scene.mark, PackedTree(key_of(scene), pack_tree(scene.tree))
 
 

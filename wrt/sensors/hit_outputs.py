@@ -5,6 +5,8 @@ from __future__ import annotations
 from functools import cached_property
 from typing import Any
 
+import warp as wp
+
 
 class HitOutputs:
     """The base of `wrt.sensors.LidarScan` and `wrt.sensors.CameraImages`, which say what the arrays hold.
@@ -42,8 +44,11 @@ class HitOutputs:
         return self._out("primitive")
 
     def _out(self, name: str) -> Any:
-        values = getattr(self._outputs, name)
-        if self._to_warp:
-            return values.reshape(self.shape)
+        return self._shaped(getattr(self._outputs, name))
+
+    def _shaped(self, values: wp.array | None) -> Any:
+        """A flat array in the form of results; None stays None."""
+        if values is None or self._to_warp:
+            return values if values is None else values.reshape(self.shape)
         array = values.numpy()
         return array.reshape(self.shape + array.shape[1:])

@@ -12,14 +12,25 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
-from wrt.memory import empty
+from wrt.memory import empty, empty_together
 from wrt.sensors.checks import check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
-from wrt.sensors.time_slices import Bodies, SensorRays, as_motions, cut_slices, for_each_ray, slice_error, trace_slices
-from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
+from wrt.sensors.lidar import spread_on
+from wrt.sensors.time_slices import (
+    Bodies,
+    SensorRays,
+    as_motions,
+    cut_slices,
+    for_each_ray,
+    no_order,
+    slice_error,
+    trace_slices,
+)
+from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses, as_trajectory
 
 if TYPE_CHECKING:
+    from wrt.imaging.integrators.rendering_job import Rendering
     from wrt.kernels.sensors.camera_images import Images
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.query.api import Queries
@@ -90,6 +101,9 @@ class Camera:
         mask: Any = None,
         environment: Any = None,
         traversal: Any = "auto",
+        albedo: bool = False,
+        materials: Any = None,
+        flow: float | None = None,
         to_warp: bool = False,
     ) -> CameraImages:
         """Traces one image.
@@ -105,6 +119,10 @@ class Camera:
             miss: distance and depth of a pixel without a hit.
             mask, environment: as of `wrt.Scene.intersect`, one number, or one for each of many cameras.
             traversal: as of `wrt.Scene.intersect`.
+            albedo: whether to make the image of the surfaces' own colours.
+            materials: those of the colours, as of `wrt.Rendering`: None for those of the meshes.
+            flow: seconds from this image to another one, after it or before, for the optical flow between them; None for no
+                flow. Trajectories must cover its exposure, too.
             to_warp: whether images are Warp arrays on the scene's device instead of NumPy arrays.
 
         Raises:
@@ -114,6 +132,8 @@ class Camera:
         """
         from wrt.kernels.sensors.camera_images import fill_images
 
+        if materials is not None and not albedo:
+            raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
         path, time = as_poses(pose), float(check_real("time", time, ()))
         rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
         begin, end = time, time + float(rows[-1, 0])
@@ -125,13 +145,61 @@ class Camera:
         beams, images = self.beams(device, order, time), _new_images(times.size, device)
         each = for_each_ray({"mask": mask, "environment": environment}, cameras, rows.size, 1, order, device)
         labels = wp.array(as_labels(labels, scene), dtype=int, device=device)
+        extra = {}
+        if albedo or flow is not None:
+            from wrt.sensors.camera_layers import extra_images
+
+            extra = extra_images(self, scene, path, motions, (begin, end), albedo, materials, flow)
         with use_threads(scene.num_threads):
             fired = _fire(beams, path, self, times.size, device)
             rays = SensorRays(*fired, 1, times.shape, np.inf, traversal, each)
             for found in trace_slices(copy(scene), rays, Bodies(motions, parts), parts):
                 inputs = [beams, path.path(device), found.traced, found.origins, found.mesh, labels, float(miss), images]
                 launch(fill_images, found.part.end - found.part.begin, inputs, device=device, chunk=1024)
-        return CameraImages(self, images, path, time, to_warp, slice_error(motions, scene, parts))
+                for layer in extra.values():
+                    layer.fill(beams, images, found)
+        values = {name: layer.values for name, layer in extra.items()}
+        return CameraImages(self, images, path, time, to_warp, slice_error(motions, scene, parts), values)
+
+    def render(
+        self,
+        scene: Any,
+        pose: Any,
+        *,
+        time: float = 0.0,
+        motions: Mapping[int, Trajectory] | None = None,
+        integrator: str = "path",
+        lights: Any = None,
+        materials: Any = None,
+        settings: Any = None,
+        **options: Any,
+    ) -> Rendering:
+        """A picture in colour, by the integrators of `wrt.Rendering`, all samples of which are made.
+
+            picture = camera.render(scene, pose, samples=64, lights=[wrt.Sky(1.0)])
+            wrt.save_image("view.png", picture.image())
+
+        Rays through a pixel are spread by the pixel filter. Pixels without a ray are black. With a rolling shutter each row is
+        seen from the pose at its own time; instances are where they are in the middle of the exposure.
+
+        Args:
+            scene, pose, time, motions: as of `capture`; one pose or trajectory.
+            integrator, lights, materials, settings, options: as of `wrt.Rendering`.
+
+        Returns:
+            A `wrt.Rendering`: `image()` for display, `linear`, `noise` and `layers`.
+
+        Raises:
+            TypeError, ValueError: as `capture` and `wrt.Rendering`; many poses.
+        """
+        from wrt.sensors.camera_layers import render
+
+        path, time = as_trajectory(pose), float(check_real("time", time, ()))
+        end = time + self.line_delay * (self.height - 1)
+        path.check_covers(time, end, "the times of the image")
+        motions = as_motions(motions, scene, time, end)
+        options = {"integrator": integrator, "lights": lights, "materials": materials, "settings": settings, **options}
+        return render(scene, self, path, time, motions, **options).advance()
 
     def beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The rays of all pixels in the optical frame, for kernels."""
@@ -139,8 +207,8 @@ class Camera:
 
         beams = Beams()
         beams.directions, beams.offsets, beams.times = _optical_rays(self, device.alias)
-        beams.order = wp.array(np.zeros(0) if order is None else order, dtype=int, device=device)
-        beams.spread = wp.zeros(1, dtype=wp.vec2, device=device)
+        beams.order = no_order(device.alias) if order is None else wp.array(order, dtype=int, device=device)
+        beams.spread = spread_on(1, 0.0, device.alias)
         beams.start = wp.float64(time)
         return beams
 
@@ -159,6 +227,11 @@ class CameraImages(HitOutputs):
         instance_id: int32, index of the instance, or of the mesh in a scene without instances; -1 for a miss.
         geometry_id, primitive_id: int32, the mesh and the triangle within it; -1 for a miss.
         semantic_id: int32, the label of the instance; -1 for a miss, and without labels.
+        albedo: (..., 3) float32, the colour of the surface's material, linear, without light; 0 for a miss. None unless asked
+            for.
+        flow: (..., 2) float32, by how many pixels to the right and down the surface point is elsewhere in the image some time
+            after the pixel's own; NaN for a miss, and where the lens does not see it then. Other surfaces may hide it. None
+            unless asked for.
         time: (height,) float64, when each row was exposed.
         camera, trajectory, start: how they were made.
         motion_error: bound on the displacement of surfaces by time slices (`wrt.sensors.time_slices`).
@@ -172,8 +245,10 @@ class CameraImages(HitOutputs):
         start: float,
         to_warp: bool,
         motion_error: float,
+        extra: Mapping[str, wp.array],
     ) -> None:
         self.camera, self.trajectory, self.start, self.motion_error = camera, trajectory, start, motion_error
+        self._extra = extra
         super().__init__(images, (*getattr(trajectory, "shape", ()), camera.height, camera.width), to_warp)
 
     @cached_property
@@ -191,6 +266,14 @@ class CameraImages(HitOutputs):
     @cached_property
     def semantic_id(self) -> Any:
         return self._out("semantic")
+
+    @cached_property
+    def albedo(self) -> Any:
+        return self._shaped(self._extra.get("albedo"))
+
+    @cached_property
+    def flow(self) -> Any:
+        return self._shaped(self._extra.get("flow"))
 
     @cached_property
     def time(self) -> np.ndarray:
@@ -215,8 +298,8 @@ def _new_images(count: int, device: wp.Device) -> Images:
     from wrt.kernels.sensors.camera_images import Images
 
     images = Images()
-    for name, dtype in IMAGES.items():
-        setattr(images, name, empty(count, dtype, device))
+    for name, array in empty_together(IMAGES, count, device).items():
+        setattr(images, name, array)
     return images
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
+from wrt.memory import empty_together
 from wrt.sensors.checks import check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
@@ -22,6 +24,7 @@ from wrt.sensors.time_slices import (
     as_motions,
     cut_slices,
     for_each_ray,
+    no_order,
     slice_error,
     trace_slices,
 )
@@ -193,11 +196,8 @@ class Lidar:
 
         beams = Beams()
         beams.directions, beams.offsets, beams.times = self.pattern.arrays_on(device)
-        beams.order = wp.array(np.zeros(0) if order is None else order, dtype=int, device=device)
-        number = np.arange(self.bundle)
-        radius = 0.0 if self.bundle == 1 else np.tan(self.divergence / 2) * np.sqrt((number + 0.5) / self.bundle)
-        spread = np.stack([radius * np.cos(GOLDEN_ANGLE * number), radius * np.sin(GOLDEN_ANGLE * number)], axis=-1)
-        beams.spread = wp.array(spread.astype(np.float32), dtype=wp.vec2, device=device)
+        beams.order = no_order(device.alias) if order is None else wp.array(order, dtype=int, device=device)
+        beams.spread = spread_on(self.bundle, self.divergence if self.bundle > 1 else 0.0, device.alias)
         beams.start = wp.float64(time)
         return beams
 
@@ -210,8 +210,28 @@ class Lidar:
         detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
         detector.reference_range, detector.extinction = self.reference_range, self.extinction
         detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
-        detector.reflectance = wp.array(reflectance, dtype=float, device=device)
+        if len(reflectance) == 1:
+            detector.reflectance = one_reflectance(float(reflectance[0]), device.alias)
+        else:
+            detector.reflectance = wp.array(reflectance, dtype=float, device=device)
         return detector
+
+
+@lru_cache(maxsize=64)
+def spread_on(bundle: int, divergence: float, device: str) -> wp.array:
+    """(bundle,) vec2 tangents of the angles of a bundle's rays to the axis; kept, as every scan needs them."""
+    number = np.arange(bundle)
+    radius = 0.0 if bundle == 1 else np.tan(divergence / 2) * np.sqrt((number + 0.5) / bundle)
+    spread = np.stack([radius * np.cos(GOLDEN_ANGLE * number), radius * np.sin(GOLDEN_ANGLE * number)], axis=-1)
+    with kept(as_device(device)):
+        return wp.array(spread.astype(np.float32), dtype=wp.vec2, device=device)
+
+
+@lru_cache(maxsize=64)
+def one_reflectance(value: float, device: str) -> wp.array:
+    """(1,) reflectance of all surfaces; kept."""
+    with kept(as_device(device)):
+        return wp.array([value], dtype=float, device=device)
 
 
 class _Work:
@@ -254,19 +274,28 @@ class _Work:
         launch(describe_returns, count * kept, inputs, device=self.device, chunk=1024)
 
 
+RETURNS = {
+    "point": wp.vec3d,
+    "position": wp.vec3d,
+    "range": wp.float32,
+    "intensity": wp.float32,
+    "radial_velocity": wp.float32,
+    "ray": wp.int32,
+    "instance": wp.int32,
+    "geometry": wp.int32,
+    "primitive": wp.int32,
+    "normal": wp.vec3,
+}
+"""Arrays of `wrt.kernels.sensors.lidar_returns.Returns`."""
+
+
 def new_returns(count: int, device: wp.Device) -> Returns:
     """Memory for returns."""
     from wrt.kernels.sensors.lidar_returns import Returns
-    from wrt.memory import empty
 
     returns = Returns()
-    for name in ("point", "position"):
-        setattr(returns, name, empty(count, wp.vec3d, device))
-    for name in ("range", "intensity", "radial_velocity"):
-        setattr(returns, name, empty(count, wp.float32, device))
-    for name in ("ray", "instance", "geometry", "primitive"):
-        setattr(returns, name, empty(count, wp.int32, device))
-    returns.normal = empty(count, wp.vec3, device)
+    for name, array in empty_together(RETURNS, count, device).items():
+        setattr(returns, name, array)
     return returns
 
 

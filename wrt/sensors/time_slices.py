@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -122,6 +123,7 @@ class TracedSlice(NamedTuple):
     Attributes:
         part: the slice.
         traced: the hits.
+        uv: weights of the second and third vertex of the triangles that were hit.
         origins: of the rays, (1,) if all share it.
         mesh: the triangles as they were for these beams.
         motions: velocities of instances.
@@ -129,6 +131,7 @@ class TracedSlice(NamedTuple):
 
     part: Slice
     traced: Traced
+    uv: wp.array
     origins: wp.array
     mesh: SceneMesh
     motions: Motions
@@ -165,16 +168,22 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     for number, part in enumerate(parts):
         own = slice(part.begin * rays.bundle, part.end * rays.bundle)
         if together:
-            t, primitive, mesh = found.t[own], found.primitive[own], slice_mesh(scene.state, number)
+            t, primitive, uv, mesh = found.t[own], found.primitive[own], found.uv[own], slice_mesh(scene.state, number)
         else:
             if bodies.chosen:
                 scene.update(bodies.chosen, transform=bodies.transforms[number])
             hits = rays.hits(scene, part.begin, part.end, part.shape or rays.shape)
-            t, primitive, mesh = hits.t, hits.primitive, scene.state.device_mesh
+            t, primitive, uv, mesh = hits.t, hits.primitive, hits.uv, scene.state.device_mesh
         traced = Traced()
         traced.place, traced.directions, traced.t, traced.primitive = part.begin, rays.directions[own], t, primitive
         origins = rays.origins if rays.origins.size == 1 else rays.origins[own]
-        yield TracedSlice(part, traced, origins, mesh, bodies.motions(number, count, device))
+        yield TracedSlice(part, traced, uv, origins, mesh, bodies.motions(number, count, device))
+
+
+@lru_cache
+def no_order(device: str) -> wp.array:
+    """(0,) the order of rays that are traced in the order of their numbers."""
+    return wp.empty(0, dtype=int, device=device)
 
 
 LIMITS = {"mask": (0, (1 << 32) - 1, wp.uint32), "environment": (-1, (1 << 31) - 1, wp.int32)}

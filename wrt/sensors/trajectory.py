@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, launch
+from wrt.memory import keep_alive
 from wrt.rays.rays import as_vectors
 from wrt.sensors.checks import check_matrix, check_real
 
@@ -162,14 +163,8 @@ class Trajectory:
 
     def path(self, device: wp.Device) -> PosePath:
         """The poses for kernels on a device; copied once."""
-        from wrt.kernels.sensors.pose_paths import PosePath
-
         if device.alias not in self._paths:
-            path = PosePath()
-            path.times = wp.array(self.times, dtype=wp.float64, device=device)
-            path.positions = wp.array(self.positions, dtype=wp.vec3d, device=device)
-            path.rotations = wp.array(self.rotations, dtype=wp.quatd, device=device)
-            self._paths[device.alias] = path
+            self._paths[device.alias] = pose_path(self.times, self.positions, self.rotations, device)
         return self._paths[device.alias]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -232,13 +227,22 @@ class StillPoses:
 
     def path(self, device: wp.Device) -> PosePath:
         """The poses for kernels on a device."""
-        from wrt.kernels.sensors.pose_paths import PosePath
+        flat = self.poses.reshape(-1, 4, 4)
+        return pose_path(np.zeros(1), flat[:, :3, 3], quaternions(flat[:, :3, :3]), device)
 
-        flat, path = self.poses.reshape(-1, 4, 4), PosePath()
-        path.times = wp.zeros(1, dtype=wp.float64, device=device)
-        path.positions = wp.array(np.ascontiguousarray(flat[:, :3, 3]), dtype=wp.vec3d, device=device)
-        path.rotations = wp.array(quaternions(flat[:, :3, :3]), dtype=wp.quatd, device=device)
-        return path
+
+def pose_path(times: np.ndarray, positions: np.ndarray, rotations: np.ndarray, device: wp.Device) -> PosePath:
+    """Poses for kernels: one array, and so one copy to the device."""
+    from wrt.kernels.sensors.pose_paths import PosePath
+
+    parts = [np.ravel(values) for values in (rotations, positions, times)]
+    block, path, begin = wp.array(np.concatenate(parts), dtype=wp.float64, device=device), PosePath(), 0
+    for name, dtype, values in zip(("rotations", "positions", "times"), (wp.quatd, wp.vec3d, wp.float64), parts, strict=True):
+        count = len(values) * 8 // wp.types.type_size_in_bytes(dtype)
+        view = wp.array(ptr=block.ptr + 8 * begin, dtype=dtype, shape=count, device=device)
+        setattr(path, name, keep_alive(view, block))
+        begin += len(values)
+    return path
 
 
 def as_poses(pose: Any) -> Trajectory | StillPoses:
@@ -257,7 +261,12 @@ def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
         TypeError, ValueError: neither a trajectory nor a rigid pose.
     """
     if not isinstance(pose, Trajectory):
-        pose = Trajectory.from_matrices([0.0], check_real(name, pose, (4, 4))[None])
+        matrix = check_real(name, pose, (4, 4))
+        turn = matrix[:3, :3]
+        orthogonal = np.abs(turn @ turn.T - np.eye(3)).max() <= SAME_STRETCH
+        if orthogonal and np.linalg.det(turn) > 0.0 and np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
+            return Trajectory([0.0], matrix[None, :3, 3], quaternions(turn[None]))
+        pose = Trajectory.from_matrices([0.0], matrix[None])
     if not pose.is_rigid:
         raise ValueError(f"{name} must move and turn the sensor only, without scale, shear or mirroring")
     return pose

@@ -89,6 +89,15 @@ class QueryCache:
             self._choices[key] = [plan, uses]
         return plan
 
+    def of_moved(self) -> QueryCache:
+        """A cache for the same trees elsewhere: with this one's plans, prepared queries (`PreparedQuery.fit`) and tables."""
+        other = QueryCache()
+        with self.lock:
+            other._plans.update(self._plans)
+            other._choices.update((key, kept[:]) for key, kept in self._choices.items())
+        other.tables.update(self.tables)
+        return other
+
     def clear(self) -> None:
         """Drops plans, the queries that are prepared for them, and what was chosen."""
         with self.lock:

@@ -3,34 +3,125 @@
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.lanes import FOR_LANES
 
 exact_module(__name__)
+
+LANES = 8
+"""Points that are mapped at a time: those of a mesh begin at a multiple of it, and repeat the last one up to the next."""
+
+
+@wp.struct
+class CoverPoints:
+    """Points that cover M meshes, P in all with those that fill lanes."""
+
+    centers: wp.array(dtype=wp.vec3d)
+    """(M,) what the points of each mesh are relative to."""
+    begins: wp.array(dtype=int)
+    """(M + 1,) first point of each mesh, and the number of points; multiples of `LANES`."""
+    points: wp.array(dtype=wp.float64)
+    """(3 P,) all x, then all y, then all z."""
+
+
+@wp.struct
+class BoundedInstances:
+    """Where N instances are."""
+
+    origin: wp.array(dtype=wp.vec3d)
+    """(N,) scene position of the centre of each instance's mesh."""
+    corners: wp.array(dtype=wp.float64)
+    """(6 N,) lowest x of all boxes, then lowest y and z, then highest x, y and z."""
+    norms: wp.array(dtype=wp.float64)
+    """(N,) product of the norms of the map and of its inverse, each the greatest row sum of absolute values."""
+
+
+@wp.func_native(
+    FOR_LANES
+    + f"""
+    constexpr int W = {LANES};
+    const double far = __builtin_bit_cast(double, 0x7ff0000000000000ull);
+    const int row = points.shape[0] / 3, count = corners.shape[0] / 6;
+    const double* const px = points.data;
+    const double* const py = px + row;
+    const double* const pz = py + row;
+    for (int axis = 0; axis < 3; ++axis) {{
+        const double x = map.data[axis][0], y = map.data[axis][1], z = map.data[axis][2];
+        double low[W], high[W];
+        WRT_FOR_LANES(j) {{ low[j] = far; high[j] = -far; }}
+        for (int k = begin; k < end; k += W)
+            WRT_FOR_LANES(j) {{
+                const double at = (x * px[k + j] + y * py[k + j]) + z * pz[k + j];
+                low[j] = at < low[j] ? at : low[j];
+                high[j] = at > high[j] ? at : high[j];
+            }}
+        for (int j = 1; j < W; ++j) {{
+            low[0] = low[j] < low[0] ? low[j] : low[0];
+            high[0] = high[j] > high[0] ? high[j] : high[0];
+        }}
+        corners.data[axis * count + i] = low[0] + origin.c[axis];
+        corners.data[(axis + 3) * count + i] = high[0] + origin.c[axis];
+    }}
+"""
+)
+def bound_points(
+    points: wp.array(dtype=wp.float64),
+    begin: int,
+    end: int,
+    map: wp.mat33d,
+    origin: wp.vec3d,
+    corners: wp.array(dtype=wp.float64),
+    i: int,
+):
+    """Writes the box of the points begin .. end - 1, mapped, as that of instance i."""
+    ...
+
+
+@wp.func
+def norm(m: wp.mat33d):
+    """The greatest row sum of absolute values."""
+    most = wp.float64(0.0)
+    for row in range(3):
+        most = wp.max(most, (wp.abs(m[row, 0]) + wp.abs(m[row, 1])) + wp.abs(m[row, 2]))
+    return most
+
+
+@wp.func
+def linear_part(transform: wp.mat44d):
+    """The map without its translation."""
+    return wp.mat33d(
+        transform[0, 0],
+        transform[0, 1],
+        transform[0, 2],
+        transform[1, 0],
+        transform[1, 1],
+        transform[1, 2],
+        transform[2, 0],
+        transform[2, 1],
+        transform[2, 2],
+    )
+
+
+@wp.func
+def bound_instance(
+    transform: wp.mat44d, to_object: wp.mat33d, mesh: int, cover: CoverPoints, i: int, bounded: BoundedInstances
+):
+    """Writes where instance i is, by its transform and the inverse of its linear part."""
+    to_scene = linear_part(transform)
+    origin = to_scene * cover.centers[mesh] + wp.vec3d(transform[0, 3], transform[1, 3], transform[2, 3])
+    bounded.origin[i] = origin
+    bounded.norms[i] = norm(to_scene) * norm(to_object)
+    bound_points(cover.points, cover.begins[mesh], cover.begins[mesh + 1], to_scene, origin, bounded.corners, i)
 
 
 @wp.kernel
 def bound_instances(
     first: int,
-    to_scene: wp.array(dtype=wp.mat33d),
-    origin: wp.array(dtype=wp.vec3d),
+    transforms: wp.array(dtype=wp.mat44d),
+    to_object: wp.array(dtype=wp.mat33d),
     mesh: wp.array(dtype=int),
-    begins: wp.array(dtype=int),
-    points: wp.array(dtype=wp.vec3d),
-    corners: wp.array2d(dtype=wp.float64),
+    cover: CoverPoints,
+    bounded: BoundedInstances,
 ):
-    """Writes the box of an instance. Item: an instance.
-
-    begins: (meshes + 1,) first of each mesh's `points`, which are relative to its centre. corners: (6, instances), lowest x, y
-    and z, then highest.
-    """
+    """Writes where an instance is. Item: an instance."""
     i = first + wp.tid()
-    m = to_scene[i]
-    begin = begins[mesh[i]]
-    low = m * points[begin]
-    high = low
-    for k in range(begin + 1, begins[mesh[i] + 1]):
-        p = m * points[k]
-        low = wp.min(low, p)
-        high = wp.max(high, p)
-    for axis in range(3):
-        corners[axis, i] = low[axis] + origin[i][axis]
-        corners[axis + 3, i] = high[axis] + origin[i][axis]
+    bound_instance(transforms[i], to_object[i], mesh[i], cover, i, bounded)

@@ -33,9 +33,10 @@ from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
+from wrt.kernels.traversal.search_results import PreviousCrossing, Skipping, results_of
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.walk_table import WALKS
-from wrt.kernels.traversal.traversal_config import ALL, TraversalConfig
+from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -104,10 +105,10 @@ def root_of(top: InstanceTree, environment: int):
 @cache
 def merge_candidate(config: TraversalConfig) -> wp.Function:
     """`wp.func(placement, found, t_min, hits, i, best) -> best`: merges the hits that a walk found in an instance."""
-    crossing, storing = config.crossing, config.query == ALL
+    crossing, storing, Results = config.crossing and config.query != NEXT, config.query == ALL, results_of(config)
 
     @wp.func
-    def merge(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[HitBatch], i: int, best: Candidate):
+    def merge(placement: Placement, found: Candidate, t_min: float, hits: wp.ref[Results], i: int, best: Candidate):
         if wp.static(crossing):
             if wp.static(storing):
                 begin = hits.begins[i]
@@ -138,18 +139,39 @@ def instance_search(kind: str) -> type:
     return wp.struct(InstanceSearch)
 
 
+@wp.func
+def skipping_within(placement: Placement, search: Skipping):
+    """What a ray ignores of an instance. Other numbers than those of its triangles ignore nothing."""
+    own = Skipping()
+    own.t_min = search.t_min
+    own.skipped = search.skipped - placement.first
+    return own
+
+
+@wp.func
+def crossing_before(placement: Placement, previous: PreviousCrossing):
+    """The crossing after which those of an instance count: a number below 0 precedes all its triangles."""
+    own = PreviousCrossing()
+    own.t = previous.t
+    own.primitive = previous.primitive - placement.first
+    return own
+
+
 @cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
     InstanceSearch, walk, merge = instance_search(kind), WALKS[kind][1](config), merge_candidate(config)
     width = max(config.width, 2)  # children per node of the upper tree
+    Results = results_of(config)
+    within = {Skipping: skipping_within, PreviousCrossing: crossing_before}.get(Results)
+    numbered = within is not None
 
     @wp.func
     def visit(
         tree: WideNodes,
         child: int,
         search: wp.ref[InstanceSearch],
-        hits: wp.ref[HitBatch],
+        hits: wp.ref[Results],
         i: int,
         best: Candidate,
         work: wp.ref[Counters],
@@ -159,46 +181,55 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
             object_space_ray = object_ray(placement, search.origin, search.ray, best.t)
             if object_space_ray.valid:
                 part = search.parts[placement.geometry]
-                found = walk(part.tree, part.triangles, object_space_ray, hits, i, work)
-                best = merge(placement, found, search.ray.t_min, hits, i, best)
+                if wp.static(numbered):
+                    own = within(placement, hits)
+                    found = walk(part.tree, part.triangles, object_space_ray, own, i, work)
+                    best = merge(placement, found, search.ray.t_min, hits, i, best)
+                else:
+                    found = walk(part.tree, part.triangles, object_space_ray, hits, i, work)
+                    best = merge(placement, found, search.ray.t_min, hits, i, best)
         return best
 
     return visit
 
 
 @cache
-def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
-    """`wp.func(top, parts, rays, ray, hits, i, work) -> best` for ray number i of a batch, which must be valid.
+def make_search_instances(config: TraversalConfig, kind: str, levels: int) -> wp.Function:
+    """`wp.func(top, parts, origin, ray, mask, environment, hits, i, work) -> best` for a valid ray.
+
+    Its origin relative to the scene's centre is also given in float64, as instances far from there need it.
 
     Args:
         config: the specialisation of the walks through geometries.
         kind: tree kind of the geometries, a key of `PARTS`.
         levels: greatest number of inner nodes on a path of the upper tree.
     """
-    Part, InstanceSearch = PARTS[kind], instance_search(kind)
+    Part, InstanceSearch, Results = PARTS[kind], instance_search(kind), results_of(config)
     walk_keys = make_key_walk(config, levels, InstanceSearch, make_visit(config, kind))
 
     @wp.func
     def walk(
         top: InstanceTree,
         parts: wp.array(dtype=Part),
-        rays: RayBatch,
+        origin: wp.vec3d,
         ray: Ray,
-        hits: wp.ref[HitBatch],
+        mask: wp.uint32,
+        environment: int,
+        hits: wp.ref[Results],
         i: int,
         work: wp.ref[Counters],
     ):
         best = start(ray.t_max)
-        root = root_of(top, ray_environment(rays, i))
+        root = root_of(top, environment)
         if root < 0:
             return best
         slabs = ray_slabs(ray.origin, ray.direction, top.stretch * reach(ray.origin, top.tree.low, top.tree.high))
         search = InstanceSearch()
         search.top = top
         search.parts = parts
-        search.origin = centered_origin(rays, i)
+        search.origin = origin
         search.ray = ray
-        search.mask = ray_mask(rays, i)
+        search.mask = mask
         return walk_keys(top.tree, root, slabs, ray.t_min, search, hits, i, best, work)
 
     return walk
@@ -206,11 +237,11 @@ def make_walk_instances(config: TraversalConfig, kind: str, levels: int) -> wp.F
 
 @cache
 def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
-    """The kernel for one specialisation; arguments as in `make_walk_instances`.
+    """The kernel for one specialisation; arguments as in `make_search_instances`.
 
     Lists of all hits are written from `HitBatch.begins` on, so the hits of each ray must be counted first.
     """
-    Part, walk, store = PARTS[kind], make_walk_instances(config, kind, levels), store_best(config)
+    Part, walk, store = PARTS[kind], make_search_instances(config, kind, levels), store_best(config)
     counting, storing = config.counters, config.query == ALL
 
     def single_ray_instances(
@@ -226,7 +257,7 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
         best = start(ray.t_max)
         work = Counters()
         if ray.valid:
-            best = walk(top, parts, rays, ray, hits, i, work)
+            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), ray_environment(rays, i), hits, i, work)
             if wp.static(storing):
                 hits.begins[i] = hits.begins[i] - (best.primitive + 1)
         store(hits, i, best)
@@ -234,3 +265,30 @@ def make_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
             counters.rows[i] = work
 
     return specialised_kernel(single_ray_instances)
+
+
+@cache
+def make_skipping_kernel(config: TraversalConfig, kind: str, levels: int) -> wp.Kernel:
+    """`wrt.kernels.query.skip_triangle.make_kernel` on two levels; triangles are numbered through all instances."""
+    Part, walk, store = PARTS[kind], make_search_instances(config, kind, levels), store_best(config)
+
+    def skipping_hits_instances(
+        first: int,
+        top: InstanceTree,
+        parts: wp.array(dtype=Part),
+        rays: RayBatch,
+        skipped: wp.array(dtype=int),
+        hits: HitBatch,
+    ):
+        i = first + wp.tid()
+        ray = load_ray(rays, i)
+        best = start(ray.t_max)
+        if ray.valid:
+            search = Skipping()
+            search.t_min = ray.t_min
+            search.skipped = skipped[i % skipped.shape[0]]
+            work = Counters()
+            best = walk(top, parts, centered_origin(rays, i), ray, ray_mask(rays, i), ray_environment(rays, i), search, i, work)
+        store(hits, i, best)
+
+    return specialised_kernel(skipping_hits_instances)

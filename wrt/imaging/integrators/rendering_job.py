@@ -165,11 +165,15 @@ class Rendering:
                 self.done += count
         return self
 
+    def _start(self, wave: ray_queue.Wave, count: int) -> None:
+        """Writes the camera rays of a wave of so many samples."""
+        self._wave.start(self._model, wave, count)
+
     def _expose(self, first: int, pixels: int, samples: int) -> None:
         """Adds so many samples to some pixels."""
         wave = ray_queue.Wave()
         wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, self.done
-        self._wave.start(self._model, wave, pixels * samples)
+        self._start(wave, pixels * samples)
         whole_rows = pixels % self.camera.width == 0
         hits = self._wave.first_hits(self._tracer, self.camera.width if whole_rows else 0)
         self._wave.finish(self._tracer, hits)
@@ -241,7 +245,7 @@ class Rendering:
             for first in range(0, self.pixels, self._tile):
                 pixels = min(self._tile, self.pixels - first)
                 wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, 0
-                self._wave.start(self._model, wave, pixels)
+                self._start(wave, pixels)
                 hits = self._wave.first_hits(self._tracer, 0)
                 inputs = [self._lit, first, self._wave.queue, hits.struct(), made]
                 launch(picture.write_layers, pixels, inputs, device=scene.device)

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
+from math import frexp
+from operator import sub
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +23,7 @@ from wrt.builders import tree as common
 from wrt.builders.bvh.instance_forest import InstanceForest, build_forest
 from wrt.builders.triangle_boxes import boxes_of
 from wrt.kernels.runtime.launch import launch
-from wrt.kernels.traversal.two_level.instance_bounds import bound_instances
+from wrt.kernels.traversal.two_level.instance_bounds import LANES, BoundedInstances, CoverPoints, bound_instances
 from wrt.memory import keep_alive
 from wrt.meshes.instance import MIN_RELATIVE_SIZE
 from wrt.meshes.placement import MAX_COORDINATE
@@ -38,26 +40,22 @@ FEW_MOVED = 16
 CENTER_STEPS = 16
 """The centre of a scene is a multiple of its size, rounded down to a power of two, divided by this: most motions leave it."""
 
+TINY, EPSILON = float(np.finfo(np.float64).tiny), float(np.finfo(np.float64).eps)
+
 
 @dataclass(frozen=True)
 class InstanceBoxes:
-    """The maps of all N instances, and their boxes in the scene's coordinates; all float64.
+    """Where all N instances are, in the scene's coordinates; all float64.
 
     Attributes:
-        to_scene, to_object: (N, 3, 3), inverse to each other.
         origin: (N, 3), the scene position of the centre of each instance's mesh.
-        low, high: (3, N), corners of the bounding boxes.
-        sizes: (N,), their longest sides.
-        norms: (N,), product of the norms of the two maps: by what they enlarge the padding of boxes
+        box: (6, N), bounding boxes: lowest x, y, z, highest x, y, z.
+        norms: (N,), product of the norms of each map and of its inverse: by what they enlarge the padding of boxes
             (`wrt.kernels.traversal.two_level.instance_single`).
     """
 
-    to_scene: np.ndarray
-    to_object: np.ndarray
     origin: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-    sizes: np.ndarray
+    box: np.ndarray
     norms: np.ndarray
 
     @classmethod
@@ -69,80 +67,74 @@ class InstanceBoxes:
             numbers: (N,) mesh of each instance.
             covers: of the meshes.
         """
-        to_scene = transforms[:, :3, :3]
-        to_object = np.linalg.inv(to_scene)
-        origin = (to_scene @ covers.centers[numbers][:, :, None])[:, :, 0] + transforms[:, :3, 3]
-        corners = np.empty((6, len(origin)))
-        cpu, maps = wp.get_device("cpu"), np.ascontiguousarray(to_scene)
-        arrays = (
-            on_device(maps, wp.mat33d, cpu),
-            on_device(origin, wp.vec3d, cpu),
-            on_device(numbers.astype(np.int32), int, cpu),
-        )
-        boxes = on_device(corners, wp.float64, cpu).reshape(corners.shape)
-        launch(bound_instances, len(origin), [*arrays, covers.begins, covers.points, boxes], device=cpu, chunk=4)
-        low, high = corners[:3], corners[3:]
-        norms = np.abs(to_scene).sum(axis=2).max(axis=1) * np.abs(to_object).sum(axis=2).max(axis=1)
-        return cls(to_scene, to_object, origin, low, high, (high - low).max(axis=0), norms)
+        count, cpu = len(transforms), wp.get_device("cpu")
+        made = cls(np.empty((count, 3)), np.empty((6, count)), np.empty(count))
+        bounded = BoundedInstances()
+        bounded.origin = on_device(made.origin, wp.vec3d, cpu)
+        bounded.corners, bounded.norms = (on_device(values, wp.float64, cpu) for values in (made.box, made.norms))
+        maps = on_device(np.ascontiguousarray(transforms), wp.mat44d, cpu)
+        inverses = on_device(np.linalg.inv(transforms[:, :3, :3]), wp.mat33d, cpu)
+        inputs = [maps, inverses, on_device(numbers.astype(np.int32), int, cpu), covers.struct, bounded]
+        launch(bound_instances, count, inputs, device=cpu, chunk=4)
+        return made
 
     @cached_property
-    def corners(self) -> tuple[np.ndarray, np.ndarray]:
-        """(3,) lowest and highest corner of all boxes."""
-        return self.low.min(axis=1), self.high.max(axis=1)
+    def extremes(self) -> list[float]:
+        """Lowest x, y, z, highest x, y, z of all boxes, the greatest norm, and the least size (longest side) of a box."""
+        size = (self.box[3:] - self.box[:3]).max(axis=0).min()
+        return [*self.box[:3].min(axis=1).tolist(), *self.box[3:].max(axis=1).tolist(), float(self.norms.max()), float(size)]
 
-    @cached_property
+    @property
     def stretch(self) -> float:
         """By what the slack of boxes grows for the worst of the maps."""
-        return 2.0 * float(self.norms.max())
+        return 2.0 * self.extremes[6]
 
     @property
     def are_resolved(self) -> bool:
         """Whether all boxes are surely large enough for where they are, and within the range of a scene
         (`wrt.meshes.instance.check_extent` decides for others)."""
-        low, high = self.corners[0].min(), self.corners[1].max()
-        return bool(max(-low, high) <= MAX_COORDINATE / 2 and self.sizes.min() >= 4.0 * MIN_RELATIVE_SIZE * (high - low))
-
-    def write(self, table: np.ndarray, rows: Any) -> None:
-        """Writes the maps of some instances into a (N,) table of `Placement`; not their origins."""
-        table["to_scene"][rows], table["to_object"][rows] = self.to_scene[rows], self.to_object[rows]
+        low, high = min(self.extremes[:3]), max(self.extremes[3:6])
+        return max(-low, high) <= MAX_COORDINATE / 2 and self.extremes[7] >= 4.0 * MIN_RELATIVE_SIZE * (high - low)
 
     def with_rows(self, rows: np.ndarray, others: InstanceBoxes) -> InstanceBoxes:
-        """These, with other maps and boxes of some instances."""
-        arrays = []
-        for name in ROWS:
-            values = getattr(self, name).copy()
-            if name in ("low", "high"):
-                values[:, rows] = getattr(others, name)
-            else:
-                values[rows] = getattr(others, name)
-            arrays.append(values)
-        return InstanceBoxes(*arrays)
+        """These, with others of some instances."""
+        made = self.copied()
+        made.origin[rows], made.box[:, rows], made.norms[rows] = others.origin, others.box, others.norms
+        return made
+
+    def copied(self) -> InstanceBoxes:
+        """Arrays of its own."""
+        return InstanceBoxes(self.origin.copy(), self.box.copy(), self.norms.copy())
 
     @cached_property
-    def frame(self) -> tuple[np.ndarray, float]:
-        """(3,) the point that the scene's positions are relative to, and a bound on the rounding of boxes relative to it.
+    def frame(self) -> tuple[tuple[float, float, float], float]:
+        """The point that the scene's positions are relative to, and a bound on the rounding of boxes relative to it.
 
         The point is near the middle of all boxes. Both are still while the boxes move by little, and depend on the boxes alone.
         """
-        low, high = self.corners
-        middle, size = (low + high) / 2, float((high - low).max())
+        low, high = self.extremes[:3], self.extremes[3:6]
+        middle, size = [(a + b) / 2 for a, b in zip(low, high, strict=True)], max(map(sub, high, low))
         if size > 0.0:
-            step = 2.0 ** np.floor(np.log2(size)) / CENTER_STEPS
-            middle = np.round(middle / step) * step
-        reach = float(np.maximum(high, -low).max() + np.abs(middle).max())
-        return middle, 8.0 * np.finfo(np.float64).eps * 2.0 ** np.ceil(np.log2(max(reach, np.finfo(np.float64).tiny)))
+            step = 2.0 ** (frexp(size)[1] - 1) / CENTER_STEPS
+            middle = [round(value / step) * step for value in middle]
+        reach = max(max(high), -min(low)) + max(map(abs, middle))
+        fraction, exponent = frexp(max(reach, TINY))
+        return tuple(middle), 8.0 * EPSILON * 2.0 ** (exponent - (fraction == 0.5))
 
     def rounded(self, rows: Any = slice(None)) -> tuple[np.ndarray, np.ndarray]:
         """(M, 3) float32 corners of the boxes of some instances relative to the centre, rounded outwards."""
-        center, rounding = self.frame
-        low, high = self.low.T[rows] - (center + rounding), self.high.T[rows] - (center - rounding)
+        center, rounding = np.array(self.frame[0]), self.frame[1]
+        low, high = self.box[:3].T[rows] - (center + rounding), self.box[3:].T[rows] - (center - rounding)
         return (
             np.nextafter(low.astype(np.float32), np.float32(-np.inf)),
             np.nextafter(high.astype(np.float32), np.float32(np.inf)),
         )
 
 
-ROWS = tuple(field.name for field in fields(InstanceBoxes))
+def write_maps(table: np.ndarray, rows: Any, transforms: np.ndarray) -> None:
+    """Writes the maps of some instances, (M, 4, 4) transforms, into a (N,) table of `Placement`; not their origins."""
+    table["to_scene"][rows] = transforms[:, :3, :3]
+    table["to_object"][rows] = np.linalg.inv(transforms[:, :3, :3])
 
 
 @dataclass
@@ -178,6 +170,10 @@ class UpperTree(common.Bvh):
         """
         few = rows is not None and FEW_MOVED * len(rows) <= len(low)
         host = self.forest.moved(self.host, low, high, rows) if few else self.forest.bounds(low, high)
+        return self.around(low, high, host)
+
+    def around(self, low: np.ndarray, high: np.ndarray, host: np.ndarray) -> UpperTree:
+        """The same nodes around other boxes; low, high: as of `with_boxes`; host: as the attribute."""
         root = host[self.forest.root]
         other = copy(self)
         other.__dict__.pop("_struct", None)
@@ -191,8 +187,12 @@ def on_device(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     if not device.is_cpu:
         return wp.array(values.reshape(-1), dtype=dtype, device=device)
     count = values.nbytes // wp.types.type_size_in_bytes(dtype)
-    pointer = values.__array_interface__["data"][0]
-    return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
+    return keep_alive(wp.array(ptr=address_of(values), dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
+
+
+def address_of(values: np.ndarray) -> int:
+    """Address of the first element. NumPy would describe all fields of a struct."""
+    return (values.view(np.uint8) if values.dtype.names else values).__array_interface__["data"][0]
 
 
 def build_upper(
@@ -234,23 +234,21 @@ class Covers:
 
     Attributes:
         each: (P, 3) float64 points of each mesh, by `cover`.
-        centers: (meshes, 3) float64 centres that they are relative to.
-        points: all points.
-        begins: (meshes + 1,) first point of each mesh, and the number of points.
+        struct: all points, each mesh's last one repeated up to whole lanes.
     """
 
     each: tuple[np.ndarray, ...]
-    centers: np.ndarray
-    points: wp.array
-    begins: wp.array
+    struct: CoverPoints
 
     @classmethod
     def of(cls, each: Sequence[np.ndarray], states: Sequence[SceneState]) -> Covers:
         """Those of the meshes of some states."""
-        begins = np.cumsum([0, *map(len, each)])
-        points = wp.array(np.concatenate(each), dtype=wp.vec3d, device="cpu")
-        centers = np.array([state.center for state in states])
-        return cls(tuple(each), centers, points, wp.array(begins, dtype=int, device="cpu"))
+        filled = [np.pad(points, ((0, -len(points) % LANES), (0, 0)), mode="edge") for points in each]
+        struct, cpu = CoverPoints(), wp.get_device("cpu")
+        struct.begins = wp.array(np.cumsum([0, *map(len, filled)]), dtype=int, device=cpu)
+        struct.points = wp.array(np.concatenate(filled).T.ravel(), dtype=wp.float64, device=cpu)
+        struct.centers = wp.array(np.array([state.center for state in states]), dtype=wp.vec3d, device=cpu)
+        return cls(tuple(each), struct)
 
 
 def cover(part: SceneState) -> np.ndarray:

@@ -1,0 +1,60 @@
+"""What traversals read of scenes of instances: the upper level, and tables of the meshes that instances share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import warp as wp
+
+from wrt.execution.triangle_records import records_of
+from wrt.kernels.layout.instance_maps import Geometry
+from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.launch import kept
+from wrt.memory import keep_alive
+
+if TYPE_CHECKING:
+    from wrt.instances.instance_boxes import UpperTree
+    from wrt.kernels.layout.ray_batch import RayBatch
+    from wrt.kernels.traversal.two_level.instance_single import InstanceTree
+    from wrt.planning.plan import Plan
+    from wrt.state.scene_state import SceneState
+
+
+def upper_struct(tree: UpperTree, mesh: SceneMesh, stretch: float) -> InstanceTree:
+    """The upper level; stretch: by what the slack of its boxes grows."""
+    from wrt.kernels.traversal.two_level.instance_single import InstanceTree
+
+    top = InstanceTree()
+    top.tree, top.order = tree.struct(), tree.primitive
+    top.placements, top.stretch = mesh.placements, stretch
+    top.environments, top.roots = tree.environments, tree.roots
+    top.root, top.shared_root = tree.forest.root, tree.forest.shared_root
+    return top
+
+
+def part_table(states: Sequence[SceneState], plan: Plan, rays: RayBatch | None, device: wp.Device) -> wp.array:
+    """The trees of meshes and their records for a plan's triangle test."""
+    from wrt.kernels.traversal.two_level.instance_single import PARTS
+
+    kind, table, used = PARTS[plan.accelerator], [], []
+    for mesh in states:
+        part, blocks = kind(), records_of(mesh, plan, rays)
+        part.tree, part.triangles = mesh.tree.struct(), blocks
+        table.append(part)
+        used.append((mesh.tree, blocks))
+    with kept(device):
+        return keep_alive(wp.array(table, dtype=kind, device=device), used)
+
+
+def geometry_table(states: Sequence[SceneState], device: wp.Device) -> wp.array:
+    """The table of meshes, as kernels read it."""
+    table, used, first = [], [], 0
+    for state in states:
+        geometry = Geometry()
+        geometry.vertices, geometry.faces = state.device_mesh.vertices, state.device_mesh.faces
+        geometry.first_face = first
+        table.append(geometry)
+        used.append(state.device_mesh)
+        first += state.triangle_count
+    return keep_alive(wp.array(table, dtype=Geometry, device=device), used)
