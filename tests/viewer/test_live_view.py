@@ -11,6 +11,7 @@ from PIL import Image
 import wrt
 from wrt import scenes
 from wrt.imaging.image_files import to_bytes
+from wrt.viewer.panels.scene_panel import GIZMO_PIXELS
 
 pytest.importorskip("viser", reason="the viewer needs viser: pip install 'wrt[view]'")
 playwright = pytest.importorskip("playwright.sync_api", reason="Playwright drives the browser: pip install playwright")
@@ -29,15 +30,16 @@ def find_chromium():
 class Tab:
     """A page of the viewer, and the pictures that it has received."""
 
-    def __init__(self, browser, viewer):
+    def __init__(self, browser, viewer, size=SIZE):
         self.viewer, self.pictures = viewer, []
         known = set(viewer.sessions)
-        self.page = browser.new_page(viewport=SIZE)
+        self.page = browser.new_page(viewport=size)
         self.page.on("websocket", lambda socket: socket.on("framereceived", self._receive))
         self.page.goto(viewer.url)
         self.until(lambda: set(viewer.sessions) - known and self.pictures)
         (self.number,) = set(viewer.sessions) - known
         self.session = viewer.sessions[self.number]
+        self.until(lambda: self.number in viewer.panels)  # they come with the first picture
         self.controls, self.pick, self.tree = viewer.panels[self.number]
 
     def _receive(self, data):
@@ -50,9 +52,10 @@ class Tab:
                 self.pictures.append(message["rgb_data"])
 
     def until(self, true, seconds=60.0):
-        """Waits; the browser is served meanwhile."""
-        end = time.perf_counter() + seconds
-        while not true() and time.perf_counter() < end:
+        """Waits; the browser is served meanwhile. It counts its own waits: the process may be stopped for a while."""
+        for _ in range(int(50 * seconds)):
+            if true():
+                return
             self.page.wait_for_timeout(20)
         assert true()
 
@@ -279,4 +282,62 @@ def test_scene_that_moves(browser):
         tab.settle()
         expected = wrt.render(scene, tab.session.wish.camera_of(), ambient_samples=2)
         assert np.abs(tab.received() - to_bytes(expected).astype(int)).mean() < 3.0
+        tab.close()
+
+
+def on_screen(camera, point):
+    """Column and row of a point."""
+    offset = np.asarray(point) - camera.position
+    right = np.cross(camera.forward, camera.up)
+    right /= np.linalg.norm(right)
+    up = np.cross(right, camera.forward)
+    scale = camera.height / 2 / np.tan(np.radians(camera.fov) / 2) / (offset @ camera.forward)
+    return camera.width / 2 + scale * (offset @ right), camera.height / 2 - scale * (offset @ up)
+
+
+def test_gizmo_moves_an_instance(browser):
+    """The arrow of the gizmo is dragged: the instance moves along it, in the scene and in the picture; others rest.
+
+    The address has a token.
+    """
+    mesh, matrix = scenes.build("teapot", level=4), np.eye(4)
+    matrix[:3, 3] = -6.0, 0.0, 0.0
+    scene = wrt.Scene([wrt.Instance(mesh), wrt.Instance(mesh, matrix)], device="cpu")
+    camera = wrt.PinholeCamera(900, 600, fov=40.0, position=(0.0, -28.0, 6.0), look_at=(0.0, 0.0, 2.0), up=(0.0, 0.0, 1.0))
+    options = {"ambient": {"ambient_samples": 2}}
+    with wrt.view(scene, block=False, port=0, token=True, camera=camera, up=(0, 0, 1), samples=1, options=options) as viewer:
+        assert viewer._web.gate.token in viewer.url
+        tab = Tab(browser, viewer, {"width": 900, "height": 600})
+        tab.settle()
+        viewer._panel._instance.value = 1
+        viewer._panel._moves.value = True
+        tab.until(lambda: viewer._panel.gizmo is not None)
+        tab.page.wait_for_timeout(500)  # until it is drawn
+        seen = tab.session.wish.camera_of()
+        (column, row), (left, _) = on_screen(seen, matrix[:3, 3]), on_screen(seen, matrix[:3, 3] - (2.0, 0.0, 0.0))
+        before = tab.received()
+        arrow = column + 0.6 * GIZMO_PIXELS
+        tab.page.mouse.move(arrow, row)
+        tab.page.wait_for_timeout(200)
+        tab.page.mouse.down()
+        for step in range(1, 9):
+            tab.page.mouse.move(arrow + step / 8 * (left - column), row)
+            tab.page.wait_for_timeout(30)
+        tab.page.mouse.up()
+        tab.until(lambda: abs(scene.instances[1].transform[0, 3] + 8.0) < 0.3)
+        tab.settle()
+        np.testing.assert_allclose(scene.instances[1].transform[1:, 3], matrix[1:, 3], atol=1e-3)  # along the arrow only
+        np.testing.assert_allclose(scene.instances[1].transform[:3, :3], np.eye(3), atol=1e-6)
+        np.testing.assert_array_equal(scene.instances[0].transform, np.eye(4))
+        assert tab.session.wish.camera_of().position == pytest.approx(seen.position)  # the mouse moved no camera
+        expected = to_bytes(wrt.render(scene, tab.session.wish.camera_of(), ambient_samples=2)).astype(int)
+        assert np.abs(tab.received() - expected).mean() < 3.0
+        assert np.abs(tab.received() - before).mean() > 1.0
+        assert "instance 1, updated in" in viewer._panel._moved_text.content
+        tab.pick.pick(seen.position, scene.instances[1].transform[:3, 3] + (0.0, 0.0, 1.0) - seen.position)
+        assert tab.pick.hits.instance_id == 1
+        assert "instances " in tab.pick._text.content
+        assert tab.pick.visits[-1].instance >= 0
+        tab.tree._shows.value = True
+        tab.until(lambda: "level" in tab.tree._text.content)  # the tree above the instances
         tab.close()

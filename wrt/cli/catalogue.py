@@ -139,7 +139,7 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.kdtree import KDTREE_BUILDERS
     from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
-    from wrt.imaging.integrators.render_settings import INTEGRATORS
+    from wrt.imaging.integrators import INTEGRATORS
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
     from wrt.kernels.runtime.schedules import SCHEDULES
     from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import gc
+import socket
 import warnings
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from wrt.cli.arguments import UpDirection, expect_build, load_mesh, make_scene, scene_options, start_warp
+from wrt.cli.arguments import UpDirection, expect_build, scene_options, start_warp
 from wrt.cli.render import ambient_distance
 
 if TYPE_CHECKING:
     from wrt.imaging.cameras import PinholeCamera
     from wrt.scene.scene import Scene
     from wrt.scenes import BuiltinScene
+    from wrt.viewer.live_view import Viewer
+    from wrt.viewer.web_server import WebServer
+
+
+DEFAULT_FPS = 24
 
 
 @click.command()
@@ -22,6 +31,11 @@ if TYPE_CHECKING:
 @scene_options
 @click.option("--port", default=8080, show_default=True, type=click.IntRange(0, 65535), help="0 for any that is free.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Network interface; others can only reach another one.")
+@click.option(
+    "--token/--no-token",
+    default=None,
+    help="Only the address with a random token shows the scene.  [if others can reach HOST]",
+)
 @click.option("--up", type=UpDirection(), help="x, y, z, -x ... or x,y,z.  [MODEL: y for glTF, OBJ, PLY, OFF, else z]")
 @click.option(
     "--integrator",
@@ -31,46 +45,87 @@ if TYPE_CHECKING:
     help="At first.",
 )
 @click.option("--samples", default=4, show_default=True, type=click.IntRange(1), help="Camera rays per pixel, at rest.")
+@click.option("--animate", is_flag=True, help="Each MODEL is a frame of one mesh.")
+@click.option("--fps", type=click.FloatRange(0, 60, min_open=True), help="Most frames per second.  [24]")
+@click.option("--fuzzy", is_flag=True, help="One tree for all frames of a mesh (wrt.FuzzyScene).")
 @click.option("--open", "open_browser", is_flag=True, help="Open a browser of this computer.")
 def view(
-    models: tuple[Path, ...], port: int, host: str, integrator: str, samples: int, open_browser: bool, **given: Any
+    models: tuple[Path, ...],
+    port: int,
+    host: str,
+    token: bool | None,
+    integrator: str,
+    samples: int,
+    open_browser: bool,
+    **given: Any,
 ) -> None:
     """Shows each MODEL, any mesh file that trimesh reads, or a built-in scene in a web browser, until Ctrl-C.
 
+    A MODEL that is a folder is an animation: its meshes, in the order of their names, are frames of one mesh.
+
     Rays are traced while the mouse moves the camera. From another computer: `ssh -L 8080:localhost:8080 HOST wrt view MODEL`.
     """
-    from wrt.meshes.up_axis import default_up
-    from wrt.viewer.live_view import EXPOSED, check_viser, is_local
-    from wrt.viewer.live_view import view as show
+    with ExitStack() as at_end:
+        with _collector_paused():
+            server = _serve(host, port, token, open_browser)  # first: the browser loads its page while the scene is read
+            at_end.callback(server.close)
+            notice = server.viser.gui.add_markdown("The scene is being read.")
+            viewer = _viewer(server, models, integrator, samples, given)
+            notice.remove()
+        viewer.wait()
 
-    check_viser()
+
+@contextmanager
+def _collector_paused() -> Iterator[None]:
+    """Imports make many objects that stay: going through them again and again took a tenth of the start."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
+
+
+def _serve(host: str, port: int, token: bool | None, open_browser: bool) -> WebServer:
+    """Starts the server and says where."""
+    from wrt.viewer.web_server import WebServer
+
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        server = WebServer(host, port, token)
+    for one in said:
+        click.echo(f"warning: {one.message}", err=True)
+    click.echo(f"{server.url} (Ctrl-C ends it)")
+    if server.gate.token:
+        click.echo(f"from other computers: {server.url_of(socket.gethostname())}")
+    if open_browser:
+        server.open_browser()
+    return server
+
+
+def _viewer(server: WebServer, models: tuple[Path, ...], integrator: str, samples: int, given: dict[str, Any]) -> Viewer:
+    """Shows the scene."""
     start_warp(given["device"])
     expect_build(given)
-    loaded = [load_mesh(given | {"model": model}, materials=True) for model in models or (None,)]
-    meshes, builtin = [mesh for mesh, _ in loaded], loaded[0][1]
-    scene = make_scene(meshes, given)
+
+    from wrt.cli.animated_models import load_models
+    from wrt.meshes.up_axis import default_up
+    from wrt.viewer.live_view import Viewer, first_wish
+
+    loaded, fuzzy = load_models(models, given, given["animate"]), given["fuzzy"]
+    scene, builtin = loaded.scene(given, fuzzy), loaded.builtin
     up = given["up"] or (builtin.up if builtin else default_up(scene))
     camera = _camera(scene, builtin, up)
     options: dict[str, Any] = {"ambient_distance": ambient_distance(scene, camera)}
     if builtin:
         options["light"] = builtin.light
-    if not is_local(host):
-        click.echo("warning: " + EXPOSED.format(host=host), err=True)
-        warnings.simplefilter("ignore")
-    viewer = show(
-        scene,
-        block=False,
-        host=host,
-        port=port,
-        up=up,
-        camera=camera,
-        integrator=integrator,
-        samples=samples,
-        options={"ambient": options},
-        open_browser=open_browser,
-    )
-    click.echo(f"{scene.triangle_count:,} triangles at {viewer.url} (Ctrl-C ends it)")
-    viewer.wait()
+    click.echo(f"{scene.triangle_count:,} triangles" + (f", {loaded.frames} frames" if loaded.frames else ""))
+    first, frames = first_wish(camera, integrator, samples), loaded.frames
+    shown = {"camera": camera, "up": up, "first": first, "options": {"ambient": options}}
+    viewer = Viewer(scene, server, **shown, animate=loaded.animation(fuzzy), frames=frames)
+    if frames:
+        viewer.play(given["fps"] or DEFAULT_FPS)
+    return viewer
 
 
 def _camera(scene: Scene, builtin: BuiltinScene | None, up: tuple[float, ...]) -> PinholeCamera:

@@ -1,6 +1,7 @@
 """The live viewer: a scene in a web browser, ray-traced while the camera moves. It needs the package viser (`wrt[view]`).
 
 * `live_view`: `wrt.view`, and the server that all clients share.
+* `web_server`: the server before it has a scene, and who may speak to it.
 * `shared_scene`: the scene that is shown: its versions, and what changes it while it runs.
 * `client_session`: one browser: its pictures and its camera.
 * `frame_loop`: the thread that makes the pictures of a client; it knows neither viser nor scenes.

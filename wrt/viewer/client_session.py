@@ -6,6 +6,7 @@ answer is that to a read of the browser's storage, which it gives in the order o
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
@@ -46,18 +47,21 @@ class ClientSession:
         wish: what the client wants to see.
         picture: the picture that was made last.
         times: what it took.
+        error: why there is none; None for no reason.
     """
 
     def __init__(self, client: viser.ClientHandle, shared: SharedScene, first: Wish, options: dict[str, Any]) -> None:
         self.client, self.shared = client, shared
         self.picture: Any = None
         self.times: FrameTimes | None = None
+        self.error: Exception | None = None
         self.on_shown: Callable[[FrameTimes], None] = lambda times: None
         self.on_error: Callable[[Exception | None], None] = lambda error: None
         self._options = options
         self._received: Future | None = None
         self._asking = ThreadPoolExecutor(max_workers=1, thread_name_prefix="wrt-received")
         self._closed = False
+        self._begun = threading.Event()
         self.wish = replace(first, version=shared.current[0], camera=pose_of(client.camera), size=size_of(client.camera))
         self._loop = FrameLoop(self._make, self._show, self._report)
 
@@ -73,10 +77,15 @@ class ClientSession:
         if self._closed:
             return
         self._closed = True
+        self._begun.set()
         self.shared.forget(self._follow)
         self._loop.close()
         self._asking.shutdown(wait=False, cancel_futures=True)
         self.picture = self._received = None
+
+    def wait_for_picture(self, timeout: float) -> None:
+        """Waits until the first picture is sent, an error has come instead, or so many seconds have passed."""
+        self._begun.wait(timeout)
 
     @property
     def is_idle(self) -> bool:
@@ -90,7 +99,7 @@ class ClientSession:
 
     def change(self, **values: Any) -> None:
         """Changes fields of the wish."""
-        self.on_error(None)
+        self._tell(None)
         self.wish = replace(self.wish, **values)
         self._loop.want(self.wish)
 
@@ -116,6 +125,7 @@ class ClientSession:
         self.client.flush()
         self._received = self._asking.submit(self.client.local_storage.get_item, "received")
         self.times = times
+        self._begun.set()
         self.on_shown(times)
 
     def _wait_for_client(self) -> None:
@@ -141,6 +151,11 @@ class ClientSession:
         return self.client.client_id in self.client._viser_server.get_clients()
 
     def _report(self, error: Exception) -> None:
+        self._begun.set()
+        self._tell(error)
+
+    def _tell(self, error: Exception | None) -> None:
+        self.error = error
         self.on_error(error)
 
 

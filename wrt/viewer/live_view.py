@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import io
+import sys
 import threading
-import warnings
-import webbrowser
 from collections.abc import Callable, Mapping
-from contextlib import redirect_stdout, suppress
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.imaging.cameras import PinholeCamera, check_point
-from wrt.imaging.integrators.render_settings import INTEGRATORS
+from wrt.imaging.integrators import INTEGRATORS
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.up_axis import default_up
 from wrt.scene.scene import Scene
@@ -27,6 +25,7 @@ from wrt.viewer.pictures.looks import make_picture
 from wrt.viewer.pictures.wish import Wish
 from wrt.viewer.shared_scene import SharedScene
 from wrt.viewer.trees.box_lines import heat_colors
+from wrt.viewer.web_server import WebServer, check_viser
 
 if TYPE_CHECKING:
     import viser
@@ -36,20 +35,19 @@ __all__ = ["Viewer", "view"]
 MOST_CLIENTS = 16
 """Clients at a time that get pictures."""
 
+PANELS_AFTER = 1.0
+"""Seconds after which a client gets its panels if it has no picture yet; else it gets them with the first one."""
+
 MOST_POINTS = 2_000_000
 """Points of a name."""
-
-EXPOSED = (
-    "the viewer listens on {host}: whoever reaches this computer sees the scene and can change it, without a password. "
-    "Leave host out, and reach it through ssh: ssh -L 8080:localhost:8080 HOST"
-)
 
 
 class Viewer:
     """A scene shown in web browsers, until `close`. Made by `wrt.view`. In a notebook, it shows itself in the cell.
 
     Args:
-        scene, host, port, animate, frames: as in `wrt.view`.
+        scene, animate, frames: as in `wrt.view`.
+        server: that shows it. It may have clients already.
         camera, up: the camera of a new client, and its axis that points up.
         first: what a new client is shown.
         options: of each integrator, by its name, as `wrt.render` takes them.
@@ -64,9 +62,8 @@ class Viewer:
     def __init__(
         self,
         scene: Scene,
+        server: WebServer,
         *,
-        host: str,
-        port: int,
         camera: PinholeCamera,
         up: tuple[float, ...],
         first: Wish,
@@ -80,8 +77,7 @@ class Viewer:
         self._lock = threading.Lock()
         self._first, self._options = first, dict(options)
         self._ended = threading.Event()
-        self._server = start_server(host, port)
-        self.host, self.port = host, self._server.get_port()
+        self._web, self._server = server, server.viser
         set_camera(self._server, camera, up, scene)
         self._panel = ScenePanel(self._server, self.shared)
         threading.Thread(target=self._prepare, name="wrt-prepare", daemon=True).start()
@@ -92,18 +88,34 @@ class Viewer:
     @property
     def url(self) -> str:
         """The address to open in a browser."""
-        shown = "localhost" if self.host in ("0.0.0.0", "::", "") else self.host
-        return f"http://{shown}:{self.port}"
+        return self._web.url
 
     def refresh(self) -> None:
         """Shows the scene as it is now, after `scene.update` and the like."""
         self.shared.refresh()
 
+    def play(self, fps: float = 24.0) -> None:
+        """Plays the animation, from its first frame again after the last.
+
+        Args:
+            fps: most frames a second, above 0 and at most 60.
+
+        Raises:
+            ValueError: there is no animation, or fps is out of range.
+        """
+        if not 0.0 < fps <= 60.0:
+            raise ValueError(f"fps is {fps}; it must be above 0 and at most 60")
+        self._panel.play(fps)
+
+    def pause(self) -> None:
+        """Stops the animation at the frame that is shown; without one, does nothing."""
+        self._panel.pause()
+
     def add_points(self, points: Any, values: Any = None, *, name: str = "points", size: float = 2.0) -> None:
         """Draws points over the picture, such as those of a scan, until others are drawn under the same name.
 
             scan = lidar.scan(scene, pose)
-            viewer.add_points(scan.points, scan.intensity)
+            viewer.add_points(scan.position, scan.intensity)
 
         Args:
             points: (..., 3) in the coordinates of the scene; those with a NaN are left out.
@@ -165,8 +177,7 @@ class Viewer:
             self.panels.clear()
         for session in sessions:
             session.close()
-        with redirect_stdout(io.StringIO()):
-            self._server.stop()
+        self._web.close()
 
     def __enter__(self) -> Viewer:
         return self
@@ -183,6 +194,8 @@ class Viewer:
     def _prepare(self) -> None:
         """Makes a small picture, so that kernels are loaded and normals computed while the browser loads the page."""
         with suppress(ValueError, TypeError, RuntimeError):  # the client is told
+            if self._server.get_clients():  # one waits: its picture is made already
+                return
             version, scene = self.shared.current
             wish = replace(self._first, version=version, size=(160, 120))
             make_picture(scene, wish, 1.0, True, self._options.get(wish.integrator)).advance(lambda *_: None)
@@ -201,8 +214,14 @@ class Viewer:
                 place_camera(client, *self._first_view)
             session = ClientSession(client, self.shared, self._first, self._options)
             self.sessions[client.client_id] = session
-        self.panels[client.client_id] = ControlPanel(session), PickPanel(session), TreePanel(session)
         session.start()
+        session.wait_for_picture(PANELS_AFTER)
+        if client.client_id not in self.sessions:
+            return
+        panels = ControlPanel(session), PickPanel(session), TreePanel(session)
+        with self._lock:
+            if client.client_id in self.sessions:
+                self.panels[client.client_id] = panels
 
     def _leave(self, client: viser.ClientHandle) -> None:
         """A browser has gone, perhaps in the middle of a picture."""
@@ -216,9 +235,10 @@ class Viewer:
 def view(
     scene: Any,
     *,
-    block: bool = True,
+    block: bool | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
+    token: bool | str | None = None,
     camera: PinholeCamera | None = None,
     up: Any = None,
     integrator: str = "ambient",
@@ -230,7 +250,7 @@ def view(
 ) -> Viewer:
     """Shows a scene in a web browser: ray-traced, with the mouse as camera, while the program runs on.
 
-        viewer = wrt.view(scene, block=False)       # open viewer.url
+        viewer = wrt.view(scene, block=False)       # open viewer.url; a notebook shows it
         scene.update(0, vertices=moved)
         viewer.refresh()
         viewer.close()
@@ -239,10 +259,12 @@ def view(
 
     Args:
         scene: a `wrt.Scene` of any kind, or a `wrt.TriangleMesh`.
-        block: whether to return only at the end, that is at a Ctrl-C.
-        host: network interface to listen on. Other computers cannot reach the default. There is a warning for any other:
-            there is no password.
+        block: whether to return only at the end, that is at a Ctrl-C. None: in scripts, but not in a notebook.
+        host: network interface to listen on. Other computers cannot reach the default.
         port: to listen on; if it is taken, a higher one. 0 for any.
+        token: whether the address must hold a secret, which `Viewer.url` then does: whoever lacks it gets no picture and moves
+            no control. True makes one at random; a string of at least 8 letters, digits, - and _ is one. None: if other
+            computers can reach `host`. False lets everybody in, with a warning. Nothing is encrypted.
         camera: the view at first; None for one that shows the whole scene. Its size does not matter.
         up: (3,) direction that stays upright when the camera turns; None for that of the meshes (`wrt.TriangleMesh.up`).
         integrator: at first, as of `wrt.render`.
@@ -254,15 +276,13 @@ def view(
         open_browser: whether to open a browser of this computer.
 
     Returns:
-        The viewer. In a notebook, it shows itself; give `block=False`.
+        The viewer. As the last line of a notebook's cell, it shows itself there.
 
     Raises:
         ImportError: viser is missing.
         TypeError, ValueError: an argument has a wrong type or value.
     """
     check_viser()
-    if not is_local(host):
-        warnings.warn(EXPOSED.format(host=host), stacklevel=2)
     scene = Scene(scene) if isinstance(scene, TriangleMesh) else scene
     if not isinstance(scene, Scene):
         raise TypeError(f"scene must be a wrt.Scene or a wrt.TriangleMesh, not {type(scene).__name__}")
@@ -273,15 +293,19 @@ def view(
     first, options = first_wish(camera, integrator, samples), dict(options or {})
     for name in options:
         check_integrator(name, "options has")
-    viewer = Viewer(
-        scene, host=host, port=port, camera=camera, up=up, first=first, options=options, animate=animate, frames=frames
-    )
+    server = WebServer(host, port, token)
+    viewer = Viewer(scene, server, camera=camera, up=up, first=first, options=options, animate=animate, frames=frames)
     if open_browser:
-        with suppress(webbrowser.Error):
-            webbrowser.open(viewer.url)
-    if block:
+        server.open_browser()
+    if not in_notebook() if block is None else block:
         viewer.wait()
     return viewer
+
+
+def in_notebook() -> bool:
+    """Whether a kernel of Jupyter runs this, which shows what a cell returns."""
+    shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    return hasattr(shell, "kernel")
 
 
 def first_wish(camera: Any, integrator: str, samples: int) -> Wish:
@@ -301,35 +325,6 @@ def check_integrator(name: str, said: str) -> None:
     """Raises a ValueError for a name that no integrator has; `said` begins the message."""
     if name not in INTEGRATORS:
         raise ValueError(f"{said} {name!r}, which is no integrator; choose from {', '.join(INTEGRATORS)}")
-
-
-def is_local(host: str) -> bool:
-    """Whether only this computer reaches a network interface."""
-    return host == "localhost" or host.startswith("127.") or host == "::1"
-
-
-def check_viser() -> None:
-    """Raises an ImportError that says what to do if viser is missing."""
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        raise ImportError("the viewer needs the package viser; install it with pip install 'wrt[view]'") from error
-
-
-def start_server(host: str, port: int) -> viser.ViserServer:
-    """A server without what the viewer does not need: its greeting, and sharing through a server elsewhere."""
-    import viser
-
-    class Server(viser.ViserServer):
-        """A server that refuses to share itself: any client could ask it to."""
-
-        def request_share_url(self, verbose: bool = True) -> None:
-            """Does nothing."""
-
-    with redirect_stdout(io.StringIO()):
-        server = Server(host=host, port=port, label="wrt", verbose=False)
-    server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-    return server
 
 
 def set_camera(server: viser.ViserServer, camera: PinholeCamera, up: tuple[float, ...], scene: Scene) -> None:

@@ -54,6 +54,7 @@ class SharedScene:
         self._paused = threading.Event()
         self._paused.set()
         self._player: threading.Thread | None = None
+        self._switching = threading.Lock()
         self.refresh()
 
     @property
@@ -169,12 +170,18 @@ class SharedScene:
             self.refresh()
             self.update_seconds = perf_counter() - start
 
-    def play(self, rate: float, shown: Callable[[], None] = lambda: None) -> None:
-        """Shows frame after frame, from the first again after the last, until `pause`.
+    def play(
+        self,
+        rate: float,
+        shown: Callable[[], None] = lambda: None,
+        failed: Callable[[Exception], None] = lambda error: None,
+    ) -> None:
+        """Shows frame after frame, from the first again after the last, until `pause` or an error.
 
         Args:
             rate: most frames a second.
             shown: called after each frame.
+            failed: called with the error of a frame, which ends the animation.
 
         Raises:
             ValueError: there is no animation, or `rate` is not above 0.
@@ -183,15 +190,21 @@ class SharedScene:
             raise ValueError("there is no animation; give animate= and frames=, or a wrt.FuzzyScene")
         if not rate > 0.0:
             raise ValueError(f"rate is {rate}; it must be above 0")
-        self.pause()
-        self._paused.clear()
-        self._player = threading.Thread(target=self._play, args=(rate, shown), name="wrt-animation", daemon=True)
-        self._player.start()
+        with self._switching:
+            self._end()
+            self._paused.clear()
+            self._player = threading.Thread(target=self._play, args=(rate, shown, failed), name="wrt-animation", daemon=True)
+            self._player.start()
 
-    def _play(self, rate: float, shown: Callable[[], None]) -> None:
+    def _play(self, rate: float, shown: Callable[[], None], failed: Callable[[Exception], None]) -> None:
         while not self._paused.is_set():
             start = perf_counter()
-            self.show_frame((self.frame + 1) % self.frames)
+            try:
+                self.show_frame((self.frame + 1) % self.frames)
+            except Exception as error:  # of the caller's function
+                self._paused.set()
+                failed(error)
+                return
             shown()
             self._paused.wait(max(0.0, start + 1.0 / rate - perf_counter()))
 
@@ -202,7 +215,14 @@ class SharedScene:
 
     def pause(self) -> None:
         """Stops the animation at the frame that is shown."""
+        if self._player is threading.current_thread():  # it ends by itself
+            self._paused.set()
+            return
+        with self._switching:
+            self._end()
+
+    def _end(self) -> None:
         self._paused.set()
-        if self._player is not None and self._player is not threading.current_thread():
+        if self._player is not None:
             self._player.join()
             self._player = None

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from wrt.imaging.cameras import check_whole
+from wrt.imaging.integrators import INTEGRATORS
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS
 from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -15,8 +16,6 @@ from wrt.materials.material import as_color
 from wrt.state.query_kinds import AUTO
 
 __all__ = ["INTEGRATORS", "RenderSettings"]
-
-INTEGRATORS = ("ambient", "whitted", "distribution", "path")
 
 FRESNEL = ("exact", "schlick")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from wrt.imaging.integrators.render_settings import INTEGRATORS
+from wrt.imaging.integrators import INTEGRATORS
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -38,6 +38,7 @@ class ControlPanel:
         self._session, gui = session, session.client.gui
         self._written = self._plotted = 0.0
         self._times: deque[tuple[float, FrameTimes]] = deque(maxlen=PLOTTED)
+        self._rates: deque[float] = deque(maxlen=PLOTTED)
         wish = session.wish
         with gui.add_folder("Picture"):
             self._look = gui.add_dropdown("Look", [*LOOKS], initial_value=wish.look)
@@ -65,6 +66,10 @@ class ControlPanel:
         for field, control in fields.items():
             control.on_update(self._changer(field))
         session.on_shown, session.on_error = self.show_times, self.show_error
+        if session.times is not None:
+            self.show_times(session.times)
+        if session.error is not None:
+            self.show_error(session.error)
 
     def _changer(self, field: str) -> Any:
         async def change(event: Any) -> None:
@@ -83,13 +88,15 @@ class ControlPanel:
             uplot.Series(label="picture"),
             uplot.Series(label="ms", stroke="#2a6fdb", width=2),
             uplot.Series(label="Mrays/s", stroke="#d9822b", width=2),
+            uplot.Series(label="pictures/s", stroke="#2f9e44", width=2),
         )
-        return gui.add_uplot((empty, empty, empty), series, title="the last pictures", aspect=1.6)
+        return gui.add_uplot((empty,) * 4, series, title="the last pictures", aspect=1.6)
 
     def show_times(self, times: FrameTimes) -> None:
         """Writes what a picture took; called after each."""
         now = perf_counter()
         self._times.append((now, times))
+        self._rates.append(self.rate() if times.is_coarse else np.nan)
         if now - self._written >= WRITE_EVERY or times.is_complete:
             self._written = now
             self._figures.content = self._text(times)
@@ -100,7 +107,7 @@ class ControlPanel:
             count = np.arange(len(shown), dtype=np.float64)
             milliseconds = np.array([1e3 * one.seconds for one in shown])
             speed = np.array([one.rays / max(one.seconds, 1e-9) / 1e6 for one in shown])
-            self._plot.data = (count, milliseconds, speed)
+            self._plot.data = (count, milliseconds, speed, np.array(self._rates))
 
     def _text(self, times: FrameTimes) -> str:
         width, height = (max(1, round(side * times.scale)) for side in self._session.wish.size)

@@ -8,10 +8,11 @@ import numpy as np
 
 from wrt.viewer.client_session import ClientSession
 from wrt.viewer.trees.box_lines import draw_boxes, heat_colors
-from wrt.viewer.trees.tree_walk import Visit, walk
 
 if TYPE_CHECKING:
     import viser
+
+    from wrt.viewer.trees.tree_walk import Visit
 
 __all__ = ["PickPanel"]
 
@@ -26,7 +27,7 @@ class PickPanel:
 
     Attributes:
         hits: of the ray that was picked last, a `wrt.Hits`; None before the first click.
-        visits: the boxes on its way; empty for a scene of many trees.
+        visits: the boxes on its way; empty for scenes of many trees that are not instances.
     """
 
     def __init__(self, session: ClientSession) -> None:
@@ -51,6 +52,8 @@ class PickPanel:
         Args:
             origin, direction: (3,) of the ray, in the coordinates of the scene.
         """
+        from wrt.viewer.trees.ray_way import walk
+
         session, wish = self._session, self._session.wish
         scene = session.shared.current[1]
         origin, direction = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64)
@@ -73,13 +76,7 @@ class PickPanel:
 
     def _described(self, origin: np.ndarray, direction: np.ndarray) -> str:
         hits = self.hits
-        leaves = [visit for visit in self.visits if visit.is_leaf]
-        tests = sum(len(visit.triangles) for visit in leaves)
-        way = (
-            f"{len(self.visits) - len(leaves)} inner nodes, {len(leaves)} leaves, {tests} triangle tests"
-            if self.visits
-            else "none: the ray misses the scene's box, or the scene has many trees"
-        )
+        way = described(self.visits)
         if not hits.is_hit:
             return f"**Nothing is hit.**  \nway: {way}"
         rows = (
@@ -100,5 +97,17 @@ class PickPanel:
         count = int(self._steps.value) if self._shows_way.value else 0
         shown = self.visits[:count]
         colors = heat_colors(np.arange(len(shown)) / max(len(self.visits) - 1, 1))
-        low, high = ([getattr(visit, name) for visit in shown] for name in ("low", "high"))
-        draw_boxes(self._session.client, WAY, low, high, colors, self._center)
+        draw_boxes(self._session.client, WAY, [visit.corners for visit in shown], colors, self._center)
+
+
+def described(visits: list[Visit]) -> str:
+    """The way of a ray in figures."""
+    if not visits:
+        return "none: the ray misses the scene's box, or the scene has many trees"
+    entered = {visit.instance: None for visit in visits if visit.instance >= 0}
+    of_instances = [visit for visit in visits if visit.is_instance]
+    leaves = [visit for visit in visits if visit.is_leaf and not visit.is_instance]
+    inner = len(visits) - len(leaves) - len(of_instances)
+    tests = sum(len(visit.triangles) for visit in leaves)
+    through = f"instances {', '.join(map(str, entered))}; " if entered else ""
+    return f"{through}{inner} inner nodes, {len(leaves)} leaves, {tests} triangle tests"

@@ -9,13 +9,19 @@ import numpy as np
 from wrt.scene.scene import Scene
 from wrt.state.scene_state import SceneState
 from wrt.viewer.client_session import ClientSession
-from wrt.viewer.trees.box_lines import draw_boxes, heat_colors
+from wrt.viewer.trees.box_lines import box_corners, draw_boxes, heat_colors
 from wrt.viewer.trees.tree_levels import MEASURES, TreeBoxes, tree_boxes
 
 __all__ = ["TreePanel"]
 
 SHOWN, BOTH = "of this scene", "BVH and kd-tree side by side"
+OCTREE, REGIONS = "octree of areas", "regions of areas"
+MOST_AREAS = 64
+"""Influence areas whose trees can be chosen."""
+
 NAMES = ("/wrt/boxes", "/wrt/other boxes")
+
+NO_AREAS = "the tree that is shown has no influence areas"
 
 MOST_BOXES = 2000
 """Boxes that are drawn of a level: those that cost most."""
@@ -32,7 +38,9 @@ class TreePanel:
         self._session, gui = session, session.client.gui
         self._known: dict[tuple[int, str], tuple[TreeBoxes, np.ndarray]] = {}
         areas = session.shared.current[1].area_trees
-        trees = [SHOWN, "bvh", "kdtree", BOTH, *(f"of area {number}" for number in range(len(areas or ())))]
+        trees = [SHOWN, "bvh", "kdtree", BOTH]
+        if areas is not None:
+            trees += [REGIONS, OCTREE, *(f"of area {number}" for number in range(min(len(areas), MOST_AREAS)))]
         with gui.add_folder("Tree", expand_by_default=False):
             self._shows = gui.add_checkbox("Boxes", initial_value=False)
             self._tree = gui.add_dropdown("Tree", trees, initial_value=SHOWN)
@@ -59,6 +67,10 @@ class TreePanel:
             self._text.content = ""
             return
         chosen = self._tree.value
+        if chosen == REGIONS:
+            client.scene.remove_by_name(NAMES[1])
+            self._text.content = self._draw_regions()
+            return
         kinds = ("bvh", "kdtree") if chosen == BOTH else (chosen,)
         texts = []
         for place, name in enumerate(NAMES):
@@ -83,13 +95,28 @@ class TreePanel:
         values = boxes.measure(self._measure.value)[found]
         largest = float(values.max()) if len(values) else 0.0
         low, high = (corner[found] + center for corner in (boxes.low, boxes.high))
-        draw_boxes(self._session.client, name, low + shift, high + shift, heat_colors(values / (largest or 1.0)), center)
+        colors = heat_colors(values / (largest or 1.0))
+        draw_boxes(self._session.client, name, box_corners(low, high) + shift, colors, center)
         count = int((boxes.depth == level).sum())
+        measure = "areas" if (kind, self._measure.value) == (OCTREE, "triangles") else self._measure.value
         of = f"the {len(found)} that cost most of " if count > len(found) else ""
         return (
             f"{kind}: level {level} of {boxes.levels - 1}: {of}{count} boxes, {int(boxes.is_leaf[found].sum())} leaves; "
-            f"{self._measure.value} up to {largest:.3g}, mean {float(values.mean()) if len(values) else 0.0:.3g}"
+            f"{measure} up to {largest:.3g}, mean {float(values.mean()) if len(values) else 0.0:.3g}"
         )
+
+    def _draw_regions(self) -> str:
+        """Draws where the rays of each influence area start, coloured by the triangles of its tree; a description."""
+        from wrt.viewer.trees.area_boxes import region_corners
+
+        scene = self._session.shared.current[1]
+        if scene.area_trees is None:
+            return f"**{NO_AREAS}**"
+        counts = np.array(scene.area_trees.triangles)
+        draw_boxes(
+            self._session.client, NAMES[0], region_corners(scene), heat_colors(counts / counts.max()), np.asarray(scene.center)
+        )
+        return f"{len(counts)} influence areas, with trees of {counts.min():,} to {counts.max():,} triangles"
 
     def _boxes(self, kind: str) -> tuple[TreeBoxes, np.ndarray]:
         """The boxes of a tree, and the centre that they are relative to.
@@ -100,8 +127,15 @@ class TreePanel:
         version, scene = self._session.shared.current
         if (version, kind) not in self._known:
             self._known = {key: value for key, value in self._known.items() if key[0] == version}
-            state = self._state(scene, kind)
-            self._known[version, kind] = tree_boxes(state.tree), np.asarray(state.center)
+            if kind == OCTREE:
+                from wrt.viewer.trees.area_boxes import octree_boxes
+
+                if scene.area_trees is None:
+                    raise ValueError(NO_AREAS)
+                self._known[version, kind] = octree_boxes(scene.area_trees.top), np.asarray(scene.center)
+            else:
+                state = self._state(scene, kind)
+                self._known[version, kind] = tree_boxes(tree_of(state)), np.asarray(state.center)
         return self._known[version, kind]
 
     def _state(self, scene: Scene, kind: str) -> SceneState:
@@ -112,6 +146,8 @@ class TreePanel:
                 raise ValueError("a scene of instances has one kind of upper tree")
             found = Scene([*scene.meshes], kind, device=scene.device).state
         else:
+            if scene.area_trees is None:
+                raise ValueError(NO_AREAS)
             found = scene.area_trees.scenes[int(kind.rsplit(" ", 1)[1])]
         if found.lazy_tree is None and not hasattr(found.tree, "struct"):
             raise ValueError("the scene has no tree")
@@ -142,3 +178,12 @@ class TreePanel:
         except ValueError as error:
             rows.append(str(error))
         self._plan.content = "  \n".join(rows)
+
+
+def tree_of(state: SceneState) -> Any:
+    """The tree of a state; of instances, the one above them."""
+    if not state.instances:
+        return state.tree
+    from wrt.viewer.trees.instance_walk import upper_tree
+
+    return upper_tree(state)

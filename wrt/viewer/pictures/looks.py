@@ -13,7 +13,6 @@ import numpy as np
 import warp as wp
 
 from wrt.imaging.cameras import PinholeCamera
-from wrt.imaging.integrators.rendering_job import Rendering
 from wrt.imaging.rendering import AmbientRendering
 from wrt.kernels.runtime.launch import get_num_threads, use_threads
 from wrt.scene.scene import Scene
@@ -54,6 +53,8 @@ class Light:
             self._made = AmbientRendering(scene, camera, tile_pixels=TILE, **given)
             self._rays_a_sample = (2 + given.get("ambient_samples", 16)) * camera.width * camera.height
         else:
+            from wrt.imaging.integrators.rendering_job import Rendering  # not needed for the first picture
+
             self._made = Rendering(scene, camera, integrator=wish.integrator, wave=WAVE, **given)
 
     @property
@@ -65,7 +66,8 @@ class Light:
         """Adds a sample."""
         with use_threads(self._threads):
             self._made.advance(1, progress=check)
-        self.rays = self._made.rays if isinstance(self._made, Rendering) else self._made.done * self._rays_a_sample
+        is_ambient = isinstance(self._made, AmbientRendering)
+        self.rays = self._made.done * self._rays_a_sample if is_ambient else self._made.rays
 
     def pixels(self) -> np.ndarray:
         """(H, W, 3) uint8, rounded as by `wrt.save_image`."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from wrt.builders.bvh import bvh_statistics
-from wrt.builders.kdtree import kdtree_statistics
-from wrt.builders.kdtree.kdtree_statistics import half_area
+from wrt.builders.bvh.bvh_statistics import half_area
 from wrt.builders.tree import Bvh, KdTree
 
 __all__ = ["MEASURES", "TreeBoxes", "tree_boxes"]
@@ -103,6 +102,8 @@ def _of_bvh(tree: Bvh) -> TreeBoxes:
 
 
 def _of_kdtree(tree: KdTree) -> TreeBoxes:
+    from wrt.builders.kdtree import kdtree_statistics  # not needed for the first picture
+
     cells = kdtree_statistics.unpack(tree)
     blocks = -(-cells.triangles // tree.width)
     area = half_area(cells.low, cells.high) / max(float(half_area(cells.low[0], cells.high[0])), 1e-300)

@@ -7,7 +7,7 @@ kernels decide in float32 and allow for rounding: where a ray touches a box with
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +17,9 @@ from wrt.builders.bvh import bvh_statistics
 from wrt.builders.kdtree import kdtree_statistics
 from wrt.builders.tree import Bvh
 from wrt.state.scene_state import SceneState
+from wrt.viewer.trees.box_lines import box_corners
 
-__all__ = ["Visit", "walk"]
-
-MOST_VISITS = 10_000
-"""Visits after which a walk ends."""
+__all__ = ["Placed", "Visit", "Walk", "interval", "nearest_first"]
 
 
 @dataclass(frozen=True)
@@ -29,83 +27,79 @@ class Visit:
     """A box on the way of a ray.
 
     Attributes:
-        low, high: (3,) float64 corners, in the coordinates of the scene.
-        depth: number of inner nodes above.
+        corners: (8, 3) float64, in the coordinates of the scene; the boxes of an instance's mesh are turned as it is.
+        depth: number of boxes above, through both levels of a scene of instances.
         entry: t where the ray enters the box, or starts in it.
-        is_leaf: whether it is a leaf.
-        triangles: those of the leaf, numbered through all meshes; empty for an inner node.
+        is_leaf: whether it is a leaf of its tree.
+        triangles: those of the leaf, numbered as `wrt.Hits.primitive_id`; empty for all others.
         hit: the nearest of them that the ray hits; -1 if there is none.
+        instance: whose box it is, or to whose mesh's tree it belongs; -1 for a tree above instances, and without instances.
+        is_instance: whether it is the box of an instance, a leaf of the tree above them.
     """
 
-    low: np.ndarray
-    high: np.ndarray
+    corners: np.ndarray
     depth: int
     entry: float
     is_leaf: bool
     triangles: np.ndarray
     hit: int
+    instance: int = -1
+    is_instance: bool = False
 
 
-def walk(scene: SceneState, origin: Any, direction: Any) -> list[Visit]:
-    """The boxes that a ray visits on its way to its closest hit.
+@dataclass(frozen=True)
+class Placed:
+    """Where the tree of a mesh stands in a scene.
 
-    Args:
-        scene: the state of a scene with a single tree.
-        origin, direction: (3,) of the ray.
-
-    Raises:
-        ValueError: the scene has many trees.
+    Attributes:
+        to_scene, origin: (3, 3) and (3,): a point p of the tree is to_scene p + origin in the scene.
+        depth: of its root.
+        instance: as of `Visit`.
+        entry: t where the ray enters the box of the instance.
     """
-    if scene.instances or not hasattr(scene.tree, "nodes" if scene.accelerator.kind == "kdtree" else "child"):
-        raise ValueError("the scene has many trees; pick in a wrt.Scene of one mesh or several, without instances")
-    return [*Walk(scene, origin, direction).visits()]
+
+    to_scene: np.ndarray
+    origin: np.ndarray
+    depth: int = 0
+    instance: int = -1
+    entry: float = 0.0
 
 
 class Walk:
-    """A walk under way."""
+    """A walk through the tree of a mesh under way.
 
-    def __init__(self, scene: SceneState, origin: Any, direction: Any) -> None:
-        self.center = np.asarray(scene.center, dtype=np.float64)
-        self.origin = np.asarray(origin, dtype=np.float64) - self.center
-        self.direction = np.asarray(direction, dtype=np.float64)
+    Args:
+        scene: the state with the tree.
+        origin, direction: (3,) of the ray in the coordinates of the tree.
+        placed: where the tree is.
+        best: t of the best hit so far.
+    """
+
+    def __init__(
+        self, scene: SceneState, origin: np.ndarray, direction: np.ndarray, placed: Placed, best: float = np.inf
+    ) -> None:
+        self.origin, self.direction, self.placed, self.best = origin, direction, placed, best
         self.tree = scene.tree
         self.primitive = scene.tree.primitive.numpy()
         self.vertices = scene.device_mesh.vertices.numpy().astype(np.float64)
         self.faces = scene.device_mesh.faces.numpy()
-        self.best = np.inf
 
     def visits(self) -> Iterator[Visit]:
         """The visits in their order."""
         low, high = (np.array(corner, dtype=np.float64) for corner in (self.tree.low, self.tree.high))
-        entry, leave = self.interval(low, high)
-        if not entry <= leave:
-            return
-        steps = self.through_bvh(low, high, entry) if isinstance(self.tree, Bvh) else self.through_kdtree(entry, leave)
-        for number, visit in enumerate(steps):
-            if number >= MOST_VISITS:
-                return
-            yield visit
+        entry, leave = interval(self.origin, self.direction, low, high)
+        is_met = entry <= min(leave, self.best)
+        if isinstance(self.tree, Bvh) and (is_met or self.placed.instance >= 0):
+            yield from self.through_bvh(entry if is_met else self.placed.entry)  # an instance's box was met already
+        elif is_met:
+            yield from self.through_kdtree(entry, leave)
 
-    def through_bvh(self, low: np.ndarray, high: np.ndarray, entry: float) -> Iterator[Visit]:
+    def through_bvh(self, entry: float) -> Iterator[Visit]:
         """Depth first, the nearest child first."""
-        boxes, width = bvh_statistics.unpack(self.tree), self.tree.width
-        waiting = [(entry, 0, -1, low, high, 0)]
-        while waiting:
-            entry, node, lane, low, high, depth = waiting.pop()
-            if entry > self.best:
-                continue
-            if lane >= 0:
-                first = boxes.first_block[node, lane] * width
-                yield self.visit(low, high, depth, entry, self.primitive[first : first + boxes.triangles[node, lane]])
-                continue
-            yield self.visit(low, high, depth, entry, None)
-            entries, leaves = self.interval(boxes.low[node].astype(np.float64), boxes.high[node].astype(np.float64))
-            used = boxes.is_leaf[node] | boxes.is_inner[node]
-            met = np.flatnonzero(used & (entries <= np.minimum(leaves, self.best)))
-            for child in met[np.argsort(-entries[met], kind="stable")]:
-                inner = boxes.is_inner[node, child]
-                place = (boxes.child[node, child], -1) if inner else (node, child)
-                waiting.append((entries[child], *place, boxes.low[node, child], boxes.high[node, child], depth + 1))
+        for leaf in nearest_first(self.tree, self.origin, self.direction, 0, entry, lambda: self.best):
+            first = leaf.first_block * self.tree.width
+            triangles = self.primitive[first : first + leaf.triangles] if leaf.is_leaf else None
+            yield self.visit(leaf.low, leaf.high, leaf.depth, leaf.entry, triangles)
 
     def through_kdtree(self, entry: float, leave: float) -> Iterator[Visit]:
         """The near side of each plane first."""
@@ -136,24 +130,15 @@ class Walk:
 
     def visit(self, low: np.ndarray, high: np.ndarray, depth: int, entry: float, triangles: np.ndarray | None) -> Visit:
         """A visit; of a leaf, with its triangles tested."""
-        hit = -1
+        hit, placed = -1, self.placed
         if triangles is not None and len(triangles):
             t = self.distances(triangles)
             if t.min() < self.best:
                 self.best, hit = float(t.min()), int(triangles[np.argmin(t)])
-        none = np.empty(0, dtype=np.int32)
-        corners = self.center + low, self.center + high
-        return Visit(*corners, depth, float(entry), triangles is not None, none if triangles is None else triangles, hit)
-
-    def interval(self, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
-        """t where the ray enters and leaves boxes (..., 3); entry > leave if it misses."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ends = (low - self.origin) / self.direction, (high - self.origin) / self.direction
-        near, far = np.fmin(*ends), np.fmax(*ends)
-        outside = (self.direction == 0.0) & ((self.origin < low) | (self.origin > high))
-        near, far = np.where(np.isnan(near), -np.inf, near), np.where(np.isnan(far), np.inf, far)
-        entry, leave = np.maximum(near.max(axis=-1), 0.0), far.min(axis=-1)
-        return np.where(outside.any(axis=-1), np.inf, entry), leave
+        corners = box_corners(np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64))
+        numbers = np.empty(0, dtype=np.int32) if triangles is None else triangles
+        at = corners @ placed.to_scene.T + placed.origin
+        return Visit(at, placed.depth + depth, float(entry), triangles is not None, numbers, hit, placed.instance)
 
     def distances(self, triangles: np.ndarray) -> np.ndarray:
         """(n,) t of hits with triangles, infinite for misses (Moeller and Trumbore 1997)."""
@@ -167,3 +152,59 @@ class Walk:
             t = np.einsum("ij,ij->i", c - a, normal) / area
             hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9) & (t >= 0.0)
         return np.where(hit, t, np.inf)
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box of a bounding volume hierarchy that a ray comes to, relative to its centre; fields as of `Visit` and
+    `wrt.builders.bvh.bvh_statistics.UnpackedBvh`."""
+
+    low: np.ndarray
+    high: np.ndarray
+    depth: int
+    entry: float
+    is_leaf: bool
+    first_block: int = 0
+    triangles: int = 0
+
+
+def nearest_first(
+    tree: Bvh, origin: np.ndarray, direction: np.ndarray, root: int, entry: float, best: Callable[[], float]
+) -> Iterator[Box]:
+    """The boxes that a ray visits, depth first and the nearest child first.
+
+    Args:
+        tree: the tree.
+        origin, direction: (3,) of the ray relative to the tree's centre.
+        root: node to start at.
+        entry: t where the ray enters its box.
+        best: t of the best hit so far; asked again after each box.
+    """
+    boxes = bvh_statistics.unpack(tree)
+    waiting = [(entry, root, -1, np.array(tree.low), np.array(tree.high), 0)]
+    while waiting:
+        entry, node, lane, low, high, depth = waiting.pop()
+        if entry > best():
+            continue
+        if lane >= 0:
+            yield Box(low, high, depth, entry, True, int(boxes.first_block[node, lane]), int(boxes.triangles[node, lane]))
+            continue
+        yield Box(low, high, depth, entry, False)
+        lows, highs = boxes.low[node].astype(np.float64), boxes.high[node].astype(np.float64)
+        entries, leaves = interval(origin, direction, lows, highs)
+        used = boxes.is_leaf[node] | boxes.is_inner[node]
+        met = np.flatnonzero(used & (entries <= np.minimum(leaves, best())))
+        for child in met[np.argsort(-entries[met], kind="stable")]:
+            place = (boxes.child[node, child], -1) if boxes.is_inner[node, child] else (node, child)
+            waiting.append((entries[child], *place, lows[child], highs[child], depth + 1))
+
+
+def interval(origin: np.ndarray, direction: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[Any, Any]:
+    """t where a ray enters and leaves boxes (..., 3); entry > leave if it misses."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ends = (low - origin) / direction, (high - origin) / direction
+    near, far = np.fmin(*ends), np.fmax(*ends)
+    outside = (direction == 0.0) & ((origin < low) | (origin > high))
+    near, far = np.where(np.isnan(near), -np.inf, near), np.where(np.isnan(far), np.inf, far)
+    entry, leave = np.maximum(near.max(axis=-1), 0.0), far.min(axis=-1)
+    return np.where(outside.any(axis=-1), np.inf, entry), leave
