@@ -11,8 +11,11 @@ which keeps the algorithm near its border, and t the number of single-triangle f
 **Data.** Lists of vertices and triangles, on the host (`TriangleFans`). Triangles are neighbours if they share two vertex
 indices. An edge with more than two triangles joins the first two.
 
-**Departures.** A mesh without open edges needs no special start: every vertex is a candidate, and the weight of r favours the
-border where one exists. t counts the single triangles that c would leave behind without a neighbour, and also those that it
+**Start of a closed mesh.** As published, the first fan of a mesh without open edges is that of a given vertex (`start`), and
+every later centre is a vertex of a triangle at the border that this opens, or next to one. Without `start`, every vertex is a
+candidate, and the weight of r favours the border where one exists.
+
+**Departures.** t counts the single triangles that c would leave behind without a neighbour, and also those that it
 would take one by one although they have neighbours. Otherwise an ear of the mesh would be cut off at its tip.
 
 **Complexity.** A candidate is evaluated when a triangle at it, or next to one at it, is removed: O(F) evaluations for meshes of
@@ -128,21 +131,34 @@ class _FanBuilder:
         return rim | {vertex for v in rim for number in self.at[v] for vertex in self.faces[number]}
 
 
-def build_fans(faces: np.ndarray) -> TriangleFans:
+def build_fans(faces: np.ndarray, start: int | None = None) -> TriangleFans:
     """Divides a mesh into fans.
 
     Args:
         faces: (F, 3) integer vertex indices, F >= 1. Vertices are the same if their indices are equal.
+        start: vertex of the first fan; those of later fans are then near the border. None: any vertex may be next.
+
+    Raises:
+        ValueError: no triangle has the vertex `start`.
     """
     faces = np.asarray(faces)
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     fan_builder = _FanBuilder(faces[proper])
     number = np.flatnonzero(proper)
     fitness = {vertex: fan_builder.fitness(vertex) for vertex in fan_builder.at}
-    queue = [(-value, vertex) for vertex, value in fitness.items()]
+    if start is not None and start not in fitness:
+        raise ValueError(f"start is {start}, which is a vertex of no triangle")
+    rest = [(-value, vertex) for vertex, value in fitness.items()]
+    queue = rest if start is None else [(-fitness[start], start)]
     heapify(queue)
     fans = [(int(faces[n, 0]), [int(v) for v in faces[n, 1:]], [int(n)]) for n in np.flatnonzero(~proper)]
-    while queue:
+    near_border = None if start is None else set()
+    while queue or near_border is not None:
+        if not queue:  # another part of the mesh, which the border has not reached
+            near_border = None
+            queue = [(-value, vertex) for vertex, value in fitness.items() if value is not None]
+            heapify(queue)
+            continue
         value, centre = heappop(queue)
         if -value != fitness.get(centre) or not fan_builder.at[centre]:
             continue
@@ -150,9 +166,12 @@ def build_fans(faces: np.ndarray) -> TriangleFans:
         fans += [(centre, rim_of(centre, [fan_builder.faces[n] for n in row]), number[row].tolist()) for row in rows]
         for vertex in fan_builder.near(rows):
             changed = fan_builder.fitness(vertex) if fan_builder.at[vertex] else None
-            if changed is not None and changed != fitness[vertex]:
+            is_new = near_border is not None and vertex not in near_border
+            if changed is not None and (is_new or changed != fitness[vertex]):
                 heappush(queue, (-changed, vertex))
             fitness[vertex] = changed
+            if near_border is not None:
+                near_border.add(vertex)
     return pack(faces, fans)
 
 

@@ -93,9 +93,10 @@ def record_crossing(config: TraversalConfig) -> wp.Function:
 
 @cache
 def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
-    """`wp.func(tree, node, interval, triangles, block, state, slabs, hits, i, best) -> best`: processes the hits in one block.
+    """`wp.func(tree, node, interval, triangles, block, state, slabs, cells, hits, i, best) -> best`: processes a block's hits.
 
-    node: the leaf. hits: `results_of(config)`. interval: closed interval of t in which ray i is in the leaf.
+    node: the leaf. interval: closed interval of t in which ray i is in the leaf. slabs, cells: the ray where the triangles are,
+    and in the tree's space, which may be another. hits: `results_of(config)`.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
     Lanes, RayState = lanes(width), test.ray_state
@@ -113,6 +114,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
         block: int,
         state: RayState,
         slabs: wp.ref[RaySlabs],
+        cells: wp.ref[RaySlabs],
         hits: wp.ref[Results],
         i: int,
         best: Candidate,
@@ -129,7 +131,7 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
             slot = block * wp.static(width) + lane
             owned = bool(True)
             if wp.static(shared):
-                owned = owns(tree, node, interval, triangles, slot, slabs, t_lanes[lane])
+                owned = owns(tree, node, interval, triangles, slot, cells, t_lanes[lane])
             if owned:
                 best = record(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
         return best
@@ -213,7 +215,7 @@ def owns_crossing(width: int) -> wp.Function:
         margin = overlap(slabs)
         owned = bool(True)
         if not (t > interval[0] + margin and t < interval[1] - margin):
-            node = int(0)
+            node = int(tree.root)
             while owned and node != leaf:
                 word = kdtree.load_node(tree.nodes, node)
                 right = kdtree.right_child(word)

@@ -66,11 +66,13 @@ class TileConfig:
 
     Attributes:
         packets: packets in the smallest tile.
-        split: number of parts of a large tile, 16 as recommended by Reshetov et al. (2005).
+        split: number of parts of a larger tile, 16 as recommended by Reshetov et al. (2005).
+        levels: sizes of tiles that search, at least 1: `packets` packets, `split` times as many, and so on.
     """
 
     packets: int = 4
     split: int = 16
+    levels: int = 2
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from wrt.kernels.study.replayed_tests import make_kernel as make_replay_kernel
 from wrt.kernels.study.replayed_tests import make_lists
 from wrt.kernels.study.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
 from wrt.kernels.traversal.fan_brute_force import make_kernel as make_fan_kernel
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.shadows import light_buffer_lanes, light_buffer_query, multi_frusta
@@ -218,8 +219,8 @@ def test_packing(triangle_test, tmp_path):
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: make_fan_kernel(False),
-        lambda: make_fan_kernel(True, True),
+        lambda: make_fan_kernel(VERTICES),
+        lambda: make_fan_kernel(NORMALS),
         lambda: make_counting_kernel(VARIANTS["ferko_prune4_weights"], 1),
         lambda: TRAVERSALS["single"].kernels["bvh"](
             TraversalConfig("ferko_utm_bounds", 2, single=SingleConfig(scalar_test=True))

@@ -77,11 +77,13 @@ DEFAULTS = {
 WORTH_A_ROW = (
     "ProjectedBvh",
     "RayAwareBvh",
+    "FanScene",
     "FuzzyScene",
     "GroupedScene",
     "Instance",
     "InstancedScene",
     "PartitionedScene",
+    "SkinnedScene",
     "UpdatePolicy",
 )
 """Public names that stand for an algorithm."""

@@ -21,7 +21,8 @@ def test_every_way_finds_the_same_hits(name):
     """To the bit, but for two levels, where rays are transformed."""
     stage = Stage(COURT, ANIMATIONS[name](3, 4))
     figures = {row.way: row for row in compare_ways(stage, CAMERA)}
-    assert list(figures) == [*WAYS, "building while tracing"]
+    able = [way for way in WAYS if name == "figure" or way != animation.LIMITS]  # a cloth has no joints
+    assert list(figures) == [*able, "building while tracing"]
     assert figures.pop("two levels").same_triangle > 0.99
     for row in figures.values():
         assert (row.way, row.same_triangle, row.same_bits) == (row.way, 1.0, 1.0)

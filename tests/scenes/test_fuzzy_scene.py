@@ -77,6 +77,23 @@ def test_every_frame_as_a_fresh_tree(name, clusters):
     assert scene.tree.parts.bounds is tree  # built once
 
 
+@pytest.mark.parametrize("name", ["trembling", "stretched"])
+def test_every_frame_of_kdtrees(name):
+    """The paper's trees, in every query. Crossings once came from the root of another cluster's tree, and were lost."""
+    scene = wrt.FuzzyScene(ANIMATIONS[name](), TWO.faces, clusters=7, accelerator=wrt.KdTree(), device="cpu")
+    for frame in (3, 4, 5, 0):
+        scene.show(frame)
+        fresh = wrt.Scene(scene.meshes, device="cpu")
+        rays = mixed_rays(scene.flattened(), 1500)
+        hits = scene.intersect(*rays)
+        assert hits.is_hit.sum() >= 20
+        assert_same_hits(hits, fresh.intersect(*rays, traversal="brute"))
+        np.testing.assert_array_equal(scene.count(*rays), fresh.count(*rays, traversal="single"))
+    np.testing.assert_array_equal(scene.occluded(*rays), hits.is_hit)
+    assert "kdtree, single" in str(hits.plan)
+    assert scene.tree.bytes > 0
+
+
 def test_skinned_mesh():
     """Bones make the clusters: each ball goes with its own."""
     maps = np.stack([turns(6, 1), turns(6, 2), turns(6, 3)], axis=1)
@@ -115,6 +132,21 @@ def test_rigid_parts_are_found():
     assert trembling[0] > 2 * trembling[1] > 2 * trembling[2] * 0.9
 
 
+def test_the_best_rest_pose():
+    """Frame 0 is crumpled: maps that are fitted from it shrink, and boxes in their spaces are large."""
+    frames = two_bodies()
+    frames[0] += np.random.default_rng(3).normal(0.0, 1.0, frames[0].shape)
+    first, best = (wrt.FuzzyScene(frames, TWO.faces, clusters=2, rest=rest, device="cpu") for rest in (0, "best"))
+    sizes = [
+        float(np.prod(scene.tree.clusters.numpy()["high"] - scene.tree.clusters.numpy()["low"], axis=1).sum())
+        for scene in (first, best)
+    ]
+    assert sizes[1] < 0.7 * sizes[0]
+    best.show(4)
+    rays = mixed_rays(best.flattened(), 500)
+    assert_same_hits(best.intersect(*rays), wrt.Scene(best.meshes, device="cpu").intersect(*rays, traversal="single"))
+
+
 def test_fitted_maps_are_those_that_moved_the_points():
     """Of flat point sets too, as a rotation; never singular."""
     points = np.random.default_rng(0).normal(size=(50, 3))
@@ -144,14 +176,19 @@ def test_fuzzy_boxes_hold_their_triangles():
     assert unused.matrices.shape[1] == 2  # the third is never nearer than the second
 
 
+PROJECTED = wrt.ProjectedBvh(areas=wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1))
+
 BAD = {
     "shape": (lambda f: wrt.FuzzyScene(f[0], TWO.faces), ValueError, r"shape \(F, V, 3\)"),
     "nan": (lambda f: wrt.FuzzyScene(f * np.nan, TWO.faces), ValueError, "finite"),
     "clusters": (lambda f: wrt.FuzzyScene(f, TWO.faces, clusters=0), ValueError, "clusters is 0"),
     "rest": (lambda f: wrt.FuzzyScene(f, TWO.faces, rest=6), ValueError, "from 0 to 5"),
+    "rest by name": (lambda f: wrt.FuzzyScene(f, TWO.faces, rest="first"), ValueError, "'best' or the number"),
     "bones": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.eye(4)), ValueError, r"\(6, B, 4, 4\)"),
     "singular": (lambda f: wrt.FuzzyScene(f, TWO.faces, transforms=np.zeros((6, 1, 4, 4))), ValueError, "affine"),
-    "kdtree": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree()), TypeError, r"must be a wrt\.Bvh"),
+    "projected": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=PROJECTED), TypeError, r"must be a wrt\.Bvh"),
+    "lazy": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(builder="lazy")), ValueError, "cannot be lazy"),
+    "clips": (lambda f: wrt.FuzzyScene(f, TWO.faces, accelerator=wrt.KdTree(split_clipping=True)), ValueError, "cannot clip"),
     "frame": (lambda f: wrt.FuzzyScene(f, TWO.faces).show(6), ValueError, "frame indices go from 0 to 5"),
     "update": (lambda f: wrt.FuzzyScene(f, TWO.faces).update(0, vertices=f[0]), ValueError, r"show\(frame\)"),
     "packets": (

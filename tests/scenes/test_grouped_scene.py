@@ -68,8 +68,9 @@ def test_bad_input():
         scene.move({3: FEW.vertices})
     with pytest.raises(ValueError, match="2 points, but the mesh has 3"):
         scene.move({0: BALL.vertices, 1: np.zeros((2, 3))})
-    with pytest.raises(TypeError, match=r"must be a wrt\.Bvh"):
-        wrt.GroupedScene(groups(3), "kdtree")
+    area = wrt.PlaneInfluenceArea(position=(0, 0, 9), direction=(0, 0, -1), width=1, height=1, depth=1)
+    with pytest.raises(TypeError, match=r"must be a wrt\.Bvh or a wrt\.KdTree"):
+        wrt.GroupedScene(groups(3), wrt.ProjectedBvh(areas=area))
     with pytest.raises(ValueError, match="not stored in a folder"):
         wrt.GroupedScene(groups(3), cache=".")
     assert scene.tree is before

@@ -10,10 +10,12 @@ from conftest import SCENES, assert_same_hits, brute_force
 from test_packets import beams, ragged
 
 import wrt
-from wrt.bench.studies.kdtrees.entry_point_tiles import tile_query
+from wrt.bench.studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query
+from wrt.bench.studies.kdtrees.packet_widths import compare_widths
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.packet.core import entry_point
+from wrt.kernels.traversal.traversal_config import TileConfig
 
 ENTRY_POINTS = ("mlrta", "aepsa")
 
@@ -81,18 +83,38 @@ def test_aepsa_visits_less_than_mlrta():
     assert work["aepsa"]["triangles"].sum() <= work["mlrta"]["triangles"].sum() <= work["packet"]["triangles"].sum()
 
 
-@pytest.mark.parametrize(("packets", "split"), [(1, 1), (2, 64)])
-def test_chosen_tiles_never_show(packets, split):
-    """Tiles of one packet, and tiles of 128 packets in 64 parts."""
+@pytest.mark.parametrize(("packets", "split", "levels"), [(1, 1, 2), (2, 64, 2), (1, 4, 3)])
+def test_chosen_tiles_never_show(packets, split, levels):
+    """Tiles of one packet, tiles of 128 packets in 64 parts, and tiles of three sizes."""
     mesh = SCENES["stadium"]()
     scene = wrt.Scene(mesh, "kdtree", device="cpu")
     rays = ragged(*wide_beams(mesh, 24))
     expected = brute_force(scene, rays)
-    hits = tile_query(scene, rays, "aepsa", packets=packets, split=split)()
+    hits = tile_query(scene, rays, "aepsa", packets=packets, split=split, levels=levels)()
     np.testing.assert_array_equal(hits.t.numpy(), expected.t)
     np.testing.assert_array_equal(hits.primitive.numpy(), expected.primitive_id)
     with pytest.raises(ValueError, match="at least 1"):
         tile_query(scene, rays, "aepsa", packets=0, split=split)
+    with pytest.raises(ValueError, match="levels 0"):
+        tile_query(scene, rays, "aepsa", packets=packets, split=split, levels=0)
+
+
+def test_levels_are_compared():
+    """A row for packets, one for each kind of tile, and views whose runs are squares."""
+    mesh = SCENES["stadium"]()
+    rows = compare_levels(mesh, size=16, tilings=(TileConfig(1, 4, 3),), rounds=1)
+    assert [row["levels"] for row in rows] == [0, 3]
+    assert rows[0]["ratio"] == 1.0
+    assert rows[1]["rays"] % 16 == 0
+    way = morton_view(mesh, 8).directions.reshape(4, 16, 3)
+    assert np.allclose(np.ptp(way, axis=1)[:, [0, 2]], 3 / 8), "sixteen rays are a square of four by four"
+
+
+def test_widths_are_compared():
+    """A row for single rays and one for each size of packets, through both trees."""
+    rows = compare_widths(SCENES["stadium"](), size=16, widths=(32,), rounds=1)
+    assert [row["packet"] for row in rows] == [1, 32]
+    assert all(row["bvh"] > 0 and row["kdtree"] > 0 and row["ratio"] > 0 for row in rows)
 
 
 @pytest.mark.parametrize("traversal", ENTRY_POINTS)

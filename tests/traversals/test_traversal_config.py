@@ -20,7 +20,7 @@ FAMILIES = {
     ("single", "bvh"): {"stack": StackConfig(24, 64)},
     ("single", "kdtree"): {"single": SingleConfig(paired_nodes=True, scalar_test=True)},
     ("packet", "bvh"): {"packet": PacketConfig(16, True, "none"), "stack": StackConfig(24, 64)},
-    ("mlrta", "kdtree"): {"tiles": TileConfig(2, 8)},
+    ("mlrta", "kdtree"): {"tiles": TileConfig(2, 8, 3)},
     ("stream", "bvh"): {"stream": StreamConfig(256)},
 }
 """For each traversal and kind of tree, values that are not the default for every option of the families that it reads."""

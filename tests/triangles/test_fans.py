@@ -7,7 +7,7 @@ import pytest
 from conftest import mixed_rays
 
 import wrt
-from wrt.bench.studies.triangles.fan_comparison import closest, compare, fans_of, on_device
+from wrt.bench.studies.triangles.fan_comparison import closest, compare, compare_files, compare_trees, fans_of, on_device
 from wrt.builders.triangle_fans import build_fans
 
 GRID = np.arange(49).reshape(7, 7)
@@ -129,3 +129,20 @@ def test_comparison():
     assert {row["stored"] for row in rows} == stored, "M + 2 vertices a fan, three a triangle"
     assert 1 / 3 < min(stored) < 0.7
     assert all(row["ratio"] > 0 and row["fans"] < row["triangles"] for row in rows)
+
+
+def test_comparison_of_trees_and_files(tmp_path):
+    """Every way has a row; a file of fans is smaller, as it has fewer vertices."""
+    rows = compare_trees(("teapot",), size=8, rounds=1)
+    assert [row["way"] for row in rows] == [
+        "fans, bvh",
+        "fans, bvh, planes",
+        "fans, kdtree",
+        "bvh",
+        "kdtree",
+        "bvh, one by one",
+    ]
+    assert rows[-1]["ratio"] == 1.0
+    (row,) = compare_files(tmp_path, ("teapot",), rounds=1)
+    assert row["fan_bytes"] < 0.6 * row["triangle_bytes"]
+    assert row["fan_seconds"] > 0.0

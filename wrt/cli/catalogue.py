@@ -97,16 +97,20 @@ OTHERS: dict[str, dict[str, str]] = {
         "Scene.update": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
         "Scene.updating": "Wald, Boulos, Shirley (2007); Lauterbach, Yoon, Tuft, Manocha (2006); Yang, Xu, Zhao (2008)",
         "wrt.UpdatePolicy": "Lauterbach et al. (2006); Yang, Xu, Zhao (2008)",
-        "wrt.GroupedScene": "Kang, Nah, Park, Yang: gkDtree (2013)",
+        "wrt.GroupedScene": "Kang, Nah, Park, Yang: gkDtree (2013); lists: Bikker (2007), Parker et al. (1999)",
         "wrt.FuzzyScene": (
             "Günther, Friedrich, Wald, Seidel, Slusallek (2006); Günther, Friedrich, Seidel, Slusallek (2006); Lloyd (1982)"
         ),
+        "wrt.SkinnedScene": "Günther, Friedrich, Seidel, Slusallek: Interactive ray tracing of skinned animations (2006)",
     },
     "scenes larger than memory": {
         "wrt.PartitionedScene": "Pharr, Kolb, Gershbein, Hanrahan (1997); Navrátil, Fussell, Lin, Mark (2007)",
     },
     "fans": {
         "brute force over fans": "Galin, Akkouche: Fast processing of triangle meshes using triangle fans (2005)",
+        "wrt.FanScene": "Galin, Akkouche (2005): a BVH or a kd-tree with leaves of fans",
+        'form="planes"': "Havel, Herout: Yet faster ray-triangle intersection (using SSE4) (2010), in fans",
+        "files of fans": "Galin, Akkouche (2005): M + 2 vertices a fan",
     },
     "around a hit": {
         "Hits.smooth_normal": "Thürmer, Wüthrich: Computing vertex normals from polygonal facets (1998)",

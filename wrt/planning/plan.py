@@ -116,7 +116,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
         families["packet"] = PacketConfig(plan.packet, plan.shared_origin, plan.culling)
     if traversal.streams:
         families["stream"] = StreamConfig(plan.stream)
-    if traversal.walks_boxes(plan.accelerator):
+    if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):
         levels = stack_levels(walked_tree(plan, scene).depth)
         families["stack"] = StackConfig(levels, CUDA_BLOCK if scene.device.is_cuda else 0)
     return TraversalConfig(
@@ -141,9 +141,7 @@ def stack_levels(depth: int) -> int:
 def kernel_factory(plan: Plan, scene: SceneState) -> Callable[[TraversalConfig], wp.Kernel]:
     """The factory of the kernel that carries out a plan on the scene's tree."""
     if scene.only_single and plan.accelerator != "none":
-        from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
-
-        return make_kernel
+        return scene.tree.kernel_factory
     return traversal_of(plan).kernels[plan.accelerator]
 
 

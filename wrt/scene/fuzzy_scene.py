@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
 
-from wrt.accelerators.tree_descriptions import Bvh
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
+from wrt.builders import tree as common
 from wrt.kernels.layout.mesh_placement import relative_to
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
@@ -21,12 +24,13 @@ from wrt.state.scene_settings import as_settings
 from wrt.state.scene_state import Settings, new_mark
 
 if TYPE_CHECKING:
-    from wrt.builders import tree as common
     from wrt.builders.motion_clusters import Decomposition
-    from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
 
 MOTION_TOLERANCE = 1e-3
 """Share of the animation's extent: no cluster is added once the residual motion enlarges no triangle's box by more."""
+
+BEST_REST, REST_CANDIDATES = "best", 8
+"""Rest pose to be looked for, and how many frames are tried."""
 
 
 class FuzzyScene(Scene):
@@ -48,8 +52,9 @@ class FuzzyScene(Scene):
         clusters: largest number of clusters.
         transforms: (F, B, 4, 4) affine maps of the mesh's parts, such as the bones of a skinned mesh, from their rest pose
             to each frame. These are then the clusters; each triangle joins the bone in whose space it moves least.
-        rest: the frame from which motion is measured, for `clusters`.
-        accelerator: a `wrt.Bvh`: how the trees of clusters are built.
+        rest: the frame from which motion is measured, for `clusters`; or "best": of up to 8 frames, evenly spaced, the one
+            that leaves the least residual motion. Looking for it takes as many times as long.
+        accelerator: how the trees of clusters are built: a `wrt.Bvh`, or a `wrt.KdTree` as in the paper, without clipping.
         device, num_threads: as in `wrt.Scene`.
 
     Attributes:
@@ -74,14 +79,14 @@ class FuzzyScene(Scene):
         *,
         clusters: int = 16,
         transforms: Any = None,
-        rest: int = 0,
-        accelerator: Bvh | None = None,
+        rest: int | str = 0,
+        accelerator: Bvh | KdTree | None = None,
         device: str | wp.Device | None = None,
         num_threads: int | None = None,
     ) -> None:
         settings = as_settings(accelerator or Bvh(), AUTO, device, num_threads)
         if not isinstance(settings.accelerator, Bvh):
-            raise TypeError(f"accelerator must be a wrt.Bvh, not {settings.accelerator!r}: fuzzy boxes overlap")
+            check_kdtree(settings.accelerator)
         with use_threads(settings.num_threads):
             self._meshes = as_frames(frames, faces)
             self._centers = np.array([find_center((mesh,)) for mesh in self._meshes])
@@ -140,7 +145,20 @@ class FuzzyState(MeshState):
     }
 
 
-def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest: int) -> Decomposition:
+def check_kdtree(accelerator: Any) -> None:
+    """Refuses what cannot be built over fuzzy boxes.
+
+    Raises:
+        TypeError: it is no kd-tree.
+        ValueError: it is lazy, or clips triangles.
+    """
+    if not isinstance(accelerator, KdTree):
+        raise TypeError(f"accelerator must be a wrt.Bvh or a wrt.KdTree, not {accelerator!r}: fuzzy boxes overlap")
+    if accelerator.is_lazy or accelerator.split_clipping:
+        raise ValueError("kd-trees over fuzzy boxes cannot be lazy and cannot clip; leave builder and split_clipping out")
+
+
+def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest: int | str) -> Decomposition:
     """The clusters of triangles and their motion; arguments and errors as of `FuzzyScene`."""
     from wrt.builders.motion_clusters import assign_triangles, decompose
 
@@ -149,11 +167,13 @@ def find_motion(meshes: list[TriangleMesh], clusters: int, transforms: Any, rest
         return assign_triangles(frames, faces, *as_maps(transforms, len(frames)))
     if not (isinstance(clusters, (int, np.integer)) and clusters >= 1):
         raise ValueError(f"clusters is {clusters!r}; it must be a whole number of at least 1")
-    if not (isinstance(rest, (int, np.integer)) and 0 <= rest < len(frames)):
-        raise ValueError(f"rest is {rest!r}; it must be the number of a frame, from 0 to {len(frames) - 1}")
+    if rest != BEST_REST and not (isinstance(rest, (int, np.integer)) and 0 <= rest < len(frames)):
+        raise ValueError(f"rest is {rest!r}; it must be 'best' or the number of a frame, from 0 to {len(frames) - 1}")
     bounds = np.array([mesh.bounds for mesh in meshes])
     extent = float((bounds[:, 1].max(axis=0) - bounds[:, 0].min(axis=0)).max())
-    return decompose(frames, faces, clusters, MOTION_TOLERANCE * extent, rest)
+    poses = np.unique(np.linspace(0, len(frames) - 1, REST_CANDIDATES).astype(int)) if rest == BEST_REST else [rest]
+    found = [decompose(frames, faces, clusters, MOTION_TOLERANCE * extent, int(pose)) for pose in poses]
+    return min(found, key=lambda motion: motion.residual.sum())
 
 
 @dataclass(frozen=True)
@@ -162,15 +182,32 @@ class FrameTrees:
 
     Attributes:
         top: tree over the boxes of clusters in the scene.
-        parts: the trees of all clusters, in their own spaces.
+        parts: the trees of all clusters, in their own spaces: BVHs, or kd-trees.
         clusters: (C,) `wrt.kernels.traversal.two_level.fuzzy_boxes.Cluster`.
         depth: largest number of inner nodes on a path of any of the trees.
     """
 
     top: common.Bvh
-    parts: common.Bvh
+    parts: common.Bvh | common.KdTree
     clusters: wp.array
     depth: int
+
+    @classmethod
+    def over(cls, low: np.ndarray, high: np.ndarray, parts: Any, rows: np.ndarray, depth: int) -> FrameTrees:
+        """The trees of a frame; only the upper one is built.
+
+        Args:
+            low, high: (C, 3) float32 boxes of the clusters in the scene.
+            parts: as above.
+            rows: (C,) of `clusters`, on the host.
+            depth: largest number of inner nodes on a path of `parts`, if they are BVHs.
+        """
+        from wrt.builders.triangle_boxes import boxes_of
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
+
+        device, width = parts.primitive.device, max(parts.width, 2)
+        top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(low, high), width).to(device)
+        return cls(top, parts, wp.array(rows, dtype=Cluster, device=device), max(top.depth, depth))
 
     @property
     def primitive(self) -> wp.array:
@@ -197,13 +234,28 @@ class FrameTrees:
         """Bytes of nodes, leaf lists and maps."""
         return self.top.bytes + self.parts.bytes + self.clusters.capacity
 
-    def struct(self) -> FuzzyNodes:
-        """The trees as a traversal kernel reads them."""
-        from wrt.kernels.traversal.two_level.fuzzy_boxes import FuzzyNodes
+    @property
+    def kind(self) -> str:
+        """Kind of the clusters' trees."""
+        return "kdtree" if isinstance(self.parts, common.KdTree) else "bvh"
 
-        tree = FuzzyNodes()
-        tree.top, tree.order, tree.parts = self.top.struct(), self.top.primitive, self.parts.struct()
-        tree.clusters = self.clusters
+    @property
+    def kernel_factory(self) -> Callable[[Any], wp.Kernel]:
+        """Makes the kernel that walks the trees, from a `TraversalConfig`."""
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import make_kernel
+
+        return partial(make_kernel, kind=self.kind)
+
+    def struct(self) -> Any:
+        """The trees as a traversal kernel reads them."""
+        from wrt.kernels.traversal.two_level.fuzzy_boxes import TREES
+
+        tree = TREES[self.kind]()
+        tree.top, tree.order, tree.clusters = self.top.struct(), self.top.primitive, self.clusters
+        if self.kind == "bvh":
+            tree.parts = self.parts.struct()
+        else:
+            tree.parts.nodes = self.parts.nodes
         return tree
 
 
@@ -218,27 +270,27 @@ class FuzzyTree:
         boxes: (F, 2, C, 3) float32 lower and upper corners of the clusters, relative to the centre in each frame.
     """
 
-    parts: common.Bvh
+    parts: common.Bvh | common.KdTree
     depth: int
     table: np.ndarray
     boxes: np.ndarray
 
     @classmethod
     def build(
-        cls, meshes: list[TriangleMesh], centers: np.ndarray, motion: Decomposition, accelerator: Bvh, device: wp.Device
+        cls,
+        meshes: list[TriangleMesh],
+        centers: np.ndarray,
+        motion: Decomposition,
+        accelerator: Bvh | KdTree,
+        device: wp.Device,
     ) -> FuzzyTree:
         """Builds a tree over the fuzzy boxes of each cluster's triangles."""
-        from wrt.builders.bvh.update.bvh_grafting import join_trees
         from wrt.builders.motion_clusters import fuzzy_boxes
         from wrt.builders.triangle_boxes import boxes_of
-        from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
 
         width, count = native_width(device), motion.matrices.shape[1]
         origins = motion.origins - centers[:, None]
-        table = np.zeros((len(meshes), count), dtype=Cluster.numpy_dtype())
-        inverse = np.linalg.inv(motion.matrices)
-        table["to_cluster"], table["origin"] = inverse, origins
-        table["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
+        table = cluster_rows(motion.matrices, origins)
         boxes, trees, members = np.empty((len(meshes), 2, count, 3), dtype=np.float32), [], []
         corners = np.array([triangle_corners(mesh, center) for mesh, center in zip(meshes, centers, strict=True)])
         for c in range(count):
@@ -248,19 +300,39 @@ class FuzzyTree:
             trees.append(accelerator.build(boxes_of(low, high), width))
             table["low"][:, c], table["high"][:, c] = low.min(axis=0), high.max(axis=0)
             members.append(own)
-        parts, roots = join_trees(trees, members)
-        table["root"] = roots
-        return cls(parts.to(device), max(tree.depth for tree in trees), table, boxes)
+        parts, table["root"] = join_parts(trees, members)
+        depth = 0 if isinstance(parts, common.KdTree) else max(tree.depth for tree in trees)
+        return cls(parts.to(device), depth, table, boxes)
 
     def at(self, frame: int) -> FrameTrees:
         """The trees of a frame; only the upper one is built."""
-        from wrt.builders.triangle_boxes import boxes_of
-        from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
+        return FrameTrees.over(*self.boxes[frame], self.parts, self.table[frame], self.depth)
 
-        device, width = self.parts.bounds.device, self.parts.width
-        top = Bvh(width=width, max_leaf_triangles=1).build(boxes_of(*self.boxes[frame]), width).to(device)
-        clusters = wp.array(self.table[frame], dtype=Cluster, device=device)
-        return FrameTrees(top, self.parts, clusters, max(top.depth, self.depth))
+
+def cluster_rows(matrices: np.ndarray, origins: np.ndarray) -> np.ndarray:
+    """(..., C) rows of `wrt.kernels.traversal.two_level.fuzzy_boxes.Cluster`, without roots and boxes.
+
+    Args:
+        matrices, origins: (..., C, 3, 3), (..., C, 3), relative to the scene's centre.
+    """
+    from wrt.kernels.traversal.two_level.fuzzy_boxes import Cluster
+
+    rows, inverse = np.zeros(origins.shape[:-1], dtype=Cluster.numpy_dtype()), np.linalg.inv(matrices)
+    rows["to_cluster"], rows["origin"] = inverse, origins
+    rows["stretch"] = 1.001 * np.abs(inverse).sum(axis=-1).max(axis=-1)
+    return rows
+
+
+def join_parts(trees: list[Any], members: list[np.ndarray]) -> tuple[common.Bvh | common.KdTree, np.ndarray]:
+    """The trees of clusters side by side, and the root of each. members: as of `join_trees`."""
+    from wrt.builders.bvh.update.bvh_grafting import join_trees
+    from wrt.builders.convert.kdtree_links import pool_kdtrees
+
+    if not isinstance(trees[0], common.KdTree):
+        return join_trees(trees, members)
+    pool, first = pool_kdtrees(trees, members), trees[0]
+    nodes, primitive = wp.array(pool.nodes, dtype=wp.vec2i, device="cpu"), wp.array(pool.primitive, dtype=int, device="cpu")
+    return replace(first, nodes=nodes, primitive=primitive), pool.roots
 
 
 def as_frames(frames: Any, faces: Any) -> list[TriangleMesh]:

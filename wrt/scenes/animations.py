@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.skeleton import Skeleton
 from wrt.scenes.shapes import check_count, copies, lathe, sheets
 
 __all__ = ["Animation", "walking_figure", "waving_cloth"]
@@ -32,6 +33,32 @@ _BLEND = 0.09  # the skin bends within this distance above and below a joint, in
 _STRIDE = 1.3  # metres of two steps
 
 
+_LIMITS = {
+    "root": ((-10, 10), (-5, 5), (-10, 10)),
+    "head": ((-15, 15), (-20, 20), (-45, 45)),
+    "thigh": ((-15, 15), (-40, 40), (-10, 10)),
+    "shin": ((0, 0), (-5, 60), (0, 0)),
+    "arm": ((-20, 20), (-60, 60), (-20, 20)),
+    "forearm": ((0, 0), (-60, 5), (0, 0)),
+}
+"""By the last word of a bone's name, least and greatest angle about the x, y and z axis, in degrees."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """What a skinned animation is made from, for `wrt.SkinnedScene`.
+
+    Attributes:
+        vertices: (V, 3) float64 in the rest pose.
+        weights: (V, B) float64, shares of the bones.
+        skeleton: the bones and the limits of their joints.
+    """
+
+    vertices: np.ndarray
+    weights: np.ndarray
+    skeleton: Skeleton
+
+
 @dataclass(frozen=True)
 class Animation:
     """A moving mesh.
@@ -41,12 +68,14 @@ class Animation:
         frames: (F, V, 3) float64 vertices.
         faces: (T, 3) int32, shared by all frames.
         bones: (F, B, 4, 4) float64 maps from the rest pose to each frame, which the skin follows; None without bones.
+        skin: the skin in the rest pose; None without bones.
     """
 
     name: str
     frames: np.ndarray
     faces: np.ndarray
     bones: np.ndarray | None = None
+    skin: Skin | None = None
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -99,7 +128,11 @@ def walking_figure(frames: int = 24, detail: int = 16) -> Animation:
     bones = np.array([_pose(2.0 * np.pi * number / frames) for number in range(frames)])
     points = np.concatenate([skin.vertices, np.ones((skin.vertex_count, 1))], axis=1)
     moved = np.einsum("fbij,vj->fbvi", bones[:, :, :3], points)
-    return Animation("walking figure", np.einsum("vb,fbvi->fvi", weights, moved), skin.faces, bones)
+    limits = [_LIMITS[name.split()[-1]] for name in _JOINTS]
+    parents = [-1 if parent is None else [*_JOINTS].index(parent) for parent, _ in _JOINTS.values()]
+    skeleton = Skeleton(np.array(parents), np.array([joint for _, joint in _JOINTS.values()]), np.array(limits))
+    made = Skin(skin.vertices.astype(np.float64), weights, skeleton)
+    return Animation("walking figure", np.einsum("vb,fbvi->fvi", weights, moved), skin.faces, bones, made)
 
 
 def _pose(phase: float) -> np.ndarray:

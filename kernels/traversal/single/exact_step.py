@@ -106,6 +106,7 @@ def exact_step(config: TraversalConfig, Tree: type) -> wp.Function:
         block: int,
         state: RayState,
         slabs: wp.ref[RaySlabs],
+        cells: wp.ref[RaySlabs],
         search: wp.ref[ExactSearch],
         i: int,
         best: Candidate,

@@ -108,7 +108,9 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         while count > 0:
             if wp.static(custom_leaf_step):
                 within = wp.vec2(search.t_min, best.t)
-                best = test_block(tree, child, within, search.triangles, block, search.state, search.slabs, hits, i, best)
+                best = test_block(
+                    tree, child, within, search.triangles, block, search.state, search.slabs, search.slabs, hits, i, best
+                )
             else:
                 best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
             block += 1

@@ -164,7 +164,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                 while count > 0:
                     if wp.static(custom_leaf_step):
                         within = wp.vec2(cell.entry, cell.leave)
-                        best = test_block(tree, cell.node, within, triangles, block, state, slabs, hits, i, best)
+                        best = test_block(tree, cell.node, within, triangles, block, state, slabs, slabs, hits, i, best)
                     elif wp.static(remembering):
                         fresh = forget(triangles.primitive, block, ALL_LANES, mailbox)
                         if fresh != wp.uint32(0):

@@ -16,8 +16,10 @@ cluster's space are widened by that amount and, as everywhere, by the same fract
 rounding of the transformed ray. The boxes on the path to a triangle are therefore entered no later than the triangle's own, and
 everything that a walk skips lies beyond its best hit.
 
-The upper tree is over the boxes of the clusters in the scene. It and the trees below are walked like any other wide tree
-(`wrt.kernels.traversal.single.key_walk`).
+The upper tree is over the boxes of the clusters in the scene. It is walked like any other wide tree
+(`wrt.kernels.traversal.single.key_walk`). The trees below are wide BVHs, too, or kd-trees as in the paper
+(`wrt.kernels.traversal.two_level.linked_kdtrees`, without links). A triangle is in every leaf of a kd-tree that its fuzzy box
+meets, and planes are widened as boxes are, so the argument above holds for cells.
 
 References:
     J. Guenther, H. Friedrich, I. Wald, H.-P. Seidel, P. Slusallek: Ray tracing animated scenes using motion decomposition.
@@ -26,21 +28,25 @@ References:
         22(9), 2006.
 """
 
-from functools import cache
+from functools import cache, partial
 
 import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
+from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import ray_slabs, reach
-from wrt.kernels.traversal.leaf import Candidate, Counters, start
+from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
+from wrt.kernels.traversal.single.single_kdtree import Cell
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.two_level import linked_kdtrees
+from wrt.kernels.traversal.two_level.linked_kdtrees import LinkedNodes, make_cell_walk
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 exact_module(__name__)
@@ -75,6 +81,21 @@ class FuzzyNodes:
     """Trees of all clusters, each in its own space."""
 
 
+@wp.struct
+class FuzzyKdNodes:
+    """The trees of a frame, if those of clusters are kd-trees."""
+
+    top: WideNodes
+    """`top`, `order` and `clusters` as in `FuzzyNodes`."""
+    order: wp.array(dtype=int)
+    clusters: wp.array(dtype=Cluster)
+    parts: LinkedNodes
+
+
+TREES = {"bvh": FuzzyNodes, "kdtree": FuzzyKdNodes}
+"""Struct of the trees of a frame for each kind of the clusters' trees."""
+
+
 @wp.func
 def cluster_slabs(cluster: Cluster, ray: Ray, far: float):
     """The ray in a cluster's space, for tests of its fuzzy boxes; far: reach of the ray in the scene."""
@@ -84,24 +105,74 @@ def cluster_slabs(cluster: Cluster, ray: Ray, far: float):
 
 
 @cache
-def fuzzy_search(triangle_test: str) -> type:
-    """The struct of the search state that visits to clusters need."""
+def fuzzy_search(triangle_test: str, kind: str) -> type:
+    """The struct of the search state that visits to clusters need; kind: key of `TREES`."""
 
     class FuzzySearch:
-        tree: FuzzyNodes
+        tree: TREES[kind]
         ray: Ray
         far: float
         leaf: leaf_search(triangle_test)
 
-    FuzzySearch.__qualname__ = f"FuzzySearch_{triangle_test}"
+    FuzzySearch.__qualname__ = f"FuzzySearch_{triangle_test}_{kind}"
     return wp.struct(FuzzySearch)
 
 
 @cache
-def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
-    FuzzySearch, width = fuzzy_search(config.triangle_test), config.width
+def make_bvh_visit(config: TraversalConfig) -> wp.Function:
+    """`wp.func(cluster, slabs, search, hits, i, best, work) -> best`: searches the BVH of a cluster; slabs: in its space."""
+    FuzzySearch = fuzzy_search(config.triangle_test, "bvh")
     walk_keys = make_key_walk(config, config.stack.levels, leaf_search(config.triangle_test), make_leaf(config))
+
+    @wp.func
+    def visit(
+        cluster: Cluster,
+        slabs: RaySlabs,
+        search: wp.ref[FuzzySearch],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
+
+    return visit
+
+
+@cache
+def make_kdtree_visit(config: TraversalConfig) -> wp.Function:
+    """The same for kd-trees."""
+    FuzzySearch, LeafSearch = fuzzy_search(config.triangle_test, "kdtree"), leaf_search(config.triangle_test)
+    walk_cells = make_cell_walk(config, MAX_TREE_DEPTH, LeafSearch, linked_kdtrees.make_leaf(config))
+
+    @wp.func
+    def visit(
+        cluster: Cluster,
+        slabs: RaySlabs,
+        search: wp.ref[FuzzySearch],
+        hits: wp.ref[HitBatch],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        interval = enter(slabs, cluster.low, cluster.high, search.ray.t_min, best.t)
+        first = Cell()
+        first.node = cluster.root
+        first.entry = interval[0]
+        first.leave = interval[1]
+        return walk_cells(search.tree.parts, first, slabs, search.leaf, hits, i, best, work)
+
+    return visit
+
+
+CLUSTER_VISITS = {"bvh": make_bvh_visit, "kdtree": make_kdtree_visit}
+
+
+@cache
+def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
+    """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
+    FuzzySearch, width = fuzzy_search(config.triangle_test, kind), max(config.width, 2)
+    visit_cluster = CLUSTER_VISITS[kind](config)
 
     @wp.func
     def visit(
@@ -115,19 +186,20 @@ def make_visit(config: TraversalConfig) -> wp.Function:
     ):
         cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
         slabs = cluster_slabs(cluster, search.ray, search.far)
-        return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
+        return visit_cluster(cluster, slabs, search, hits, i, best, work)
 
     return visit
 
 
 @cache
-def make_walk(config: TraversalConfig) -> wp.Function:
+def make_walk(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
-    FuzzySearch, begin = fuzzy_search(config.triangle_test), begin_search(config.triangle_test)
-    walk_keys = make_key_walk(config, config.stack.levels, FuzzySearch, make_visit(config))
+    Tree, FuzzySearch = TREES[kind], fuzzy_search(config.triangle_test, kind)
+    begin = begin_search(config.triangle_test)
+    walk_keys = make_key_walk(config, config.stack.levels, FuzzySearch, make_visit(config, kind))
 
     @wp.func
-    def walk(tree: FuzzyNodes, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
+    def walk(tree: Tree, triangles: TriangleBlocks, ray: Ray, hits: wp.ref[HitBatch], i: int, work: wp.ref[Counters]):
         far = reach(ray.origin, tree.top.low, tree.top.high)
         slabs = ray_slabs(ray.origin, ray.direction, far)
         search = FuzzySearch()
@@ -141,6 +213,6 @@ def make_walk(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def make_kernel(config: TraversalConfig) -> wp.Kernel:
-    """The kernel for one specialisation."""
-    return make_ray_kernel(config, FuzzyNodes, make_walk)
+def make_kernel(config: TraversalConfig, kind: str = "bvh") -> wp.Kernel:
+    """The kernel for one specialisation; kind: of the clusters' trees, key of `TREES`."""
+    return make_ray_kernel(config, TREES[kind], partial(make_walk, kind=kind))

@@ -9,16 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter, thread_time
+from typing import Any
 
 import numpy as np
 
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.imaging.cameras import PinholeCamera
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.instance import Instance
 from wrt.meshes.mesh import TriangleMesh
+from wrt.meshes.skeleton import Skeleton
 from wrt.scene.fuzzy_scene import FuzzyScene
 from wrt.scene.grouped_scene import GroupedScene
+from wrt.scene.moving.skinned_scene import SkinnedScene
 from wrt.scene.scene import Scene
 from wrt.scenes.animations import Animation, walking_figure, waving_cloth
 
@@ -87,18 +92,22 @@ def by_two_levels(stage: Stage) -> Show:
     return show
 
 
-def by_groups(stage: Stage) -> Show:
-    """The same, put together to one tree."""
-    scene = GroupedScene(stage.meshes(0), device="cpu")
+def by_groups(accelerator: str, **options: Any) -> Callable[[Stage], Show]:
+    """The same, put together to one tree; options: of `wrt.GroupedScene`."""
 
-    def show(frame: int) -> Scene:
-        scene.move({1: stage.animation.frames[frame]})
-        return scene
+    def start(stage: Stage) -> Show:
+        scene = GroupedScene(stage.meshes(0), accelerator, device="cpu", **options)
 
-    return show
+        def show(frame: int) -> Scene:
+            scene.move({1: stage.animation.frames[frame]})
+            return scene
+
+        return show
+
+    return start
 
 
-def by_fuzzy_boxes(stage: Stage) -> Show:
+def by_fuzzy_boxes(stage: Stage, accelerator: Bvh | KdTree | None = None) -> Show:
     """A tree for all frames. What stays is a cluster that does not move; the others are bones, or looked for."""
     from wrt.builders.motion_clusters import decompose
 
@@ -111,7 +120,8 @@ def by_fuzzy_boxes(stage: Stage) -> Show:
     still = np.tile(np.eye(4), (len(animation), 1, 1, 1))
     frames = [np.concatenate([static.vertices, vertices]) for vertices in animation.frames]
     faces = np.concatenate([static.faces, animation.faces + static.vertex_count])
-    scene = FuzzyScene(np.array(frames), faces, transforms=np.concatenate([still, maps], axis=1), device="cpu")
+    maps = np.concatenate([still, maps], axis=1)
+    scene = FuzzyScene(np.array(frames), faces, transforms=maps, accelerator=accelerator, device="cpu")
 
     def show(frame: int) -> Scene:
         scene.show(frame)
@@ -120,6 +130,29 @@ def by_fuzzy_boxes(stage: Stage) -> Show:
     return show
 
 
+def by_limits_of_joints(stage: Stage) -> Show:
+    """A tree for all poses that joints allow. What stays is a bone that does not move."""
+    animation, static, skin = stage.animation, stage.static, stage.animation.skin
+    weights = np.zeros((static.vertex_count + len(skin.vertices), len(skin.skeleton) + 1))
+    weights[: static.vertex_count, -1], weights[static.vertex_count :, :-1] = 1.0, skin.weights
+    skeleton = Skeleton(
+        np.append(skin.skeleton.parents, -1),
+        np.concatenate([skin.skeleton.joints, np.zeros((1, 3))]),
+        np.concatenate([skin.skeleton.limits, np.zeros((1, 3, 2))]),
+    )
+    faces = np.concatenate([static.faces, animation.faces + static.vertex_count])
+    scene = SkinnedScene(np.concatenate([static.vertices, skin.vertices]), faces, weights, skeleton, device="cpu")
+
+    def show(frame: int) -> Scene:
+        scene.pose(np.concatenate([animation.bones[frame], np.eye(4)[None]]))
+        return scene
+
+    return show
+
+
+LIMITS = "limits of joints"
+"""The way that needs a skin over bones."""
+
 WAYS: dict[str, Callable[[Stage], Show]] = {
     REFERENCE: by_updates("bvh", "always"),
     "refit, bvh": by_updates("bvh", "never"),
@@ -127,8 +160,13 @@ WAYS: dict[str, Callable[[Stage], Show]] = {
     "build, kdtree": by_updates("kdtree", "always"),
     "refill or build, kdtree": by_updates("kdtree", "auto"),
     "two levels": by_two_levels,
-    "groups": by_groups,
+    "groups": by_groups("bvh"),
+    "groups, kdtree": by_groups("kdtree"),
+    "static and moving kdtree": by_groups("kdtree", top="list"),
+    "moving triangles one by one": by_groups("kdtree", top="list", accelerators={1: KdTree(max_depth=0)}),
     "fuzzy boxes": by_fuzzy_boxes,
+    "fuzzy boxes, kdtree": partial(by_fuzzy_boxes, accelerator=KdTree()),
+    LIMITS: by_limits_of_joints,
 }
 """Ways to follow a motion: stage -> what shows a frame."""
 
@@ -190,6 +228,8 @@ def compare_ways(
 ) -> list[WayFigures]:
     """Follows the motion in every way, and once more building while the last frame is traced.
 
+    A cloth has no joints, so that way is left out.
+
     Raises:
         ValueError: an unknown way.
     """
@@ -200,6 +240,8 @@ def compare_ways(
         expected = [answer(Scene(stage.meshes(frame), device="cpu"), camera) for frame in range(len(stage.animation))]
         for name in ways:
             way = lookup(WAYS, name, "way")
+            if name == LIMITS and stage.animation.skin is None:
+                continue
             on_turn(name)
             start = clock()
             show = way(stage)

@@ -5,7 +5,8 @@
 **Idea** (Reshetov, Soupikov and Hurley 2005). The rays of a large tile are bounded together, by intervals. The bounds traverse
 the tree to find leaves that may contain hits. If there are none, all rays miss. Otherwise the deepest common ancestor of these
 leaves is the entry point of the tile. The tile is split into 16 parts, each part searches for its own entry point below that of
-the tile, and the packets of the smallest parts start at the entry point of their part.
+the tile, and the packets of the smallest parts start at the entry point of their part. There are any number of levels of tiles
+(`TileConfig.levels`), two if nothing else is chosen.
 
 **Phases** of a search:
 1. descend: depth first, near side first, to the first candidate leaf. Nodes whose two sides must both be visited are pushed on
@@ -71,8 +72,8 @@ SPLIT = TileConfig.split
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """Rays of a large tile; an item of the kernel is one tile."""
-    return config.tiles.split * config.tiles.packets * config.packet.rays
+    """Rays of a tile of the first level; an item of the kernel is one tile."""
+    return config.tiles.split ** (config.tiles.levels - 1) * config.tiles.packets * config.packet.rays
 
 
 @cache
@@ -231,7 +232,7 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
     search = make_search(config, accelerated)
     trace_packet = packet_step(config, KdNodes, make_walk_packet(config), make_walk(config), MIXED_AXES)
     store, counting = store_best(config), config.counters
-    packet_rays, large = config.packet.rays, rays_per_item(config)
+    packet_rays, large, levels, split = config.packet.rays, rays_per_item(config), config.tiles.levels, config.tiles.split
     small = config.tiles.packets * packet_rays
     size, memory_size = packet_layout(config).size, walk_memory(config)
 
@@ -262,23 +263,34 @@ def make_kernel(config: TraversalConfig, accelerated: bool) -> wp.Kernel:
         tile = (first + wp.tid()) * wp.static(large)
         end = wp.min(tile + wp.static(large), rays.count)
         work = Counters()
-        tile_tree = KdNodes()
-        tile_tree.nodes = tree.nodes
-        tile_tree.root = tree.root
-        tile_tree.low = tree.low
-        tile_tree.high = tree.high
-        tile_may_hit = search_tile(tree, tile_tree, triangles, rays, tile, wp.static(large), work)
+        part_tree = KdNodes()
+        part_tree.nodes = tree.nodes
+        root = wp.zeros(shape=(levels,), dtype=int)  # of each level: the entry point of the tile that is under way
+        low = wp.zeros(shape=(levels,), dtype=wp.vec3)
+        high = wp.zeros(shape=(levels,), dtype=wp.vec3)
+        may_hit = wp.zeros(shape=(levels,), dtype=int)
         part = int(tile)
         while part < end:
             part_end = wp.min(part + wp.static(small), end)
-            part_tree = KdNodes()
-            part_tree.nodes = tree.nodes
-            part_tree.root = tile_tree.root
-            part_tree.low = tile_tree.low
-            part_tree.high = tile_tree.high
-            part_may_hit = bool(tile_may_hit)
-            if part_may_hit and kdtree.split_axis(kdtree.load_node(tree.nodes, tile_tree.root)) != LEAF:
-                part_may_hit = search_tile(tree, part_tree, triangles, rays, part, wp.static(small), work)
+            part_may_hit = bool(True)
+            part_tree.root = tree.root
+            part_tree.low = tree.low
+            part_tree.high = tree.high
+            rays_here = int(large)
+            for level in range(levels):
+                if (part - tile) % rays_here == 0:
+                    if part_may_hit and (level == 0 or kdtree.split_axis(kdtree.load_node(tree.nodes, part_tree.root)) != LEAF):
+                        part_may_hit = search_tile(tree, part_tree, triangles, rays, part, rays_here, work)
+                    root[level] = part_tree.root
+                    low[level] = part_tree.low
+                    high[level] = part_tree.high
+                    may_hit[level] = wp.where(part_may_hit, 1, 0)
+                else:
+                    part_tree.root = root[level]
+                    part_tree.low = low[level]
+                    part_tree.high = high[level]
+                    part_may_hit = may_hit[level] != 0
+                rays_here /= split
             begin = int(part)
             while begin < part_end:
                 if part_may_hit:
