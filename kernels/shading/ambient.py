@@ -18,31 +18,44 @@ exact_module(__name__)
 
 
 @wp.kernel
-def ambient_directions(
+def ambient_rays(
     first: int,
     surface: Surface,
+    points: wp.array(dtype=int),
+    center: wp.vec3d,
     first_pixel: int,
     seed: wp.uint32,
     index: int,
+    count: int,
+    origins: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Item: a point. Writes direction number `index` of its pixel's sequence; 0 for a miss.
+    """Item: one of the points that were hit. Writes `count` of its ambient rays, from direction number `index` of its pixel's
+    sequence on; origins are relative to the scene's centre.
 
     Directions about a smooth normal that point into the triangle are mirrored at its plane.
     """
-    i = first + wp.tid()
+    item = first + wp.tid()
+    i = points[item]
     face_normal = surface.face_normal[i]
-    direction = wp.vec3()
-    if wp.length_sq(face_normal) > 0.0:
-        point = spread_point(index, mix(wp.uint32(first_pixel + i), seed))
-        direction = cosine_direction(surface.normal[i], point)
+    normal = surface.normal[i]
+    origin = wp.vec3(surface.origin[i] - center)
+    pixel = mix(wp.uint32(first_pixel + i), seed)
+    for k in range(count):
+        direction = cosine_direction(normal, spread_point(index + k, pixel))
         direction -= 2.0 * wp.min(0.0, wp.dot(direction, face_normal)) * face_normal
-    directions[i] = direction
+        origins[item * count + k] = origin
+        directions[item * count + k] = direction
 
 
 @wp.kernel
-def count_open(first: int, occluded: wp.array(dtype=wp.bool), open_rays: wp.array(dtype=int)):
-    """Item: a point. Counts the ray if it is not occluded."""
-    i = first + wp.tid()
-    if not occluded[i]:
-        open_rays[i] += 1
+def count_open(
+    first: int, points: wp.array(dtype=int), count: int, occluded: wp.array(dtype=wp.bool), open_rays: wp.array(dtype=int)
+):
+    """Item: one of the points that were hit. Adds the number of its `count` rays that are not occluded."""
+    item = first + wp.tid()
+    found = int(0)
+    for k in range(count):
+        if not occluded[item * count + k]:
+            found += 1
+    open_rays[points[item]] += found

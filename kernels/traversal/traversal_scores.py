@@ -15,11 +15,14 @@ from wrt.kernels.traversal.traversal_config import ALL, COUNT, NEAREST_QUERIES
 
 RAYS_PER_TRIANGLE = 0.125
 """Rays per triangle from which coherent rays are traced in packets where no sample of them was traced: they are few, or still
-to be made (notebooks/records/2026-11-21-plans.md; through instances, notebooks/records/2026-11-21-instances.md).
+to be made (notebooks/records/2026-11-21-plans.md; through instances, notebooks/records/2026-11-21-instances.md); in a kd-tree,
+if they start at one point (notebooks/records/2026-11-23-few-rays.md).
 """
 
 SURE_RAYS_PER_TRIANGLE = 2.0
-"""Rays per triangle from which coherent rays are traced in packets without a sample (notebooks/records/2026-11-22-auto.md)."""
+"""Rays per triangle from which coherent rays are traced in packets without a sample (notebooks/records/2026-11-22-auto.md), and
+in a kd-tree if they start at different points (notebooks/records/2026-11-23-few-rays.md).
+"""
 
 LEAST_SAMPLED = 2048
 """Number of rays from which a sample pays: it takes as long as some hundred rays."""
@@ -161,6 +164,12 @@ class Situation(NamedTuple):
         return self.rays >= least and not sure
 
     @property
+    def crowds_cells(self) -> bool:
+        """Whether coherent rays are so many that packets are faster than single rays in the cells of a kd-tree."""
+        least = RAYS_PER_TRIANGLE if self.shared_origin else SURE_RAYS_PER_TRIANGLE
+        return self.rays >= least * self.triangles
+
+    @property
     def stays_together(self) -> bool:
         """Whether the rays of a packet take so much the same way that packets are faster."""
         if self.overlap is None:
@@ -190,7 +199,7 @@ def score_single(situation: Situation) -> tuple[float, str] | None:
         return SINGLE_RAYS, f"{reason}: triangles are small" if small else reason
     if situation.tests_each_hit:
         return SINGLE_RAYS, f"the traversal that finds {situation.kinds_of_hits} on a kd-tree"
-    return SINGLE_RAYS, "any rays"
+    return SINGLE_RAYS, f"{COHERENT_REASON}, but triangles are small" if situation.coherent else "any rays"
 
 
 def score_lockstep(situation: Situation) -> tuple[float, str] | None:
@@ -207,7 +216,9 @@ def score_packet(situation: Situation) -> tuple[float, str] | None:
     if situation.instances:
         suits = situation.suits_instance_packets and situation.stays_together
         return (PACKETS, f"two levels, {COHERENT_REASON}") if suits else None
-    return score_box_packet(situation) if situation.tree == "bvh" else (BY_PLANES, COHERENT_REASON)
+    if situation.tree == "bvh":
+        return score_box_packet(situation)
+    return (BY_PLANES, COHERENT_REASON) if situation.crowds_cells else None
 
 
 def score_wide_packet(situation: Situation) -> tuple[float, str] | None:

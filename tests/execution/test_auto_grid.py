@@ -1,4 +1,5 @@
-"""What "auto" chooses in a grid of cases, for 8 and 16 lanes: the choices that notebooks/records/2026-11-22-auto.md times.
+"""What "auto" chooses in a grid of cases, for 8 and 16 lanes: the choices that notebooks/records/2026-11-22-auto.md times, and
+for few rays notebooks/records/2026-11-23-few-rays.md.
 
 Nothing is traced: each line holds what a sample of packets of the case shares. `wrt bench auto` makes the cases and times the
 choices on any machine. A changed choice is no error, but needs a new record.
@@ -12,6 +13,7 @@ import pytest
 
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
+from wrt.state.query_kinds import few_rays
 
 # scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8
@@ -19,8 +21,8 @@ GRID = """
 bunny         69630  0 view      4096 coherent 0.327:2.1   stream      0.399:2.7   interleaved
 bunny         69630  0 scan      4096 coherent 0.252:6.4   stream      0.327:9.2   interleaved
 bunny         69630  0 random    4096 parted   -           interleaved -           interleaved
-bunny         69630  0 shadow     908 coherent -           single      -           single
-bunny         69630  0 ao         908 parted   -           single      -           single
+bunny         69630  0 shadow     908 coherent -           stream      -           interleaved
+bunny         69630  0 ao         908 parted   -           interleaved -           interleaved
 bunny         69630  0 view     65536 coherent 0.191:2.4   packet      0.207:2.6   packet
 bunny         69630  0 scan     65536 coherent 0.173:6.5   packet      0.168:9.1   packet
 bunny         69630  0 random   65536 parted   -           stream      -           interleaved
@@ -79,8 +81,8 @@ city         995330  0 ao      401215 parted   -           interleaved -        
 dragon       202520  0 view      4096 coherent 0.396:2.5   stream      0.44:2.4    interleaved
 dragon       202520  0 scan      4096 coherent 0.21:11.0   stream      0.261:14.0  interleaved
 dragon       202520  0 random    4096 parted   -           interleaved -           interleaved
-dragon       202520  0 shadow     850 coherent -           single      -           single
-dragon       202520  0 ao         850 parted   -           single      -           single
+dragon       202520  0 shadow     850 coherent -           stream      -           interleaved
+dragon       202520  0 ao         850 parted   -           interleaved -           interleaved
 dragon       202520  0 view     65536 coherent 0.242:2.2   packet      0.326:3.1   interleaved
 dragon       202520  0 scan     65536 coherent 0.153:10.4  packet      0.161:13.9  packet
 dragon       202520  0 random   65536 parted   -           interleaved -           interleaved
@@ -94,8 +96,8 @@ dragon       202520  0 ao      217356 parted   -           interleaved -        
 large_dragon 810080  0 view      4096 coherent 0.462:2.7   interleaved 0.506:2.8   interleaved
 large_dragon 810080  0 scan      4096 coherent 0.233:11.6  interleaved 0.294:15.3  interleaved
 large_dragon 810080  0 random    4096 parted   -           interleaved -           interleaved
-large_dragon 810080  0 shadow     850 coherent -           single      -           single
-large_dragon 810080  0 ao         850 parted   -           single      -           single
+large_dragon 810080  0 shadow     850 coherent -           interleaved -           interleaved
+large_dragon 810080  0 ao         850 parted   -           interleaved -           interleaved
 large_dragon 810080  0 view     65536 coherent 0.294:2.3   interleaved 0.394:3.5   interleaved
 large_dragon 810080  0 scan     65536 coherent 0.179:11.1  packet      0.18:15.9   packet
 large_dragon 810080  0 random   65536 parted   -           interleaved -           interleaved
@@ -138,6 +140,7 @@ def test_choices(lanes, monkeypatch):
             accelerator=SimpleNamespace(kind="bvh"),
             lazy_tree=None,
             triangle_count=triangles,
+            few_rays=few_rays(triangles, not instances),
             width=lanes,
         )
         arrays = SimpleNamespace(origin_stride=0 if kind in ("view", "scan") else 1)

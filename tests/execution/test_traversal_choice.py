@@ -17,6 +17,7 @@ import wrt.state
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.planner import choose_culling, choose_traversal
+from wrt.state.query_kinds import FEW_RAYS
 
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
@@ -36,6 +37,7 @@ def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float
         accelerator=SimpleNamespace(kind="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh"),
         lazy_tree=object() if kind == "lazy" else None,
         triangle_count=triangles,
+        few_rays=FEW_RAYS,
         width=width,
         cache=SimpleNamespace(wide=object() if wide else None, missed_savings=savings),
     )
@@ -80,8 +82,11 @@ def expected(
         return "single", f"the traversal that finds {hits} on a kd-tree"
     enough = triangles >= 100_000 or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
+    if kind != "bvh" and not is_wide and coherent:
+        crowd = (8 * count if shared else count // 2) >= triangles
+        return ("packet", SIMILAR) if crowd else ("single", f"{SIMILAR}, but triangles are small")
     if kind != "bvh" and not is_wide:
-        return ("packet", SIMILAR) if coherent else ("lockstep", DISSIMILAR)
+        return "lockstep", DISSIMILAR
     stream, packet = ("wide_stream", "wide_packet") if is_wide else ("stream", "packet")
     if kind == "bvh" and (width < 16 or (coherent and triangles >= 500_000) or (not coherent and enough)):
         stream = "interleaved"
@@ -106,8 +111,8 @@ def test_choices_on_the_cpu(kind):
         len(chosen)
         == {
             "bvh": 8,
-            "kdtree": 8,
-            "lazy": 5,
+            "kdtree": 9,
+            "lazy": 6,
             "instances bvh": 5,
             "instances kdtree": 2,
             "spaces": 1,

@@ -313,12 +313,11 @@ def test_ctrl_c_ends_a_process_with_130(tmp_path):
 # -- warm --------------------------------------------------------------------------------------------------------------
 
 
-def test_warm_compiles_what_queries_and_pictures_need(monkeypatch):
-    """After it, a build, few rays, many rays and a picture begin to compile nothing."""
-    from wrt.cli.warm import default_kernels
+@pytest.fixture
+def needed_modules(monkeypatch):
+    """The modules that are needed from now on."""
     from wrt.kernels.compilation import module_compiler
 
-    modules = {kernel.module for kernel in default_kernels()}
     needed = set()
     load_modules = module_compiler.load_modules
 
@@ -329,13 +328,34 @@ def test_warm_compiles_what_queries_and_pictures_need(monkeypatch):
 
     monkeypatch.setattr(module_compiler, "load_modules", note)
     monkeypatch.setattr(wrt.kernels.runtime.launch, "_loaded", set())
+    return needed
+
+
+def test_warm_compiles_what_a_first_hit_needs(needed_modules):
+    """Those kernels are what the wheel of the tests is shipped with."""
+    from wrt.cli.warm import first_hit_kernels
+
+    modules = {kernel.module for kernel in first_hit_kernels()}
+    needed_modules.clear()
+    for dtype in (np.float32, np.float64):
+        sheet = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], dtype=dtype)
+        assert wrt.Scene(wrt.TriangleMesh(sheet, [[0, 1, 2]])).intersect([0.2, 0.2, 1.0], [0, 0, -1]).position.shape == (3,)
+    assert not {module.name for module in needed_modules - modules}
+
+
+def test_warm_compiles_what_queries_and_pictures_need(needed_modules):
+    """After it, a build, few rays, many rays and a picture begin to compile nothing."""
+    from wrt.cli.warm import default_kernels
+
+    modules = {kernel.module for kernel in default_kernels()}
+    needed_modules.clear()
     scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
     camera = wrt.PinholeCamera.framing(scene, 160, 120)
     wrt.render(scene, camera, ambient_samples=2)
     hits = scene.intersect(camera.rays())
     assert hits.position.shape == (120, 160, 3)
     scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0])
-    assert not {module.name for module in needed - modules}
+    assert not {module.name for module in needed_modules - modules}
 
 
 def test_a_scene_and_a_picture_expect_just_the_kernels_that_they_need(monkeypatch):

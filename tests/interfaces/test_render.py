@@ -7,6 +7,8 @@ import warp as wp
 
 import wrt
 import wrt.imaging.rendering
+from wrt.imaging import ambient_rays
+from wrt.imaging.integrators import ray_tracer
 from wrt.kernels.runtime.launch import use_threads
 from wrt.scenes.shapes import boxes, plane
 
@@ -275,6 +277,25 @@ def test_threads_and_tiles_do_not_show(monkeypatch):
     assert images[0].shape == (50, 70, 3)
     assert images[0].dtype == np.float32
     assert 0.0 <= images[0].min() < images[0].max() <= 1.0
+
+
+def test_batches_of_ambient_rays_do_not_show(monkeypatch):
+    """A point's rays are traced at once, those of misses not at all, and batches of all sizes by one plan: each would need its
+    own kernels."""
+    scene, camera = small_scene(), small_camera()
+    whole = wrt.render(scene, camera, samples=2, ambient_samples=20)
+    plans = set()
+    trace = ray_tracer.trace_chosen
+
+    def note(state, chosen, rays, *more):
+        plans.add(chosen.plan)
+        return trace(state, chosen, rays, *more)
+
+    monkeypatch.setattr(ray_tracer, "trace_chosen", note)
+    monkeypatch.setattr(ambient_rays, "DIRECTIONS_AT_ONCE", 7)
+    monkeypatch.setattr(wrt.imaging.rendering, "TILE_PIXELS", 700)  # the uppermost tiles have few hits
+    np.testing.assert_array_equal(wrt.render(scene, camera, samples=2, ambient_samples=20), whole)
+    assert len(plans) == 1
 
 
 def test_seeds_change_the_grain_only():

@@ -16,6 +16,7 @@ imported when they are called, so that `wrt --help` answers at once.
 
 from __future__ import annotations
 
+import gc
 import sys
 from importlib import import_module
 from typing import Any
@@ -23,6 +24,10 @@ from typing import Any
 import click
 
 from wrt import __version__
+
+OBJECTS_TO_COLLECT = 100_000
+"""New objects after which Python looks for garbage, 700 by default: what is imported stays, and searching it again and again
+took a tenth of the time to start (notebooks/records/2026-11-23-warm-start.md)."""
 
 
 class LazyCommand(click.Command):
@@ -50,6 +55,8 @@ class CommandLine(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Runs a command and ends the process with its exit status."""
         kwargs["standalone_mode"] = False
+        thresholds = gc.get_threshold()
+        gc.set_threshold(OBJECTS_TO_COLLECT, *thresholds[1:])
         try:
             status = super().main(*args, **kwargs)
         except click.UsageError as error:
@@ -64,6 +71,8 @@ class CommandLine(click.Group):
             _fail("out of memory; use a smaller mesh or image", 1)
         except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
             _fail(str(error) or type(error).__name__, 1)
+        finally:
+            gc.set_threshold(*thresholds)
         sys.exit(status if isinstance(status, int) else 0)
 
 

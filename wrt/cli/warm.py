@@ -16,8 +16,11 @@ import click
 from wrt.cli.arguments import busy, start_warp, target_options
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import warp as wp
 
+    from wrt.execution.expected_kernels import ExpectedRays
     from wrt.scene.scene import Scene
 
 STACK_DEPTHS = (8, 16)
@@ -34,7 +37,8 @@ GRID = 128
 @target_options
 @click.option("--jobs", type=click.IntRange(1, 64), help="Modules that are compiled at a time. [all cores]")
 @click.option("--export", type=click.Path(path_type=Path, file_okay=False), help="Folder to copy the kernels to.")
-def warm(jobs: int | None, export: Path | None) -> None:
+@click.option("--first-hit", is_flag=True, help="Only what builds a scene and traces few rays.")
+def warm(jobs: int | None, export: Path | None, first_hit: bool) -> None:
     """Compiles the kernels of the default paths ahead: builds, closest hits and occlusion of few and many rays, pictures.
 
     What the kernel cache has already is left alone. With --export, kernels for --target (x86-64-v3 or x86-64-v4) are also
@@ -56,7 +60,7 @@ def warm(jobs: int | None, export: Path | None) -> None:
 
     start = time.perf_counter()
     with busy("compiling kernels"):
-        kernels = default_kernels()
+        kernels = first_hit_kernels() if first_hit else default_kernels()
         load(kernels, wp.get_device("cpu"))
     seconds, compiled = time.perf_counter() - start, compile_progress.counts()[0]
     modules = len({kernel.module for kernel in kernels})
@@ -70,20 +74,32 @@ def warm(jobs: int | None, export: Path | None) -> None:
 
 def default_kernels() -> list[wp.Kernel]:
     """One kernel of each module that the default paths on the CPU need: builds, closest hits and occlusion, pictures."""
+    from wrt.execution.expected_kernels import ExpectedRays
+    from wrt.imaging.rendering import shading_kernels
+    from wrt.state.query_kinds import ANY, CLOSEST
+
+    rays = []
+    for count in RAY_COUNTS:
+        for kind in (CLOSEST, ANY):
+            rays += [ExpectedRays(kind, count, origin_stride=stride) for stride in (0, 1)]
+            rays.append(ExpectedRays(kind, count, coherent=False))
+    kernels = [*shading_kernels(smooth=True, ambient_rays=True), *first_hit_kernels(), *_tracing_kernels(_grid(), rays)]
+    return [*dict.fromkeys(kernels)]
+
+
+def first_hit_kernels() -> list[wp.Kernel]:
+    """One kernel of each module that builds a scene and traces few rays."""
     import numpy as np
     import warp as wp
 
     from wrt.accelerators.tree_descriptions import Bvh
-    from wrt.execution.expected_kernels import build_kernels
-    from wrt.imaging.rendering import shading_kernels
+    from wrt.execution.expected_kernels import FEW, build_kernels
     from wrt.kernels.query.hit_attributes import hit_positions
 
-    device = wp.get_device("cpu")
-    triangles = 2 * GRID * GRID
-    kernels = [*shading_kernels(smooth=True, ambient_rays=True), hit_positions]
+    kernels, device = [hit_positions], wp.get_device("cpu")
     for dtype in (np.float32, np.float64):
-        kernels += build_kernels(Bvh(), device, dtype, triangles)
-    return [*dict.fromkeys([*kernels, *_tracing_kernels(_grid())])]
+        kernels += build_kernels(Bvh(), device, dtype, 2 * GRID * GRID)
+    return [*dict.fromkeys([*kernels, *_tracing_kernels(_grid(), FEW)])]
 
 
 def _grid() -> Scene:
@@ -101,18 +117,12 @@ def _grid() -> Scene:
     return Scene(TriangleMesh(vertices, faces), device="cpu")
 
 
-def _tracing_kernels(scene: Scene) -> list[wp.Kernel]:
-    """The kernels that trace few and many rays, as it were through trees of several depths."""
+def _tracing_kernels(scene: Scene, rays: Iterable[ExpectedRays]) -> list[wp.Kernel]:
+    """The kernels that trace rays, as it were through trees of several depths."""
     from dataclasses import replace
 
-    from wrt.execution.expected_kernels import FEW, ExpectedRays, query_kernels
-    from wrt.state.query_kinds import ANY, CLOSEST
+    from wrt.execution.expected_kernels import query_kernels
 
-    rays = [*FEW]
-    for count in RAY_COUNTS:
-        for kind in (CLOSEST, ANY):
-            rays += [ExpectedRays(kind, count, origin_stride=stride) for stride in (0, 1)]
-            rays.append(ExpectedRays(kind, count, coherent=False))
     found = []
     for depth in STACK_DEPTHS:
         tree = replace(scene.state.built_tree, level_first=tuple(range(depth + 1)))

@@ -18,7 +18,7 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
 from wrt.rays.ray_buffers import RayBuffers, set_environment, set_mask, to_device
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS, Query
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, Query
 
 if TYPE_CHECKING:
     from wrt.execution.given_areas import GivenAreas
@@ -82,7 +82,7 @@ def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False)
         ValueError: masks or environments in a scene whose geometries have none.
     """
     if query.mask is None and query.environment is None:
-        return to_device(rays, scene.device, scene.center, FEW_RAYS if staged else 0)
+        return to_device(rays, scene.device, scene.center, scene.few_rays if staged else 0)
     if not scene.instances:
         name = "environment" if query.mask is None else "mask"
         raise ValueError(f"{name} needs instances, and this scene has none; make it from wrt.Instance(mesh, {name}=...)")

@@ -23,7 +23,7 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.planning.packet_sample import sample_kernel
 from wrt.planning.plan import kernel_factory, plan_for_query, traversal_config
 from wrt.planning.planner import choose_plan, situation_of
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY
 
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
@@ -63,15 +63,14 @@ class ExpectedRays:
         return self
 
 
-FEW = (ExpectedRays(CLOSEST, FEW_RAYS), ExpectedRays(ANY, FEW_RAYS))
+FEW = (ExpectedRays(CLOSEST, FEW_RAYS_OF_MANY), ExpectedRays(ANY, FEW_RAYS_OF_MANY))
 """Few rays, which go one by one."""
 
 
-def picture_rays(pixels: int, origin_stride: int, shadows: bool, ambient: bool) -> list[ExpectedRays]:
-    """The rays of so many pixels: of the camera, to the light, and to the sky."""
+def picture_rays(pixels: int, origin_stride: int, shadows: bool) -> list[ExpectedRays]:
+    """The rays of so many pixels: of the camera, and to the light."""
     found = [ExpectedRays(CLOSEST, pixels, origin_stride=origin_stride)]
-    found += [ExpectedRays(ANY, pixels)] if shadows else []
-    return found + ([ExpectedRays(ANY, pixels, coherent=False)] if ambient else [])
+    return found + ([ExpectedRays(ANY, pixels)] if shadows else [])
 
 
 def build_kernels(accelerator: Accelerator, device: wp.Device, dtype: type, triangles: int) -> list[wp.Kernel]:
@@ -113,7 +112,7 @@ def query_kernels(
         plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)
         kernel = specialise(kernel_factory(plan, scene), traversal_config(plan, scene, expected.kind, False))
         found += [kernel, record_kernel(plan)]
-        found += [measure_coherence] if expected.count > FEW_RAYS else []
+        found += [measure_coherence] if expected.count > scene.few_rays else []
         sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample
         found += [sample_kernel(scene)] if sampled else []
     return [*dict.fromkeys(found), center_float64_points]

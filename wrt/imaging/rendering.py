@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.expected_kernels import picture_rays, query_kernels
+from wrt.imaging.ambient_rays import AmbientRays, expected_rays
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_point, check_whole, pixel_offset
 from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import expect, launch, use_threads
@@ -119,6 +120,7 @@ class AmbientRendering:
         self._tile = -(-self.pixels // tiles)  # of one size, as streams of rays depend on it and would be compiled for each
         with use_threads(scene.num_threads):
             expect(_kernels(scene, camera, self._tile, self._settings, smooth), scene.device)
+            self._ambient = _ambient_rays(scene, self._tile, self._settings)
             self._look = _appearance(scene, albedo, crease_angle if smooth else None)
             self._film = self._black()
 
@@ -157,7 +159,7 @@ class AmbientRendering:
         for first in range(0, self.pixels, self._tile):
             count = min(self._tile, self.pixels - first)
             rays = self.camera.rays_on(scene.device, first, count, offset)
-            _Tile(scene, self._look, self._settings, first, count).expose(rays, sample, self._film)
+            _Tile(scene, self._look, self._settings, first, count).expose(rays, sample, self._ambient, self._film)
             if progress is not None:
                 progress(sample * self.pixels + first + count, self.samples * self.pixels)
 
@@ -198,7 +200,8 @@ def render(scene: Scene, camera: Camera, *, progress: Callable[[int, int], Any] 
 def _kernels(scene: Scene, camera: Camera, tile: int, settings: _Settings, smooth: bool) -> list[wp.Kernel]:
     """One kernel of each module that a picture needs."""
     shared = isinstance(camera, PinholeCamera)
-    rays = picture_rays(tile, 0 if shared else 1, settings.shadows, settings.ambient_samples > 0)
+    rays = picture_rays(tile, 0 if shared else 1, settings.shadows)
+    rays += [expected_rays(tile, settings.ambient_samples)] if settings.ambient_samples else []
     shading = shading_kernels(smooth, settings.ambient_samples > 0)
     return [*query_kernels(scene.state, rays, **settings.query), *shading]
 
@@ -207,7 +210,7 @@ def shading_kernels(smooth: bool, ambient_rays: bool) -> list[wp.Kernel]:
     """One kernel of each module that makes a picture of hits."""
     kernels = [pinhole_directions, surface.find_surface, film.develop]
     kernels += [normals.face_normals_and_angles] if smooth else []
-    return kernels + ([ambient.ambient_directions] if ambient_rays else [])
+    return kernels + ([ambient.ambient_rays] if ambient_rays else [])
 
 
 def default_light(camera: Camera) -> np.ndarray:
@@ -279,40 +282,33 @@ class _Tile:
             setattr(self.surface, name, self._empty(wp.vec3d))
         self.surface.cosine = self._empty(float)
 
-    def expose(self, rays: Rays, sample: int, picture: wp.array) -> None:
+    def expose(self, rays: Rays, sample: int, ambient_rays: AmbientRays | None, picture: wp.array) -> None:
         """Adds the light of these rays to the image."""
         hits = self.scene.intersect(rays, **self.settings.query)
-        stride = 0 if rays.directions.size == 1 else 1
+        stride, primitive = 0 if rays.directions.size == 1 else 1, hits.batch.primitive
         light = wp.vec3d(*self.settings.light)
-        self._run(surface.find_surface, self.look, light, rays.directions, stride, hits.batch.primitive, hits.uv, self.surface)
+        self._run(surface.find_surface, self.look, light, rays.directions, stride, primitive, hits.uv, self.surface)
         received = film.Received()
         received.shadows = self.settings.shadows
         received.ambient_samples = self.settings.ambient_samples
         if received.shadows:
             toward = self.surface.shadow_direction
             received.in_shadow = self.scene.occluded(self.surface.shadow_origin, toward, 0.0, 1.0, **self.settings.query)
-        if received.ambient_samples:
-            received.open_rays = self._count_open_rays(sample)
+        if ambient_rays is not None:
+            received.open_rays = ambient_rays.count_open(self.surface, primitive, self.first, sample)
         self._run(film.expose, self.surface, received, self.settings.lighting, self.first, picture)
-
-    def _count_open_rays(self, sample: int) -> wp.array:
-        """(count,) int: ambient rays of each pixel that leave the scene."""
-        rays = self.settings.ambient_samples
-        open_rays = wp.zeros(self.count, dtype=int, device=self.scene.device)
-        directions = self._empty(wp.vec3)
-        for index in range(sample * rays, (sample + 1) * rays):
-            self._run(ambient.ambient_directions, self.surface, self.first, self.settings.seed, index, directions)
-            blocked = self.scene.occluded(
-                self.surface.origin, directions, 0.0, self.settings.ambient_distance, **self.settings.query
-            )
-            self._run(ambient.count_open, blocked, open_rays)
-        return open_rays
 
     def _empty(self, dtype: type) -> wp.array:
         return wp.empty(self.count, dtype=dtype, device=self.scene.device)
 
     def _run(self, kernel: wp.Kernel, *inputs: Any) -> None:
         launch(kernel, self.count, inputs, device=self.scene.device, chunk=1024)
+
+
+def _ambient_rays(scene: Scene, tile: int, settings: _Settings) -> AmbientRays | None:
+    if settings.ambient_samples == 0:
+        return None
+    return AmbientRays(scene, tile, settings.ambient_samples, settings.ambient_distance, settings.seed, settings.query)
 
 
 def _appearance(scene: Scene, albedo: Any, crease_angle: float | None) -> surface.Appearance:

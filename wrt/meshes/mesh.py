@@ -25,6 +25,7 @@ from wrt.materials.material import Material
 from wrt.materials.mesh_materials import MeshMaterials, joined_materials, make_mesh_materials
 from wrt.meshes.mesh_arrays import checked_faces, checked_vertices, frozen
 from wrt.meshes.mesh_measures import extremes, first_of_equal_points, normals_and_areas
+from wrt.meshes.plain_ply import read_plain_ply
 from wrt.meshes.up_axis import Direction, checked_up, common_up, mapped_up, up_of_format
 
 if TYPE_CHECKING:
@@ -81,30 +82,17 @@ class TriangleMesh:
             FileNotFoundError: there is no such file.
             ValueError: unknown format, unreadable content, no triangles, or bad geometry as in the constructor.
         """
-        import trimesh
-
         path = Path(path)
         if not path.is_file():
             raise FileNotFoundError(f"no mesh file at '{path}': check the path (now in '{Path.cwd()}')")
         suffix = path.suffix.lower().lstrip(".")
-        known = sorted(trimesh.available_formats())
-        if suffix not in known:
-            raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
+        plain = read_plain_ply(path) if suffix == "ply" else None
+        loaded = _read_by_trimesh(path, suffix, bool(materials)) if plain is None else None
         try:
-            if suffix == "obj" and not materials:
-                source = io.BytesIO(_positions_only(path.read_bytes()))
-                loaded = trimesh.load(source, file_type="obj", process=False)
+            if plain is not None:
+                mesh = cls(*plain, name=path.stem)
             else:
-                loaded = trimesh.load(path, process=False)
-        except (PermissionError, MemoryError):
-            raise
-        except Exception as error:  # the readers of thirty formats raise many types of error
-            reason = f"{type(error).__name__}: {error}"
-            raise ValueError(f"cannot read '{path}' as .{suffix} ({reason}); is the file complete?") from error
-        if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
-            raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
-        try:
-            mesh = cls.from_trimesh(loaded, name=path.stem, materials=materials is not False)
+                mesh = cls.from_trimesh(loaded, name=path.stem, materials=materials is not False)
         except ValueError as error:
             raise ValueError(f"'{path}': {error}") from error
         mesh._up = up_of_format(suffix)
@@ -363,6 +351,29 @@ class TriangleMesh:
         faces = first_of_equal_points(self._vertices)[self._faces]
         kept, faces = np.unique(faces, return_inverse=True)
         return self._like(self._vertices[kept], faces.reshape(-1, 3), self._materials)
+
+
+def _read_by_trimesh(path: Path, suffix: str, materials: bool) -> trimesh.Trimesh | trimesh.Scene:
+    """What trimesh reads from a file; of an OBJ file positions alone, unless materials are wanted. Errors as of `load`."""
+    import trimesh
+
+    known = sorted(trimesh.available_formats())
+    if suffix not in known:
+        raise ValueError(f"cannot read '{path}': unknown mesh format '.{suffix}'; the known ones are {known}")
+    try:
+        if suffix == "obj" and not materials:
+            source = io.BytesIO(_positions_only(path.read_bytes()))
+            loaded = trimesh.load(source, file_type="obj", process=False)
+        else:
+            loaded = trimesh.load(path, process=False)
+    except (PermissionError, MemoryError):
+        raise
+    except Exception as error:  # the readers of thirty formats raise many types of error
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(f"cannot read '{path}' as .{suffix} ({reason}); is the file complete?") from error
+    if not isinstance(loaded, trimesh.Trimesh | trimesh.Scene):
+        raise ValueError(f"'{path}' holds a {type(loaded).__name__} without triangles; save it as a triangle mesh")
+    return loaded
 
 
 def _positions_only(text: bytes) -> bytes:

@@ -14,7 +14,7 @@ from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.packet_sample import measure_overlap
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.planning.plan_checks import check_plan, fits
-from wrt.state.query_kinds import ALL, AUTO, CLOSEST, COUNT, FEW_RAYS, Query
+from wrt.state.query_kinds import ALL, AUTO, CLOSEST, COUNT, Query
 from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.tables import lookup
 
@@ -85,7 +85,7 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
         return chosen_plan(scene, plan, rays, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
     count, origin_stride = rays.count, rays.arrays_or_batch.origin_stride
-    each_alone = traversal == AUTO and (count <= FEW_RAYS or scene.device.is_cuda)
+    each_alone = traversal == AUTO and (count <= scene.few_rays or scene.device.is_cuda)
     size = count > 1 if each_alone else (rays.shape, get_num_threads())
     found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
     key = kind, traversal, triangle_test, cull_backfaces, size, found
@@ -99,7 +99,7 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
 
 def chosen_plan(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> ChosenPlan:
     """A plan for a kind of query, with what is prepared for it in the scene's cache."""
-    key = plan, kind, rays.count <= FEW_RAYS
+    key = plan, kind, rays.count <= scene.few_rays
     return scene.cache.plan(key) or scene.cache.keep_plan(key, choose_for(scene, plan, rays, kind))
 
 
@@ -107,7 +107,7 @@ def choose_for(scene: SceneState, plan: Plan, rays: RayBuffers, kind: str) -> Ch
     """A plan for a kind of query, and whether such queries can be prepared: see `wrt.execution.executor`."""
     carried_out = plan_for_query(plan, kind)
     through_instances = bool(scene.instances) and not traversal_of(carried_out).walks_single_rays
-    by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > FEW_RAYS)
+    by_area = scene.area_trees is not None and (scene.device.is_cuda or rays.count > scene.few_rays)
     by_origin = TRIANGLE_TESTS[carried_out.triangle_test].record.per_origin
     by_steps = carried_out.reorder == "cells" or traversal_of(carried_out).queued
     prepares = not (scene.lazy_tree is not None or through_instances or by_area or by_origin or by_steps)
@@ -120,7 +120,7 @@ def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
     """Whether the plan depends on what came before: on how much of a tree is built, or on whether a wide form pays."""
     if scene.lazy_tree is not None:
         return True
-    return rays.count > FEW_RAYS and not scene.device.is_cuda and can_be_wide(scene)
+    return rays.count > scene.few_rays and not scene.device.is_cuda and can_be_wide(scene)
 
 
 def choose_plan(
@@ -188,7 +188,7 @@ def situation_of(scene: SceneState, rays: RayBuffers, query: str, cull_backfaces
         own_spaces=scene.only_single,
         has_wide_form=wide_form_pays(scene, rays),
         rays=rays.count,
-        few=rays.count <= FEW_RAYS,
+        few=rays.count <= scene.few_rays,
         coherent=rays.coherent,
         shared_origin=rays.arrays_or_batch.origin_stride == 0,
     )

@@ -9,8 +9,22 @@ AUTO = "auto"
 CLOSEST, ANY, COUNT, ALL, EXACT = "closest", "any", "count", "all", "exact"
 
 FEW_RAYS = 1024
-"""Number of rays up to which each is traced on its own on the CPU: detecting coherence and setting up packets or streams would
-take as long as tracing them."""
+"""Most rays that are traced one by one on the CPU, whatever they look like: detecting coherence and setting up packets or
+streams would take as long as tracing them (`few_rays`)."""
+
+FEW_RAYS_OF_MANY, MANY_TRIANGLES = 512, 50_000
+"""The same in a BVH of many triangles, whose rays take longer, and from how many on
+(notebooks/records/2026-11-23-few-rays.md)."""
+
+
+def few_rays(triangles: int, in_bvh: bool) -> int:
+    """Number of rays up to which each is traced on its own on the CPU, in a scene of one level.
+
+    Args:
+        triangles: how many the scene has.
+        in_bvh: whether its tree is a BVH.
+    """
+    return FEW_RAYS_OF_MANY if in_bvh and triangles >= MANY_TRIANGLES else FEW_RAYS
 
 
 class Query(NamedTuple):

@@ -18,6 +18,7 @@ import warp as wp
 from wrt.kernels.runtime.launch import use_threads
 from wrt.meshes.mesh import TriangleMesh
 from wrt.state.query_cache import QueryCache
+from wrt.state.query_kinds import few_rays
 from wrt.state.scene_settings import Settings
 
 if TYPE_CHECKING:
@@ -115,6 +116,12 @@ class SceneState:
     def bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
+
+    @cached_property
+    def few_rays(self) -> int:
+        """Number of rays up to which each is traced on its own on the CPU."""
+        in_bvh = self.accelerator.kind == "bvh" and self.area_trees is None and not self.only_single
+        return few_rays(self.triangle_count, in_bvh and not self.instances)
 
     @cached_property
     def is_closed(self) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace_chosen
+from wrt.execution.expected_kernels import ExpectedRays
 from wrt.kernels.runtime.launch import kept
 from wrt.planning.planner import find_plan
 from wrt.rays.ray_arrays import Layout, RayArrays
@@ -51,16 +52,39 @@ class RayTracer:
         """(count,) bool: whether anything is between the two ends of segments; False for segments of length 0."""
         return self._trace(ANY, origins, segments, count, self._one, 0 if similar else -1).occluded
 
+    def blocked_from_points(
+        self, origins: wp.array, directions: wp.array, count: int, distance: wp.array, expected: ExpectedRays
+    ) -> wp.array:
+        """(count,) bool: whether rays in all directions from points that follow one another hit anything.
+
+        Args:
+            origins, directions, count: as of `closest`.
+            distance: (1,) float32, the length of all rays in units of their directions.
+            expected: the most rays that there can be; the plan is made for them, so that batches of any size have the same.
+        """
+        rays = self._rays(origins, directions, count, distance, False, False, 0)
+        chosen = find_plan(self._state, expected, self._queries[ANY])
+        return trace_chosen(self._state, chosen, rays, ANY, False)[0].occluded
+
     def _trace(
         self, kind: str, origins: wp.array, directions: wp.array, count: int, t_max: wp.array, columns: int
     ) -> DeviceHits:
-        state = self._state
-        layout = Layout(1, 1, 0, 0, True)
-        shape = (max(ROUND, 1 << (count - 1).bit_length()),)
-        given = RayArrays(
-            origins, directions, self._zero, t_max, layout, count, state.center, shape, True, np.float32, (origins, directions)
-        )
         coherent = columns >= 0
-        buffers = RayBuffers(given, shape, True, np.float32, coherent, not coherent, [], max(columns, 0))
-        chosen = find_plan(state, buffers, self._queries[kind])
-        return trace_chosen(state, chosen, buffers, kind, False)[0]
+        buffers = self._rays(origins, directions, count, t_max, coherent, not coherent, max(columns, 0))
+        chosen = find_plan(self._state, buffers, self._queries[kind])
+        return trace_chosen(self._state, chosen, buffers, kind, False)[0]
+
+    def _rays(
+        self,
+        origins: wp.array,
+        directions: wp.array,
+        count: int,
+        t_max: wp.array,
+        coherent: bool,
+        scattered: bool,
+        columns: int,
+    ) -> RayBuffers:
+        shape, kept = (max(ROUND, 1 << (count - 1).bit_length()),), (origins, directions)
+        layout, center = Layout(1, 1, 0, 0, True), self._state.center
+        given = RayArrays(origins, directions, self._zero, t_max, layout, count, center, shape, True, np.float32, kept)
+        return RayBuffers(given, shape, True, np.float32, coherent, scattered, [], columns)
