@@ -1,5 +1,6 @@
 """Vertices relative to a point, subtracted in float64 and rounded to float32 once."""
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -31,16 +32,17 @@ def make_shift(dtype: type) -> wp.Kernel:
     return specialised_kernel(shift_vertices)
 
 
-def shifted(center: np.ndarray, vertices: np.ndarray) -> wp.array:
+def shifted(center: np.ndarray, vertices: np.ndarray, allocate: Callable[..., wp.array] = wp.empty) -> wp.array:
     """(V,) vec3 on the CPU: vertices relative to a point. Those that no triangle uses may come to be infinite.
 
     Args:
         center: (3,) float64.
         vertices: (V, 3) float32 or float64.
+        allocate: allocates the result; same signature as `wp.empty`.
     """
     device, dtype = as_device("cpu"), wp.vec3 if vertices.dtype == np.float32 else wp.vec3d
     given = wp.array(vertices, dtype=dtype, device=device, copy=False)
-    relative = wp.empty(len(vertices), dtype=wp.vec3, device=device)
+    relative = allocate(len(vertices), dtype=wp.vec3, device=device)
     inputs = [wp.vec3d(*map(float, center)), given, relative]
     launch(specialise(make_shift, dtype), len(vertices), inputs, device=device, chunk=CHUNK)
     return relative

@@ -181,3 +181,18 @@ def center_float64_points(first: int, points: wp.array(dtype=wp.vec3d), center: 
     """
     i = first + wp.tid()
     out[i] = wp.vec3(points[i] - center)
+
+
+@wp.kernel
+def repeat_points(
+    first: int, points: wp.array(dtype=wp.vec3), lengths: wp.vec4i, strides: wp.vec4i, out: wp.array(dtype=wp.vec3)
+):
+    """Broadcasts points along the axes whose stride is 0. Item: an element of the result, of shape `lengths`."""
+    i = first + wp.tid()
+    rest = int(i)
+    place = int(0)
+    for k in range(4):
+        axis = 3 - k
+        place += rest % lengths[axis] * strides[axis]
+        rest = rest // lengths[axis]
+    out[i] = points[place]

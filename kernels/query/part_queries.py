@@ -38,6 +38,39 @@ def make_gather(query: str) -> wp.Kernel:
     return specialised_kernel(gather_queue)
 
 
+@cache
+def make_gather_live(query: str) -> wp.Kernel:
+    """The kernel that copies the rays listed in slices (`wrt.kernels.traversal.queued.queue_lists.make_list_live`), one slice
+    after the other without gaps, as `make_gather`.
+
+    Item: a slice of `size` places of `live`, of which begins[item + 1] - begins[item] are used. `order` receives the rays.
+    """
+    bound_of = make_bound(query)
+
+    def gather_live(
+        first: int,
+        size: int,
+        rays: RayBatch,
+        hits: HitBatch,
+        live: wp.array(dtype=int),
+        begins: wp.array(dtype=int),
+        order: wp.array(dtype=int),
+        queue: RayBatch,
+    ):
+        item = first + wp.tid()
+        begin = begins[item]
+        for place in range(begin, begins[item + 1]):
+            i = live[item * size + place - begin]
+            order[place] = i
+            ray = load_ray(rays, i)
+            queue.origins[place] = ray.origin
+            queue.directions[place] = ray.direction
+            queue.t_min[place] = ray.t_min
+            queue.t_max[place] = bound_of(hits, i, ray.t_max)
+
+    return specialised_kernel(gather_live)
+
+
 @wp.kernel
 def merge_closest(
     first: int,

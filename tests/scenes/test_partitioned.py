@@ -123,6 +123,25 @@ def test_each_part_is_loaded_once_in_a_cycle(folder, rays):
     assert scene.last_query.loads > 0
 
 
+def test_a_cycle_keeps_parts_for_the_next_one(folder, rays):
+    """The newest part of a cycle leaves first. Were it the oldest, a query like the one before would load all parts again."""
+    full = wrt.PartitionedScene(folder, device="cpu")
+    full.count(*rays)
+    needed = full.last_query.loads
+    scene = wrt.PartitionedScene(folder, memory=full.bytes // 2, device="cpu")
+    scene.count(*rays)
+    assert scene.last_query.loads == needed, "nothing is loaded twice in a cycle"
+    stay = scene._cache.is_loaded.copy()
+    scene.count(*rays)
+    assert scene.last_query.loads <= needed - stay.sum()
+    assert scene._cache.bytes == sum(part.bytes for part in scene._cache._loaded.values()) <= scene.memory
+    near = scene.part_bounds[int(np.flatnonzero(~scene._cache.is_loaded)[0])].mean(axis=0)
+    scene.count(near, rays[1][:50], t_max=1e-3)
+    assert scene.last_query.loads > 0
+    scene.count(near, rays[1][:50], t_max=1e-3)
+    assert scene.last_query.loads == 0, "parts of earlier queries leave before those of this one"
+
+
 def test_a_cycle_refuses_what_is_too_much_for_a_block(folder, monkeypatch):
     """It must do nothing then: the block is cut, and its halves are traced."""
     job = type("Job", (), {})()

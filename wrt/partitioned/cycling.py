@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from wrt.kernels.query.ordering.ray_order import scan_counts, sort_buckets
+from wrt.kernels.query.ordering.ray_order import scan_counts
+from wrt.kernels.query.part_queries import make_gather_live
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.traversal.queued.next_queue import gather_numbers
-from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_points, make_mark_pairs
-from wrt.memory import empty
+from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_live, make_list_points
+from wrt.memory import empty, new_rays
 
 if TYPE_CHECKING:
+    from wrt.kernels.layout.ray_batch import RayBatch
     from wrt.partitioned.ray_job import RayJob
 
 MIN_CHUNK = 1 << 12
@@ -31,8 +32,8 @@ MIN_CHUNK = 1 << 12
 MAX_PAIRS = 1 << 26
 """Greatest number of pairs of a block, which take 8 bytes each."""
 
-CHUNK = 1024
-"""Pairs that are worth a chunk of their own."""
+SLICE, CUDA_SLICE = 512, 32
+"""Pairs whose rays are listed by one item of a kernel."""
 
 
 def cycle(job: RayJob) -> bool:
@@ -41,12 +42,15 @@ def cycle(job: RayJob) -> bool:
     if listed is None:
         return False
     pairs, begins = listed
-    entry, ranges = pairs.entry.numpy(), list(pairwise(begins))
-    distance = [entry[begin:end].mean() if end > begin else np.inf for begin, end in ranges]
-    for number in np.lexsort((distance, ~job.cache.is_loaded)).tolist():
-        begin, end = ranges[number]
-        if begin < end and len(rays := live_rays(job, pairs, begin, end)):
-            job.trace(number, rays)
+    entry = pairs.entry.numpy()
+    distance = [entry[begin:end].mean() if end > begin else np.inf for begin, end in pairwise(begins)]
+    turns = np.lexsort((distance, ~job.cache.is_loaded))
+    turns = turns[np.diff(begins)[turns] > 0]
+    with job.cache.one_round():
+        for number in turns.tolist():
+            order, rays = live_rays(job, pairs, begins[number], begins[number + 1])
+            if rays.count:
+                job.trace(number, order, rays)
     return True
 
 
@@ -71,13 +75,17 @@ def list_pairs(job: RayJob) -> tuple[QueuePairs, list[int]] | None:
     return pairs, begins
 
 
-def live_rays(job: RayJob, pairs: QueuePairs, begin: int, end: int) -> wp.array:
-    """Numbers of the rays of a part that are not done before it."""
-    bucket = empty(end - begin, wp.uint16, job.device)
-    inputs = [begin, job.rays, job.hits, pairs, bucket]
-    launch(make_mark_pairs(job.query.kind), end - begin, inputs, device=job.device, chunk=CHUNK)
-    places, begins = sort_buckets(bucket, 2)
-    numbers = empty(begins[1], wp.int32, job.device)
-    inputs = [pairs.ray[begin:end], places, numbers]
-    launch(gather_numbers, begins[1], inputs, device=job.device, chunk=CHUNK)
-    return numbers
+def live_rays(job: RayJob, pairs: QueuePairs, begin: int, end: int) -> tuple[wp.array, RayBatch]:
+    """The rays of a part that are not done before it: their numbers, and copies shortened to their best hits."""
+    size = CUDA_SLICE if job.device.is_cuda else SLICE
+    slices = -(-(end - begin) // size)
+    live, counts = empty(end - begin, wp.int32, job.device), wp.empty(slices, dtype=int, device=job.device)
+    inputs = [begin, end, size, job.rays, job.hits, pairs, live, counts]
+    launch(make_list_live(job.query.kind), slices, inputs, device=job.device, chunk=1)
+    begins = np.zeros(slices + 1, dtype=np.int32)
+    np.cumsum(counts.numpy(), out=begins[1:])
+    count = int(begins[-1])
+    order, rays = empty(count, wp.int32, job.device), new_rays(count, job.device)
+    inputs = [size, job.rays, job.hits, live, wp.array(begins, dtype=int, device=job.device, copy=False), order, rays]
+    launch(make_gather_live(job.query.kind), slices if count else 0, inputs, device=job.device, chunk=1)
+    return order, rays

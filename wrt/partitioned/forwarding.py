@@ -41,7 +41,7 @@ def forward(job: RayJob) -> bool:
     while queues.waiting.any():
         number = queues.choose()
         order = queues.take(number)
-        job.trace(number, order)
+        job.trace(number, order, job.gathered(order))
         queues.move_on(order, len(order))
     return True
 

@@ -1,4 +1,11 @@
-"""Parts in memory: loaded when rays need them, within a budget; the one unused for longest leaves first.
+"""Parts in memory: loaded when rays need them, within a budget.
+
+The part unused for longest leaves first. In a round that needs each part once, those that it has not used leave first, and then
+the newest: parts that stay are there for the next round, and memory that leaves is still in the processor's caches when the
+next part is read into it.
+
+A thread that loads the next part meanwhile was tried: with two cores it takes more time from tracing than it saves
+(notebooks/records/2026-11-23-parts-on-disk.md).
 
 The first time a part is loaded, its file is checked as `wrt.Scene.load` checks one: checksum, sizes, and the indices in its
 tree. Later the arrays are read from the places where they are in the file, as long as the file has not changed since (size,
@@ -13,6 +20,8 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -106,19 +115,31 @@ class PartCache:
         self.traffic = Traffic()
         self._loaded: OrderedDict[int, Part] = OrderedDict()
         self._bytes: dict[int, int] = {}
+        self._total = 0
+        self._used: set[int] | None = None
         self._checked: dict[int, CheckedFile] = {}
         self.is_loaded = np.zeros(len(parts), dtype=bool)
 
     @property
     def bytes(self) -> int:
         """Memory of all loaded parts."""
-        return sum(self._bytes.values())
+        return self._total
 
     def clear(self) -> None:
         """Drops all parts."""
         self._loaded.clear()
         self._bytes.clear()
+        self._total = 0
         self.is_loaded[:] = False
+
+    @contextmanager
+    def one_round(self) -> Iterator[None]:
+        """For a `with` block in which each part is needed once at most."""
+        self._used = set()
+        try:
+            yield
+        finally:
+            self._used = None
 
     def part(self, number: int, expected_bytes: int) -> Part:
         """A part, loaded if it is not in memory.
@@ -135,21 +156,28 @@ class PartCache:
             self.make_room(expected_bytes)
             self._loaded[number] = part = self._load(number)
             self._bytes[number] = part.bytes
+            self._total += part.bytes
             self.is_loaded[number] = True
             self.traffic.loads += 1
         self._loaded.move_to_end(number)
+        if self._used is not None:
+            self._used.add(number)
         return self._loaded[number]
 
     def make_room(self, expected_bytes: int) -> None:
-        """Drops parts, the one unused for longest first, until so much more memory is within the budget."""
-        while self._loaded and self.bytes + expected_bytes > self.budget:
-            number, _ = self._loaded.popitem(last=False)
-            del self._bytes[number]
+        """Drops parts until so much more memory is within the budget."""
+        while self._loaded and self._total + expected_bytes > self.budget:
+            oldest = next(iter(self._loaded))
+            newest_leaves = self._used is not None and oldest in self._used  # then so are all
+            number, _ = self._loaded.popitem(last=newest_leaves)
+            self._total -= self._bytes.pop(number)
             self.is_loaded[number] = False
 
     def note_use(self, number: int) -> None:
         """Records the memory in use, once a query has made the triangle records of a part."""
-        self._bytes[number] = self._loaded[number].bytes
+        now = self._loaded[number].bytes
+        self._total += now - self._bytes[number]
+        self._bytes[number] = now
         self.traffic.peak_bytes = max(self.traffic.peak_bytes, self.bytes)
 
     def _load(self, number: int) -> Part:
@@ -213,14 +241,15 @@ class PartCache:
         def read(number: int) -> None:
             name, dtype = wanted[number]
             place = known.places[name]
-            array = np.empty(place.shape, place.dtype) if dtype is None else empty(place.shape[0], dtype, as_device("cpu"))
+            array = fresh(place) if dtype is None else empty(place.shape[0], dtype, as_device("cpu"))
             fill(path, place, array if dtype is None else array.numpy())
             arrays[name] = array
 
         run_tasks(read, len(wanted))
         self.traffic.bytes_read += sum(known.places[name].bytes for name, _ in wanted)
         tree = replace(known.tree, **{name: arrays[f"tree.{name}"] for name in ("bounds", "child", "primitive")})
-        return self._placed(tree, shifted(self.parts.center, arrays["vertices.0"]), arrays["faces.0"], arrays["ids"])
+        vertices = shifted(self.parts.center, arrays["vertices.0"], empty)
+        return self._placed(tree, vertices, arrays["faces.0"], arrays["ids"])
 
     def _placed(self, tree: Bvh, vertices: wp.array, faces: wp.array, ids: wp.array) -> Part:
         """The part on the scene's device."""
@@ -251,3 +280,9 @@ def fill(path: Path, place: ArrayPlace, array: np.ndarray) -> None:
         file.seek(place.offset)
         if file.readinto(memoryview(array.reshape(-1).view(np.uint8))) != array.nbytes:
             raise ValueError(f"'{path}' ends early; restore it, or build the scene again")
+
+
+def fresh(place: ArrayPlace) -> np.ndarray:
+    """A NumPy array for an array of a file, with undefined contents; its memory may be reused."""
+    block = empty(place.bytes, wp.uint8, as_device("cpu"))
+    return block.numpy().view(place.dtype).reshape(place.shape)

@@ -74,11 +74,22 @@ class RayJob:
         self.plan: Plan | None = None
         self.visits = self.traced = 0
 
-    def trace(self, number: int, order: wp.array) -> None:
-        """Traces the rays of a list in a part, and merges what they find."""
+    def gathered(self, order: wp.array) -> RayBatch:
+        """Copies of the rays of a list, shortened to their best hits."""
+        rays = new_rays(len(order), self.device)
+        inputs = [self.rays, self.hits, order, rays]
+        launch(make_gather(self.query.kind), len(order), inputs, device=self.device, chunk=CHUNK)
+        return rays
+
+    def trace(self, number: int, order: wp.array, rays: RayBatch) -> None:
+        """Traces rays in a part, and merges what they find.
+
+        Args:
+            number: of the part.
+            order: numbers of the rays.
+            rays: copies of them (`gathered`).
+        """
         part, count, kind = self.cache.part(number, int(self.expected_bytes[number])), len(order), self.query.kind
-        rays = new_rays(count, self.device)
-        launch(make_gather(kind), count, [self.rays, self.hits, order, rays], device=self.device, chunk=CHUNK)
         buffers = RayBuffers(rays, (count,), False, np.float32, self.coherent, False, [])
         chosen = find_plan(part.state, buffers, self.query)
         found, _ = trace_chosen(part.state, chosen, buffers, kind, False)

@@ -11,9 +11,9 @@ import numpy as np
 import warp as wp
 
 from wrt.host_arrays import HostArray, as_array, point_at
-from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points
+from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points, repeat_points
 from wrt.kernels.runtime.launch import kept, launch
-from wrt.memory import keep_alive
+from wrt.memory import empty, keep_alive
 from wrt.rays.host_rays import arrange, shared_point, vectors_in_place
 from wrt.rays.ray_grids import detect_shared_origin
 from wrt.rays.rays import FLOAT64, Rays, as_range, as_vectors, check_number, common_shape
@@ -183,6 +183,8 @@ def _vectors(
         if stride and values.shape != shape:
             raise ValueError(f"Warp arrays broadcast only from one element: {values.shape} against {shape}")
         values = values if values.ndim == 1 else values.flatten()
+    elif device.is_cuda and (repeats := repeats_of(values, shape)) is not None:
+        return repeated(values, shape, repeats, device, center), 1
     else:
         values, stride = flatten_shared(values, shape, (3,))
         if len(values) == 1 and values.dtype == np.float64 and device.is_cpu:  # a launch would take longer
@@ -195,6 +197,37 @@ def _vectors(
         launch(center_float64_points, len(values), [values, wp.vec3d(*map(float, center)), out], device=device, chunk=4096)
         values = out
     return values, stride
+
+
+def repeats_of(values: np.ndarray, shape: tuple[int, ...]) -> tuple[bool, ...] | None:
+    """Along which axes of `shape` vectors are repeated; None if along none, or all, or there are more than four axes."""
+    missing = len(shape) - values.ndim + 1
+    axes = zip(shape[missing:], values.shape[:-1], values.strides[:-1], strict=True)
+    found = (*(n > 1 for n in shape[:missing]), *(n > 1 and (own == 1 or stride == 0) for n, own, stride in axes))
+    lengthens = [n > 1 for n in shape]
+    return found if len(shape) <= 4 and any(found) and list(found) != lengthens and math.prod(shape) else None
+
+
+def repeated(
+    values: np.ndarray, shape: tuple[int, ...], repeats: tuple[bool, ...], device: wp.Device, center: np.ndarray
+) -> wp.array:
+    """Vectors broadcast on the device: only those that differ are copied there.
+
+    To write them all takes the host longer than tracing takes a GPU, and several GPUs share the host's memory.
+    """
+    missing = len(shape) - values.ndim + 1
+    few = values[tuple(slice(0, 1) if again else slice(None) for again in repeats[missing:])]
+    lengths, strides, step = [1] * 4, [0] * 4, 1
+    for axis in range(len(shape) - 1, -1, -1):
+        lengths[axis + 4 - len(shape)] = shape[axis]
+        if not repeats[axis]:
+            strides[axis + 4 - len(shape)] = step
+            step *= shape[axis]
+    points, _ = _vectors(few, few.shape[:-1], device, center)
+    out = empty(math.prod(shape), wp.vec3f, device)
+    inputs = [points, wp.vec4i(*lengths), wp.vec4i(*strides), out]
+    launch(repeat_points, len(out), inputs, device=device, chunk=4096)
+    return out
 
 
 def _scalars(values: float | np.ndarray | wp.array, shape: tuple[int, ...], device: wp.Device) -> tuple[wp.array, int]:

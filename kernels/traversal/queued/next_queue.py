@@ -48,13 +48,14 @@ class RayQueue:
 
 @cache
 def make_bound(query: str) -> wp.Function:
-    """`wp.func(hits, i, t_max) -> t` beyond which ray number i need not search: its best hit so far, or its t_max."""
+    """`wp.func(hits, i, t_max) -> t` beyond which ray number i need not search: its best hit so far (t = inf for none), or its
+    t_max."""
 
     @wp.func
     def bound_of(hits: HitBatch, i: int, t_max: float):
         bound = t_max
         if wp.static(query == CLOSEST):
-            bound = wp.where(hits.primitive[i] >= 0, hits.t[i], t_max)
+            bound = wp.min(hits.t[i], t_max)
         elif wp.static(query == ANY):
             bound = wp.where(hits.occluded[i], -INFINITY, t_max)
         return bound

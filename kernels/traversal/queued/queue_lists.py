@@ -10,7 +10,7 @@ import warp as wp
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
-from wrt.kernels.layout.unchecked import load_int, store_int
+from wrt.kernels.layout.unchecked import load_float, load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
@@ -74,19 +74,32 @@ def make_list_points(width: int, levels: int, fill: bool) -> wp.Kernel:
 
 
 @cache
-def make_mark_pairs(query: str) -> wp.Kernel:
-    """The kernel that writes 0 to `bucket` for a pair whose ray enters the box no later than its best hit, else 1.
+def make_list_live(query: str) -> wp.Kernel:
+    """The kernel that lists the rays of a slice of pairs that enter the box no later than their best hits.
 
-    Item: a pair, counted from `begin` on.
+    Item: a slice of `size` pairs of those from `begin` to `end`. Its rays are written to `live` from item * size on, in order,
+    and their number to `counts`.
     """
     bound_of = make_bound(query)
 
-    def mark_pairs(
-        first: int, begin: int, rays: RayBatch, hits: HitBatch, pairs: QueuePairs, bucket: wp.array(dtype=wp.uint16)
+    def list_live(
+        first: int,
+        begin: int,
+        end: int,
+        size: int,
+        rays: RayBatch,
+        hits: HitBatch,
+        pairs: QueuePairs,
+        live: wp.array(dtype=int),
+        counts: wp.array(dtype=int),
     ):
-        place = first + wp.tid()
-        i = pairs.ray[begin + place]
-        bound = bound_of(hits, i, rays.t_max[i * rays.t_max_stride])
-        bucket[place] = wp.uint16(wp.where(pairs.entry[begin + place] <= bound, 0, 1))
+        item = first + wp.tid()
+        place = item * size
+        for pair in range(begin + item * size, wp.min(end, begin + (item + 1) * size)):
+            i = load_int(pairs.ray, pair)
+            if load_float(pairs.entry, pair) <= bound_of(hits, i, rays.t_max[i * rays.t_max_stride]):
+                store_int(live, place, i)
+                place += 1
+        counts[item] = place - item * size
 
-    return specialised_kernel(mark_pairs)
+    return specialised_kernel(list_live)

@@ -7,7 +7,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import kept, launch, specialise
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Corners, Record, TriangleBlocks
+from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, TriangleBlocks, load_corners
 
 exact_module(__name__)
 
@@ -15,10 +15,44 @@ CHUNK = 2048
 """Records that are worth a chunk of their own."""
 
 
+@wp.func_native(f"""
+    const int id = primitive.data[slot];
+    float* to = &records.data[(size_t)(slot / width) * components * width + slot % width];
+    if (id < 0) {{
+        for (int c = 0; c < {VERTEX_COMPONENTS}; ++c) to[c * width] = none;
+        return;
+    }}
+    const int* face = (const int*)&faces.data[id];
+    for (int corner = 0; corner < 3; ++corner) {{
+        const float* from = (const float*)&vertices.data[face[corner]];
+        for (int axis = 0; axis < 3; ++axis) to[(3 * corner + axis) * width] = from[axis];
+    }}
+""")
+def copy_corners(
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array(dtype=wp.vec3i),
+    primitive: wp.array(dtype=int),
+    slot: int,
+    width: int,
+    components: int,
+    none: float,
+    records: wp.array(dtype=float),
+):
+    """Writes the vertices of a record; `none` for those of an unused lane. Warp's indexing would take most of the time."""
+    ...
+
+
+@wp.func_native("records.data[(size_t)(slot / width) * components * width + component * width + slot % width] = value;")
+def store_component(records: wp.array(dtype=float), slot: int, width: int, components: int, component: int, value: float):
+    """Writes a component of a record."""
+    ...
+
+
 @cache
 def make_kernel(record: Record) -> wp.Kernel:
     """The kernel that writes records of one kind."""
     derive, own, components = record.derive, record.own, record.components
+    corners_of = load_corners(components)
 
     def pack_records(
         first: int,
@@ -30,25 +64,11 @@ def make_kernel(record: Record) -> wp.Kernel:
         records: wp.array(dtype=float),
     ):
         slot = first + wp.tid()
-        triangle = primitive[slot]
-        corners = Corners()
-        corners.a = wp.vec3(wp.nan, wp.nan, wp.nan)
-        corners.b = corners.a
-        corners.c = corners.a
-        if triangle >= 0:
-            face = faces[triangle]
-            corners.a = vertices[face[0]]
-            corners.b = vertices[face[1]]
-            corners.c = vertices[face[2]]
-        at = (slot / width) * wp.static(components) * width + slot % width
-        for axis in range(3):
-            records[at + axis * width] = corners.a[axis]
-            records[at + (3 + axis) * width] = corners.b[axis]
-            records[at + (6 + axis) * width] = corners.c[axis]
+        copy_corners(vertices, faces, primitive, slot, width, wp.static(components), wp.nan, records)
         if wp.static(own > 0):
-            values = derive(corners, origin)
+            values = derive(corners_of(records, slot, width), origin)
             for c in range(wp.static(own)):
-                records[at + (wp.static(VERTEX_COMPONENTS) + c) * width] = values[c]
+                store_component(records, slot, width, wp.static(components), wp.static(VERTEX_COMPONENTS) + c, values[c])
 
     return specialised_kernel(pack_records)
 
