@@ -177,6 +177,8 @@ class KdTree:
         width: triangles per block.
         stats: time and memory of the build.
         built_costs: (nodes,) cost of each subtree when it was built, if it was computed (`wrt.builders.rebuild_heuristic`).
+        layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`.
+        pairs: (nodes,) vec2i, the same nodes in pairs, in the order of the layout; None if that is the builders' own.
     """
 
     nodes: wp.array
@@ -186,15 +188,28 @@ class KdTree:
     width: int
     stats: BuildStats
     built_costs: np.ndarray | None = None
+    layout: str = "depth_first"
+    pairs: wp.array | None = None
 
     @property
     def bytes(self) -> int:
         """Bytes of nodes and leaf lists, without the triangle records."""
-        return self.nodes.capacity + self.primitive.capacity
+        pairs = 0 if self.pairs is None else self.pairs.capacity
+        return self.nodes.capacity + self.primitive.capacity + pairs
 
     def struct(self) -> KdNodes:
         """The tree for a traversal kernel. Do not modify it."""
         return self._struct
+
+    def paired_struct(self) -> KdNodes:
+        """The tree for a traversal kernel of nodes in pairs, which the tree must have. Do not modify it."""
+        return self._paired_struct
+
+    @cached_property
+    def _paired_struct(self) -> KdNodes:
+        tree = KdNodes()
+        tree.nodes, tree.low, tree.high = self.pairs, self.low, self.high
+        return tree
 
     @cached_property
     def _struct(self) -> KdNodes:
@@ -208,7 +223,8 @@ class KdTree:
         """The tree on another device; the tree itself if it is already there."""
         if device == self.nodes.device:
             return self
-        return replace(self, nodes=self.nodes.to(device), primitive=self.primitive.to(device))
+        pairs = None if self.pairs is None else self.pairs.to(device)
+        return replace(self, nodes=self.nodes.to(device), primitive=self.primitive.to(device), pairs=pairs)
 
 
 @dataclass

@@ -67,6 +67,23 @@ def check_kdtree(tree: KdTree) -> None:
         below, depth = np.concatenate([below + 1, second[below] >> 2]), depth + 1
         if depth > MAX_TREE_DEPTH or len(below) > count:
             raise ValueError(f"a leaf is deeper than {MAX_TREE_DEPTH}, or has two parents")
+    if tree.pairs is not None:
+        check_pairs(tree.nodes.numpy(), tree.pairs.numpy())
+
+
+def check_pairs(nodes: np.ndarray, pairs: np.ndarray) -> None:
+    """Checks that nodes in pairs are those of a valid tree, whatever their order."""
+    level, places = np.array([0]), np.array([0])
+    while len(level):
+        if places.min() < 0 or places.max() + 1 > len(pairs):
+            raise ValueError("a pair of nodes does not exist")
+        leaf = nodes[level, 1] & 3 == LEAF
+        same = nodes[level, 0] == pairs[places, 0], (nodes[level, 1] ^ pairs[places, 1]) & np.where(leaf, -1, 3) == 0
+        if not np.logical_and(*same).all():
+            raise ValueError("nodes in pairs are not those of the tree")
+        level, places = level[~leaf], places[~leaf]
+        left = pairs[places, 1] >> 2
+        level, places = np.concatenate([level + 1, nodes[level, 1] >> 2]), np.concatenate([left, left + 1])
 
 
 def check_leaves(first_block: np.ndarray, triangles: np.ndarray, tree: Bvh | KdTree) -> None:

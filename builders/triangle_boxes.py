@@ -75,6 +75,18 @@ class TriangleBoxes:
         """Longest side of the box of all triangles."""
         return float((self.high - self.low).max())
 
+    @property
+    def mean_area(self) -> float:
+        """Mean area of the triangles, in float64; 0 if there are none.
+
+        Raises:
+            ValueError: the boxes are not those of triangles.
+        """
+        if self.vertices is None or self.faces is None:
+            raise ValueError("areas need triangles, and these boxes have none; build with cost_model='surface_area'")
+        a, b, c = (self.vertices.numpy()[self.faces.numpy()[:, k]].astype(np.float64) for k in range(3))
+        return float(0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).mean()) if self.count else 0.0
+
 
 def triangle_boxes(
     vertices: wp.array,

@@ -12,6 +12,9 @@ pairs), and differ in the order of the pairs:
     subtrees        a cache line, 64 bytes, holds the upper part of a subtree: the pair of its root's children, their pairs, and
                     so on level by level while there is room, here four pairs. The subtrees below begin new lines. Lines are not
                     shared, and not all are full
+    pages           the same with 4096 bytes, 256 pairs, and without gaps: small subtrees share a page
+    van_emde_boas   the upper half of the levels, then each subtree below, left to right; and every part again in this order
+                    (Prokop 1999). So for any size of a line or a page, a path meets few of them
 
 **What we changed.** Havran's nodes have two pointers; here both children share one, so a line holds twice as many.
 
@@ -20,6 +23,7 @@ pairs), and differ in the order of the pairs:
 
 References:
     V. Havran: Heuristic ray shooting algorithms. PhD thesis, Czech Technical University in Prague, 2001.
+    H. Prokop: Cache-oblivious algorithms. M.Sc. thesis, Massachusetts Institute of Technology, 1999.
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 2.2).
 """
 
@@ -32,12 +36,19 @@ import warp as wp
 
 from wrt.builders.kdtree.kdtree_statistics import UnpackedKdTree, unpack
 from wrt.builders.tree import KdTree
+from wrt.kernels.layout.kdtree_nodes import LEAF
 
 LINE = 64
 """Bytes of a cache line."""
 
 PAIRS = 4
 """Pairs of nodes in a cache line."""
+
+PAGE_PAIRS = 256
+"""Pairs of nodes in a page of 4096 bytes."""
+
+NATIVE = "depth_first"
+"""The order in which builders write nodes; in that order a left child needs no index, and nodes are not in pairs."""
 
 
 def place_randomly(tree: UnpackedKdTree) -> np.ndarray:
@@ -65,10 +76,21 @@ def in_order(tree: UnpackedKdTree, inner: np.ndarray) -> np.ndarray:
 
 
 def place_subtrees(tree: UnpackedKdTree) -> np.ndarray:
-    """The upper parts of subtrees, one per line. The first line begins with the root, which takes the place of a pair."""
+    """The upper parts of subtrees, one per line."""
+    return place_parts(tree, PAIRS, gaps=True)
+
+
+def place_pages(tree: UnpackedKdTree) -> np.ndarray:
+    """The upper parts of subtrees, as large as a page at most, without gaps."""
+    return place_parts(tree, PAGE_PAIRS, gaps=False)
+
+
+def place_parts(tree: UnpackedKdTree, size: int, gaps: bool) -> np.ndarray:
+    """The upper parts of subtrees, of at most so many pairs. The first part begins with the root, which takes the place of a
+    pair. gaps: whether every part takes the room of a full one."""
     place = np.zeros(len(tree.axis), dtype=np.int64)
     left, right, leaf = tree.left.tolist(), tree.right.tolist(), tree.is_leaf.tolist()
-    stack, first, room = [] if leaf[0] else [0], 1, PAIRS - 1
+    stack, first, room = [] if leaf[0] else [0], 1, size - 1
     while stack:
         below = deque([stack.pop()])
         taken = 0
@@ -78,8 +100,35 @@ def place_subtrees(tree: UnpackedKdTree) -> np.ndarray:
             taken += 1
             below.extend(child for child in (left[node], right[node]) if not leaf[child])
         stack += reversed(below)
-        first, room = first + room, PAIRS
+        first, room = first + (room if gaps else taken), size
     return place
+
+
+def place_van_emde_boas(tree: UnpackedKdTree) -> np.ndarray:
+    """The recursive order of Prokop 1999: a sort by where each division of the levels puts a node."""
+    inner = np.flatnonzero(~tree.is_leaf)
+    levels = int(tree.depth[inner].max()) + 1 if len(inner) else 0
+    begin, end = np.zeros(levels, dtype=np.int64), np.full(levels, levels)  # of each level's part of the levels
+    depth, keys = tree.depth[inner], []
+    while (end - begin > 1).any():
+        middle = (begin + end) // 2
+        below = np.arange(levels) >= middle
+        key = np.zeros(len(inner), dtype=np.int64)
+        for at in np.unique(middle[below & (end - begin > 1)]):
+            own = (middle[depth] == at) & below[depth]
+            key[own] = 1 + ancestors(tree, int(at))[inner[own]]
+        keys.append(key)
+        begin, end = np.where(below & (end - begin > 1), middle, begin), np.where(below | (end - begin <= 1), end, middle)
+    return in_order(tree, inner[np.lexsort(keys[::-1])] if keys else inner)
+
+
+def ancestors(tree: UnpackedKdTree, level: int) -> np.ndarray:
+    """(nodes,) the ancestor of each node on a level, or the node itself; -1 above that level."""
+    found = np.where(tree.depth == level, np.arange(len(tree.depth)), -1)
+    for depth in range(level, int(tree.depth.max())):
+        inner = np.flatnonzero((tree.depth == depth) & ~tree.is_leaf)
+        found[tree.left[inner]] = found[tree.right[inner]] = found[inner]
+    return found
 
 
 LAYOUTS: dict[str, Callable[[UnpackedKdTree], np.ndarray]] = {
@@ -87,6 +136,8 @@ LAYOUTS: dict[str, Callable[[UnpackedKdTree], np.ndarray]] = {
     "breadth_first": place_breadth_first,
     "depth_first": place_depth_first,
     "subtrees": place_subtrees,
+    "pages": place_pages,
+    "van_emde_boas": place_van_emde_boas,
 }
 """Name -> (tree) -> (nodes,) position of each inner node's left child, an even number from 2 on; the root is at 0."""
 
@@ -109,6 +160,29 @@ def lay_out(tree: KdTree, layout: str) -> KdTree:
     lines = -(-(int(index.max()) + 2) * 8 // LINE)
     nodes = aligned(lines * LINE // 8)
     nodes.numpy()[index] = moved
+    return replace(tree, nodes=nodes)
+
+
+def with_layout(tree: KdTree, layout: str) -> KdTree:
+    """The tree with a second copy of its nodes in an order of `LAYOUTS`; itself if that is the order of builders.
+
+    Raises:
+        ValueError: unknown layout.
+    """
+    if layout == NATIVE:
+        return tree
+    return replace(tree, layout=layout, pairs=lay_out(tree, layout).nodes)
+
+
+def in_records(tree: KdTree, words: int) -> KdTree:
+    """A tree in pairs with its nodes in records of so many words of 8 bytes, of which a node takes the first: for measurements
+    of what pointers in nodes cost. It needs traversals compiled for such records."""
+    packed = tree.nodes.numpy()
+    nodes = aligned(len(packed) * words)
+    spread = packed.copy()
+    inner = packed[:, 1] & 3 != LEAF
+    spread[inner, 1] = (packed[inner, 1] >> 2) * words << 2 | packed[inner, 1] & 3
+    nodes.numpy()[::words] = spread
     return replace(tree, nodes=nodes)
 
 

@@ -46,7 +46,11 @@ class KdTreeBuilder:
         clips: whether it clips triangles to cells if the config asks for it.
         least_cost: whether it finds the plane of least cost in a node of few triangles, among all planes at which a box begins
             or ends. If not, it chooses planes by another rule and leaves only the decision to stop to the cost.
-        chooses_axes: whether it searches the axes that the config names (`searched_axes`); the others search what they search.
+        any_cost: whether it evaluates a plane once, with its final counts, so that the cost need not increase with them
+            (`wrt.builders.cost.COST_MODELS`).
+        cuts_early: whether it cuts off large empty slabs first if the config asks for it.
+        clusters: whether it splits the first levels at medians if the config asks for it.
+        chooses_axes: whether it takes adaptive samples: on the axes, and in as many scans, as the config says.
         start: (boxes, config, device of the rays) -> a tree that is built on demand; None if the tree is built at once.
     """
 
@@ -56,6 +60,9 @@ class KdTreeBuilder:
     most_triangles: int = MAX_INDEX
     clips: bool = False
     least_cost: bool = False
+    any_cost: bool = False
+    cuts_early: bool = False
+    clusters: bool = False
     chooses_axes: bool = False
     start: Callable[[TriangleBoxes, KdTreeConfig, wp.Device], lazy.LazyKdTree] | None = None
 
@@ -76,7 +83,9 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             "Shevtsov, Soupikov, Kapustin: Highly parallel fast KD-tree construction (2007)",
             binned.build,
             clips=True,
+            clusters=True,
             least_cost=True,
+            any_cost=True,
         ),
         KdTreeBuilder(
             "streaming",
@@ -91,6 +100,8 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             adaptive_sampling.build,
             clips=True,
             least_cost=True,
+            any_cost=True,
+            cuts_early=True,
             chooses_axes=True,
         ),
         KdTreeBuilder(
@@ -101,16 +112,34 @@ KDTREE_BUILDERS: dict[str, KdTreeBuilder] = {
             least_cost=True,
             start=lazy.start,
         ),
-        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True, least_cost=True),
-        KdTreeBuilder("sorting_sweep", f"{WALD_HAVRAN}, O(N log^2 N)", sorting_sweep.build, clips=True, least_cost=True),
-        KdTreeBuilder("naive", f"{WALD_HAVRAN}, O(N^2)", naive.build, most_triangles=5000, clips=True, least_cost=True),
+        KdTreeBuilder("sweep", f"{WALD_HAVRAN}, O(N log N)", sweep.build, clips=True, least_cost=True, cuts_early=True),
+        KdTreeBuilder(
+            "sorting_sweep",
+            f"{WALD_HAVRAN}, O(N log^2 N)",
+            sorting_sweep.build,
+            clips=True,
+            least_cost=True,
+            any_cost=True,
+            cuts_early=True,
+        ),
+        KdTreeBuilder(
+            "naive",
+            f"{WALD_HAVRAN}, O(N^2)",
+            naive.build,
+            most_triangles=5000,
+            clips=True,
+            least_cost=True,
+            any_cost=True,
+            cuts_early=True,
+        ),
         KdTreeBuilder(
             "between_medians",
             "MacDonald, Booth: Heuristics for ray tracing using space subdivision (1990)",
             between_medians.build,
             clips=True,
+            cuts_early=True,
         ),
-        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial, clips=True),
-        KdTreeBuilder("object_median", FUSSELL, medians.build_object, clips=True),
+        KdTreeBuilder("spatial_median", FUSSELL, medians.build_spatial, clips=True, cuts_early=True),
+        KdTreeBuilder("object_median", FUSSELL, medians.build_object, clips=True, cuts_early=True),
     )
 }

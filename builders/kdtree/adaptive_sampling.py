@@ -9,6 +9,11 @@ divide it evenly. A second scan counts at all 16 samples, on all axes or on the 
 Between two samples C_L and C_R are interpolated linearly. The areas of both sides are linear too, so the cost is a quadratic,
 whose minimum is tried along with the samples. Nodes of at most 36 triangles are searched exactly (`exact_planes`).
 
+**More scans.** Between two samples, C_L is at least that of the first, and C_R at least that of the second, so the cost is at
+least that of a split with these counts and without the slab in between. Intervals in which it exceeds the least known cost are
+eliminated, and 16 samples are taken in the others, again and again (`KdTreeConfig.resamplings`; Rahikainen 2013, section 4.2,
+after Popov et al. 2006, who propose it and did not need it).
+
 **Data.** One list of references per node (`reference_lists`).
 
 **Phases** of a node: `method`. Search: `place_samples`, `count_samples` and `search_axis` for each axis searched. Classify and
@@ -20,16 +25,21 @@ partition: one pass over the references.
 space, are candidate planes too. The quadratic ignores that leaves are counted in blocks; the cost of its minimum does not.
 
 References:
+    S. Popov, J. Guenther, H.-P. Seidel, P. Slusallek: Experiences with streaming construction of SAH KD-trees.
+        IEEE Symposium on Interactive Ray Tracing 2006.
     W. Hunt, W. R. Mark, G. Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic.
         IEEE Symposium on Interactive Ray Tracing 2006.
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
+from functools import cache
+
 import warp as wp
 
-from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split
-from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, cheaper_split, no_split, plane_cost
+from wrt.builders.kdtree.kdtree_config import MOST_RESAMPLINGS, KdTreeConfig
 from wrt.builders.kdtree.medians import longest_axis
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count, bin_range, make_binning
@@ -52,6 +62,9 @@ UNIFORM = wp.constant(8)
 
 SAMPLES = wp.constant(16)
 """Samples along an axis; the second scan compares a box with all of them at once."""
+
+INTERVALS = wp.constant((MOST_RESAMPLINGS + 1) * 16)
+"""Room for the intervals of an axis: 17 after the second scan, and 16 more after every other one if none is eliminated."""
 
 
 @wp.func
@@ -156,6 +169,77 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
 
 
 @wp.func
+def right_of_sample(lists: ReferenceLists, number: int, frame: Frame, at: int, i: int):
+    """Triangles to the right of a counted sample; those in its plane are on the right."""
+    left = bin_count(lists.counter, number, at + i)
+    return wp.max(bin_count(lists.counter, number, at + SAMPLES + i), frame.triangles - left)
+
+
+@wp.func
+def least_between(cost: SplitCost, along: AxisFrame, low: float, high: float, left: int, right: int):
+    """A lower bound of the cost of planes between two samples: the cost of a split without the slab in between.
+
+    left: triangles on the left of the lower sample. right: those on the right of the upper one."""
+    thin = along
+    thin.high = along.high - (high - low)
+    return plane_cost(cost, thin, low, left, right)
+
+
+@wp.func
+def resample(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, at: int, best: Split):
+    """The better of `best` and the planes of further scans along an axis whose samples have been placed and counted."""
+    along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+    low = wp.zeros(shape=(INTERVALS,), dtype=float)
+    high = wp.zeros(shape=(INTERVALS,), dtype=float)
+    left = wp.zeros(shape=(INTERVALS,), dtype=int)
+    right = wp.zeros(shape=(INTERVALS,), dtype=int)
+    count = int(SAMPLES + 1)
+    low[0] = frame.inner_low[axis]
+    left[0] = 0
+    for i in range(SAMPLES):
+        high[i] = lists.value[number, i]
+        right[i] = right_of_sample(lists, number, frame, at, i)
+        low[i + 1] = lists.value[number, i]
+        left[i + 1] = bin_count(lists.counter, number, at + i)
+    high[SAMPLES] = frame.inner_high[axis]
+    right[SAMPLES] = 0
+    for _scan in range(1, lists.rules.resamplings):
+        kept = int(0)
+        for i in range(count):
+            bound = least_between(cost, along, low[i], high[i], left[i], right[i])
+            if low[i] < high[i] and (bound < best.cost or cost.occluder > 0.0):
+                low[kept] = low[i]
+                high[kept] = high[i]
+                left[kept] = left[i]
+                right[kept] = right[i]
+                kept += 1
+        if kept == 0:
+            break
+        for j in range(SAMPLES):  # sample j is in interval j * kept / 16, in equal steps with the others there
+            i = j * kept / SAMPLES
+            begin = (i * SAMPLES + kept - 1) / kept
+            end = ((i + 1) * SAMPLES + kept - 1) / kept
+            lists.value[number, j] = low[i] + (high[i] - low[i]) * (float(j - begin + 1) / float(end - begin + 1))
+        count_samples(lists, number, frame.first[0], frame.triangles, axis, at)
+        count = kept
+        for j in range(SAMPLES):
+            i = j * kept / SAMPLES
+            position = lists.value[number, j]
+            on_left = bin_count(lists.counter, number, at + j)
+            on_right = right_of_sample(lists, number, frame, at, j)
+            best = cheaper_split(cost, along, position, on_left, on_right, False, best)
+            # the sample divides the rest of its interval: the part before it is added, the part behind it remains
+            low[count] = low[i]
+            left[count] = left[i]
+            high[count] = position
+            right[count] = on_right
+            low[i] = position
+            left[i] = on_left
+            count += 1
+    return best
+
+
+@wp.func
 def sample_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
     """The best of `best` and the planes of one axis, after the first scan."""
     at = 6 * lists.rules.bins  # the second scan's counts lie behind those of the first
@@ -165,30 +249,44 @@ def sample_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
 
 
 @wp.func
-def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
-    """The best plane of a node."""
-    if frame.triangles <= EXACT:
-        return search_exactly(cost, lists, number, frame)
-    bins = lists.rules.bins
-    bin_range(lists.reference, frame.first[0], frame.triangles, 1, make_binning(frame, bins), lists.counter, number)
-    best = no_split()
-    longest = longest_axis(frame)
-    if frame.triangles >= lists.rules.longest_from:
-        best = sample_axis(cost, lists, number, frame, longest, best)
-    if best.cost == INFINITY:
-        for axis in range(3):
-            best = sample_axis(cost, lists, number, frame, axis, best)
-    return best
+def sample_axis_again(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame, axis: int, best: Split):
+    """`sample_axis` with further scans."""
+    best = sample_axis(cost, lists, number, frame, axis, best)
+    return resample(cost, lists, number, frame, axis, 6 * lists.rules.bins, best)
+
+
+@cache
+def searching(sample: wp.Function) -> wp.Function:
+    """The search of `Method`; sample: of one axis, after the first scan of all of them."""
+
+    @wp.func
+    def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+        """The best plane of a node."""
+        if frame.triangles <= EXACT:
+            return search_exactly(cost, lists, number, frame)
+        bins = lists.rules.bins
+        bin_range(lists.reference, frame.first[0], frame.triangles, 1, make_binning(frame, bins), lists.counter, number)
+        best = no_split()
+        longest = longest_axis(frame)
+        if frame.triangles >= lists.rules.longest_from:
+            best = sample(cost, lists, number, frame, longest, best)
+        if best.cost == INFINITY:
+            for axis in range(3):
+                best = sample(cost, lists, number, frame, axis, best)
+        return best
+
+    return search
 
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
+    search = searching(sample_axis if config.resamplings == 1 else sample_axis_again)
     return Method(
         memory=ReferenceLists,
-        search=search,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
         stop=stop,
         classify=in_partition,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )

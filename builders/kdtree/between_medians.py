@@ -30,6 +30,7 @@ from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_split, no_sp
 from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.kdtree_bins import bin_count
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
@@ -86,10 +87,10 @@ def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
     return Method(
         memory=ReferenceLists,
-        search=search,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
         stop=stop,
         classify=in_partition,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )

@@ -14,11 +14,13 @@ over the references.
 
 **Complexity.** O(N) per level, with sequential memory access only.
 
-**What we changed.** The paper first divides the scene into regions of equal triangle counts, one per thread. This balances the
-load and costs tracing speed (it traces at 70 % of the exact tree's speed). Here the top is split by cost, in parallel over its
-triangles. The bins divide the box of a node's triangles, not the node's own box, so its faces are candidate planes too, and
-empty space is cut off exactly. Triangles are moved as whole references, not as indices. Sampling starts only in nodes large
-enough for reliable counts. The tree is the same for any number of threads, chunks and tasks.
+**What we changed.** The paper first divides the scene into regions of equal triangle counts, one per thread, with 512 bins per
+thread (initial clustering). This balances the load and costs tracing speed (it traces at 70 % of the exact tree's speed). Here
+the top is split by cost, in parallel over its triangles. `KdTreeConfig.median_levels` has the first levels split at medians
+instead; their number, not that of threads, decides on the tree, and bins are counted anew at every level. The bins divide
+the box of a node's triangles, not the node's own box, so its faces are candidate planes too, and empty space is cut off
+exactly. Triangles are moved as whole references, not as indices. Sampling starts only in nodes large enough for reliable
+counts. The tree is the same for any number of threads, chunks and tasks.
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Highly parallel fast KD-tree construction for interactive ray tracing of dynamic
@@ -75,7 +77,7 @@ def method(config: KdTreeConfig) -> Method:
         search=search,
         stop=stop,
         classify=in_partition,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )
@@ -94,5 +96,5 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     threads = get_num_threads()
     large = max(MIN_LARGE, triangles.count // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles.count
-    rules = LevelRules(large, BINS, SAMPLED)
+    rules = LevelRules(large, BINS, SAMPLED, config.median_levels)
     return build_scanning(triangles, config, Scan(method(config), rules, values_for(BINS), split_level=split_level))

@@ -21,8 +21,8 @@ Assembly: `assemble`.
 **What we changed.** The paper builds breadth first while a level has fewer nodes than cores; here until it has several times as
 many, so that tasks balance. Sweeps start from the counts of the preceding chunks, as in the same paper's nested algorithm,
 instead of from a shared counter. The split of a node does not depend on the phase in which it is built, so the tree is the same
-for any number of threads, chunks and tasks. Only tasks clip triangles (`clipped_events`); with clipping, the size of the mesh
-alone decides at which level they begin.
+for any number of threads, chunks and tasks, also if triangles are clipped, in the levels (`clipped_levels`) and in the tasks
+(`clipped_events`).
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -37,7 +37,7 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.cost import AxisFrame, SplitCost
-from wrt.builders.kdtree.events.clipped_events import arrays_of, lists_for, partition_clipping
+from wrt.builders.kdtree.events.clipped_events import arrays_of, emit_sorted_leaf, lists_for, partition_clipping
 from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
 from wrt.builders.kdtree.events.event_sort import CHUNK, EVENT_CHUNK, Events, emit_events, sorted_events
 from wrt.builders.kdtree.events.sweep_planes import Sweep
@@ -46,6 +46,7 @@ from wrt.builders.kdtree.phases import in_place_levels as level_phase
 from wrt.builders.kdtree.phases import level_members as members_phase
 from wrt.builders.kdtree.phases import task_fill as fill_phase
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.phases.clipped_levels import ClippedReferences, merge_events, name_triangles
 from wrt.builders.kdtree.phases.in_place_levels import LiveNode
 from wrt.builders.kdtree.phases.kdtree_subtrees import (
     Frame,
@@ -69,9 +70,6 @@ Small, because every level that the threads split together costs each of them a 
 LARGEST_SHARE = 1.2
 """Greatest size of a live node at which the build switches to subtrees, in triangles of the mesh per thread: one large subtree
 would keep its thread busy after all others have finished (notebooks/records/2026-11-22-scaling.md)."""
-
-CLIPPED_TRIANGLES = 1 << 12
-"""Triangles of the mesh per live node at which a clipping build switches to subtrees, for any number of threads."""
 
 MAX_LEVELS = 12
 """Levels after which the build switches to subtrees whatever the number of live nodes."""
@@ -110,7 +108,7 @@ class TaskTarget(NamedTuple):
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
-    return build_in_place(triangles, config, method(config), task_target(triangles.count, config))
+    return build_in_place(triangles, config, method(config), task_target(triangles.count))
 
 
 def method(config: KdTreeConfig) -> Method:
@@ -120,16 +118,14 @@ def method(config: KdTreeConfig) -> Method:
         search=search,
         stop=stop,
         classify=classify,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
+        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
     )
 
 
-def task_target(count: int, config: KdTreeConfig) -> TaskTarget:
+def task_target(count: int) -> TaskTarget:
     """Tasks that balance the load of the threads."""
-    if config.split_clipping:  # which levels clip is not to depend on the threads
-        return TaskTarget(count // CLIPPED_TRIANGLES, count)
     threads = get_num_threads()
     return TaskTarget(max(threads, min(4 * threads, MIN_TASKS)), int(LARGEST_SHARE * count / threads))
 
@@ -137,7 +133,8 @@ def task_target(count: int, config: KdTreeConfig) -> TaskTarget:
 def build_in_place(triangles: TriangleBoxes, config: KdTreeConfig, method: Method, target: TaskTarget) -> KdTree:
     """Builds the tree; levels are split together until the live nodes meet the target. method: what tasks do with a node."""
     builder = InPlaceBuilder(triangles, config)
-    load((*KERNELS, specialise(make_build_subtrees, method)), builder.device)
+    clipping = (merge_events,) if config.tests_nodes else ()
+    load((*KERNELS, *clipping, specialise(make_build_subtrees, method)), builder.device)
     with builder.phase("sort"):
         events = sorted_events(triangles)
     with builder.phase("top levels"):
@@ -167,6 +164,8 @@ class InPlaceBuilder:
         self.limits: StopLimits = config.stop.limits(triangles.count, triangles.size)
         self.width = config.cost.width
         self.phase = Phases(self.device)
+        self.parts = ClippedReferences(triangles, config.split_clipping) if config.tests_nodes else None
+        """What is classified in place of triangles, if they are clipped."""
         self.levels: list[np.ndarray] = []
         """Live nodes of each level so far."""
         root = LiveNode()
@@ -174,6 +173,11 @@ class InPlaceBuilder:
         root.high = wp.vec3(*triangles.high)
         root.triangles = triangles.count
         self.live = array_of_structs([root], LiveNode, self.device)
+
+    @property
+    def count(self) -> int:
+        """Triangles, or references to them."""
+        return self.parts.count if self.parts else self.triangles.count
 
     def run(self, kernel: wp.Kernel, count: int, *inputs: object, chunk: int = 1) -> None:
         """Launches a kernel on the build's device."""
@@ -189,9 +193,12 @@ class InPlaceBuilder:
             self.search(events, membership)
             self.stop()
             children, open_nodes, largest = self.emit()
-            membership = self.classify(membership)
+            parts, parents = self.parts, self.live
+            membership = parts.classify(events, membership, parents) if parts else self.classify(membership)
             self.levels.append(self.live.numpy())
             self.live = children
+            if parts:
+                self.count_members(membership)
         self.count_members(membership)
         self.levels.append(self.live.numpy())
         return membership
@@ -199,9 +206,9 @@ class InPlaceBuilder:
     def count_members(self, membership: Membership) -> None:
         """Sets the triangle counts of the last level's nodes to the actual numbers, because what is copied to them must fit.
         The counts of a sweep may differ if there is NaN."""
-        chunks = -(-self.triangles.count // CHUNK)
+        chunks = -(-self.count // CHUNK)
         self.members = wp.empty((chunks, len(self.live)), dtype=int, device=self.device)
-        self.run(fill_phase.count_task_triangles, chunks, self.triangles.count, membership, self.members)
+        self.run(fill_phase.count_task_triangles, chunks, self.count, membership, self.members)
         self.run(fill_phase.total_triangles, len(self.live), self.members, self.live, chunk=64)
 
     def search(self, events: Events, membership: Membership) -> None:
@@ -271,7 +278,7 @@ class InPlaceBuilder:
         self, events: Events, membership: Membership, tasks: wp.array, lists: EventLists, frames: wp.array
     ) -> None:
         """Copies triangles and events to their tasks."""
-        count, device = self.triangles.count, self.device
+        count, device = self.count, self.device
         chunks = -(-count // CHUNK)
         places = wp.empty((chunks, len(tasks)), dtype=int, device=device)
         local = Membership()
@@ -279,6 +286,8 @@ class InPlaceBuilder:
         local.shared = wp.empty(len(membership.shared), dtype=int, device=device)
         self.run(fill_phase.scan_task_triangles, len(tasks), tasks, self.members, places, chunk=64)
         self.run(fill_phase.fill_task_triangles, chunks, count, membership, tasks, places, local, lists)
+        if self.parts:
+            self.run(name_triangles, len(lists.triangle), self.parts.triangle, lists.triangle, chunk=CHUNK)
         chunks = cut_events(events, len(tasks))
         places = wp.empty((3, chunks, len(tasks)), dtype=int, device=device)
         self.run(fill_phase.count_task_events, 3 * chunks, events, membership, places)

@@ -19,6 +19,28 @@ SEARCHED_AXES = {
 }
 """The axes on which adaptive samples are taken, by name."""
 
+CELL_TESTS = {
+    "none": "only boxes decide which cells a triangle is in",
+    "leaves": "triangles that do not meet a leaf are removed from the finished tree",
+    "nodes": "triangles that do not meet a node are left out while the tree is built",
+}
+"""Where triangles themselves are tested against cells, by name."""
+
+PRICED, EARLY, LATE, BOTH = "priced", "early", "late", "both"
+EMPTY_SPACE = {
+    PRICED: "planes that cut off empty space cost less, by a factor, and compete with all others",
+    EARLY: "a large empty slab of a node is cut off before other planes are tried",
+    LATE: "empty slabs of the leaves of the finished tree are cut off if that lowers the cost",
+    BOTH: "early and late",
+}
+"""How empty space is cut off, by name. All but the first are in addition to it."""
+
+MOST_RESAMPLINGS = 4
+"""Most scans of a node after the first; each of them leaves fewer intervals."""
+
+MOST_MEDIAN_LEVELS = 12
+"""Most levels that are split at medians."""
+
 MIXED_FROM = 1000
 """Triangles above which only the longest axis is searched with "mixed"."""
 
@@ -33,9 +55,15 @@ class KdTreeConfig:
         axis: key in `AXES`, for builders that split at a median; the others try all axes.
         split_clipping: whether triangles are clipped to the cells that contain them, for builders that support it (`clipping`).
         searched_axes: key in `SEARCHED_AXES`, for the builder that takes adaptive samples.
+        resamplings: scans after the first, 1 to `MOST_RESAMPLINGS`, for the builder that takes adaptive samples.
+        median_levels: levels that are split at the median of the triangles before costs decide, 0 to `MOST_MEDIAN_LEVELS`, for
+            the builder that bins.
+        cell_tests: key in `CELL_TESTS`; builders carry out "nodes", and `wrt.builders.kdtree.finish` "leaves".
+        empty_space: key in `EMPTY_SPACE`; builders carry out "early", and `wrt.builders.kdtree.finish` "late".
 
     Raises:
-        ValueError: unknown axis or axes.
+        ValueError: a number out of its range, unknown axis or axes, tests of cells or way to cut off empty space, or tests of
+            cells in addition to clipping.
     """
 
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
@@ -43,12 +71,35 @@ class KdTreeConfig:
     axis: str = LONGEST
     split_clipping: bool = False
     searched_axes: str = ALL_AXES
+    resamplings: int = 1
+    median_levels: int = 0
+    cell_tests: str = "none"
+    empty_space: str = PRICED
 
     def __post_init__(self) -> None:
         if self.axis not in AXES:
             raise ValueError(f"axis is {self.axis!r}; choose from {', '.join(AXES)}")
         if self.searched_axes not in SEARCHED_AXES:
             raise ValueError(f"searched_axes is {self.searched_axes!r}; choose from {', '.join(SEARCHED_AXES)}")
+        for name, most, least in (("resamplings", MOST_RESAMPLINGS, 1), ("median_levels", MOST_MEDIAN_LEVELS, 0)):
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"{name} is {getattr(self, name)}; it must be from {least} to {most}")
+        if self.cell_tests not in CELL_TESTS:
+            raise ValueError(f"cell_tests is {self.cell_tests!r}; choose from {', '.join(CELL_TESTS)}")
+        if self.empty_space not in EMPTY_SPACE:
+            raise ValueError(f"empty_space is {self.empty_space!r}; choose from {', '.join(EMPTY_SPACE)}")
+        if self.split_clipping and self.cell_tests != "none":
+            raise ValueError("split_clipping tests triangles against all cells already; leave cell_tests out, or clipping off")
+
+    @property
+    def tests_nodes(self) -> bool:
+        """Whether a build tests triangles that straddle a plane against both children's cells."""
+        return self.split_clipping or self.cell_tests == "nodes"
+
+    @property
+    def cuts_early(self) -> bool:
+        """Whether a build cuts off large empty slabs before it searches for planes."""
+        return self.empty_space in (EARLY, BOTH)
 
     @property
     def longest_from(self) -> int:

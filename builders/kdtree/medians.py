@@ -29,6 +29,7 @@ import warp as wp
 
 from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, Sides, emit_leaf, measure_sides, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
@@ -135,10 +136,10 @@ def method(search: wp.Function, config: KdTreeConfig) -> Method:
     """What is done with a node, search aside. `kdtree_subtrees` calls these phases."""
     return Method(
         memory=ReferenceLists,
-        search=search,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
         stop=stop,
         classify=in_partition,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )

@@ -22,6 +22,7 @@ References:
 """
 
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner, in_partition
 from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
@@ -35,10 +36,10 @@ def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
     return Method(
         memory=ReferenceLists,
-        search=search_exactly,
+        search=cutting_early(search_exactly, ReferenceLists) if config.cuts_early else search_exactly,
         stop=stop,
         classify=in_partition,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )

@@ -20,8 +20,8 @@ of `method`, in tasks of one pool, each of which builds a subtree depth first. A
 **What we changed.** The paper makes a task of each node. Here the large nodes of a level are one batch, and its chunks are
 shared among the threads. The paper does not classify in parallel, because marks that threads write share cache lines. Here
 triangles are classified by their boxes, in chunks of a node's list of triangles, so each chunk writes its own range. The tree
-is the same for any number of threads, chunks and tasks. Only tasks clip triangles (`clipped_events`); with clipping, a fixed
-size decides which nodes are tasks.
+is the same for any number of threads, chunks and tasks, also if triangles are clipped, in large nodes (`clipped_event_levels`)
+and in tasks (`clipped_events`).
 
 References:
     B. Choi, R. Komuravelli, V. Lu, H. Sung, R. L. Bocchino, S. V. Adve, J. C. Hart: Parallel SAH k-D tree construction.
@@ -29,11 +29,12 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
-from wrt.builders.kdtree.events.clipped_events import arrays_of, partition_clipping
+from wrt.builders.kdtree.events.clipped_events import arrays_of, emit_sorted_leaf, partition_clipping
 from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
 from wrt.builders.kdtree.events.event_sort import emit_events
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.assembly import assemble, copy_subtrees
+from wrt.builders.kdtree.phases.clipped_event_levels import ClippedEventLevels, merge_lists
 from wrt.builders.kdtree.phases.event_chunks import search_chunks
 from wrt.builders.kdtree.phases.event_levels import EventLevels
 from wrt.builders.kdtree.phases.kdtree_subtrees import Method, build_tasks, emit_inner, make_build_subtrees
@@ -47,9 +48,6 @@ TASKS_PER_THREAD = 2
 MIN_LARGE = 1 << 12
 """Triangles below which a node is not worth more than one thread."""
 
-CLIPPED_LARGE = 1 << 14
-"""The same bound if triangles are clipped, which only tasks do; fixed, so that the tree does not depend on the threads."""
-
 SPARE_MEMORY = 1.5
 """Working memory of a task relative to its own lists; doubled whenever it is too small."""
 
@@ -61,16 +59,14 @@ def method(config: KdTreeConfig) -> Method:
         search=search,
         stop=stop,
         classify=classify,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
+        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
     )
 
 
-def large_node(count: int, config: KdTreeConfig) -> int:
+def large_node(count: int) -> int:
     """Nodes of more triangles are split by all threads."""
-    if config.split_clipping:
-        return CLIPPED_LARGE
     threads = get_num_threads()
     return max(MIN_LARGE, count // (TASKS_PER_THREAD * threads)) if threads > 1 else count
 
@@ -78,9 +74,12 @@ def large_node(count: int, config: KdTreeConfig) -> int:
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     """Builds the tree on the device that holds the boxes."""
     phase = Phases(triangles.boxes.low.device)
-    load((emit_events, search_chunks, copy_subtrees, specialise(make_build_subtrees, method(config))), phase.device)
+    clipping = (merge_lists,) if config.tests_nodes else ()
+    kernels = (emit_events, search_chunks, copy_subtrees, *clipping, specialise(make_build_subtrees, method(config)))
+    load(kernels, phase.device)
     with phase("sort"):
-        levels = EventLevels(triangles, config, large_node(triangles.count, config))
+        kind = ClippedEventLevels if config.tests_nodes else EventLevels
+        levels = kind(triangles, config, large_node(triangles.count))
     with phase("top levels"):
         while levels.any_large():
             levels.search()

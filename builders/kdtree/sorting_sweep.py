@@ -14,7 +14,7 @@ its triangles and their boxes. If triangles are clipped, those that straddle the
 `wrt.builders.tree.stop`, then `partition`, which calls `classify` for each triangle and `clip` for straddlers, and
 `emit_inner`, or `emit_leaf`.
 
-**Complexity.** O(N log^2 N): a sort of O(N log N) at each of O(log N) levels. One thread.
+**Complexity.** O(N log^2 N): a sort at each of O(log N) levels. One thread.
 
 **What we changed.** The algorithm as printed in Rahikainen 2013 (4.1.3) updates N_L only when a plane is the best so far, and
 adds the ends to it. The counts must follow every plane: after the evaluation, N_L grows by the planar and the starting
@@ -36,12 +36,14 @@ import warp as wp
 from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.early_cutting import cut_slab
 from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.tree import BuildStats, KdTree, PathState, StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.boxes import INFINITY
 
 exact_module(__name__)
 
@@ -71,12 +73,16 @@ class Workspace:
     """Lists of the nodes on the path from the root to the current one."""
     box: wp.array(dtype=float)
     """Their boxes, 8 floats each: low, 0, -high, 0."""
+    cutting: bool
+    """Whether large empty slabs are cut off first."""
     clipping: bool
-    """Whether triangles are clipped to cells. The members `vertices`, `faces` and `pad` are for clipping."""
+    """Whether triangles are clipped to cells. The members `vertices`, `faces`, `pad` and `shrinks` are for clipping."""
     vertices: wp.array(dtype=wp.vec3)
     faces: wp.array(dtype=wp.vec3i)
     pad: float
     """Enlargement of cells and boxes, in scene units."""
+    shrinks: bool
+    """Whether clipped triangles get the boxes of their parts."""
     position: wp.array(dtype=float)
     """Events of the current node and axis, in two buffers of equal size for the sort."""
     value: wp.array(dtype=int)
@@ -188,9 +194,24 @@ def sweep_axis(cost: SplitCost, along: AxisFrame, work: Workspace, first: int, e
 
 
 @wp.func
+def cut_early(cost: SplitCost, work: Workspace, node: PendingNode):
+    """The split that cuts off a large empty slab, if there is one (`early_cutting`)."""
+    low, high = wp.vec3(node.high), wp.vec3(node.low)
+    for i in range(node.first, node.first + node.triangles):
+        for axis in range(3):
+            low[axis] = wp.min(low[axis], box_low(work, i, axis))
+            high[axis] = wp.max(high[axis], box_high(work, i, axis))
+    return cut_slab(cost, node.low, node.high, wp.max(low, node.low), wp.min(high, node.high), node.triangles)
+
+
+@wp.func
 def search(cost: SplitCost, work: Workspace, node: PendingNode):
     """The best plane of a node."""
     best = no_split()
+    if work.cutting:
+        best = cut_early(cost, work, node)
+    if best.cost < INFINITY:
+        return best
     for axis in range(3):
         events = list_events(work, node, axis)
         first = merge_sort(work, events)
@@ -349,8 +370,8 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
         work = Workspace()
         work.triangle = wp.empty(capacity, dtype=int, device=device)
         work.box = wp.empty(8 * capacity, dtype=float, device=device)
-        work.clipping = config.split_clipping
-        if config.split_clipping:
+        work.cutting, work.clipping, work.shrinks = config.cuts_early, config.tests_nodes, config.split_clipping
+        if config.tests_nodes:
             work.vertices, work.faces, work.pad = triangles.vertices, triangles.faces, PAD * triangles.size
         work.position = wp.empty(4 * count, dtype=float, device=device)
         work.value = wp.empty(4 * count, dtype=int, device=device)

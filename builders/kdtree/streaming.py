@@ -67,7 +67,7 @@ def method(config: KdTreeConfig) -> Method:
         search=search,
         stop=stop,
         classify=classify,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
         emit_leaf=emit_leaf,
     )

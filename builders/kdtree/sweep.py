@@ -22,10 +22,11 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithms 4.1.4 and 4.1.5).
 """
 
-from wrt.builders.kdtree.events.clipped_events import partition_clipping
+from wrt.builders.kdtree.events.clipped_events import emit_sorted_leaf, partition_clipping
 from wrt.builders.kdtree.events.event_lists import EventLists, classify, emit_leaf, partition, search
 from wrt.builders.kdtree.in_place import TaskTarget, build_in_place
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner
 from wrt.builders.tree import KdTree, stop
 from wrt.builders.triangle_boxes import TriangleBoxes
@@ -36,12 +37,12 @@ def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
     return Method(
         memory=EventLists,
-        search=search,
+        search=cutting_early(search, EventLists) if config.cuts_early else search,
         stop=stop,
         classify=classify,
-        partition=partition_clipping if config.split_clipping else partition,
+        partition=partition_clipping if config.tests_nodes else partition,
         emit_inner=emit_inner,
-        emit_leaf=emit_leaf,
+        emit_leaf=emit_sorted_leaf if config.tests_nodes else emit_leaf,
     )
 
 

@@ -17,6 +17,8 @@ References:
     I. Wald: Realtime ray tracing and interactive global illumination. PhD thesis, Saarland University, 2004 (8-byte node).
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
@@ -68,10 +70,15 @@ def children_depth_first(index: int, node: wp.vec2i):
     return wp.vec2i(index + 1, node[1] >> 2)
 
 
-@wp.func
-def children_in_pairs(index: int, node: wp.vec2i):
-    """Indices of an inner node's children, (lower, upper), if nodes are in pairs."""
-    return wp.vec2i(node[1] >> 2, (node[1] >> 2) + 1)
+@cache
+def children_in_pairs(words: int) -> wp.Function:
+    """`children_depth_first` if nodes are in pairs, and each takes so many words of 8 bytes, of which it is the first."""
+
+    @wp.func
+    def children(index: int, node: wp.vec2i):
+        return wp.vec2i(node[1] >> 2, (node[1] >> 2) + wp.static(words))
+
+    return children
 
 
 @wp.func

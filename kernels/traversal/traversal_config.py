@@ -34,14 +34,15 @@ class StackConfig:
 
 @dataclass(frozen=True)
 class SingleConfig:
-    """Options of the walk of a single ray. Both are for measurements.
+    """Options of the walk of a single ray. The second is for measurements.
 
     Attributes:
-        paired_nodes: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`); for `NEAREST_QUERIES`.
+        pair_words: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`), for `NEAREST_QUERIES`: the
+            words of 8 bytes that a node then takes, 1 but for measurements; 0 for the builders' order.
         scalar_test: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
     """
 
-    paired_nodes: bool = False
+    pair_words: int = 0
     scalar_test: bool = False
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.bench.studies.kdtrees.layout_comparison import compare_layouts, trace_pairs
-from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
+from wrt.bench.studies.kdtrees.layout_comparison import ALLOCATIONS, compare_allocations, compare_layouts, trace_pairs
+from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out, with_layout
 from wrt.builders.kdtree.kdtree_statistics import unpack
+from wrt.builders.tree_check import check_tree
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 
@@ -63,8 +67,81 @@ def test_what_layouts_promise(scene):
         same = line[child] == line[first_of_line]
         assert (same | flat.is_leaf[child]).all()
     assert len(first_of_line) > 100
+    for name, size in (("pages", 256), ("subtrees", 4)):
+        lines, pages = LAYOUTS[name](flat)[inner] // 2, -(-len(inner) // size)
+        assert lines.max() // size + 1 <= (pages + 1 if name == "pages" else len(inner))
     below = [len(np.unique(LAYOUTS[name](flat)[inner])) for name in LAYOUTS]
     assert below == [len(inner)] * len(LAYOUTS)
+
+
+def van_emde_boas(flat, roots: list[int], levels: int) -> list[int]:
+    """The recursive definition: inner nodes of the subtrees below some roots, cut off after so many levels."""
+    found = []
+    for root in roots:
+        if flat.is_leaf[root]:
+            continue
+        if levels == 1:
+            found.append(root)
+            continue
+        upper, below = levels // 2, [root]
+        for _ in range(upper):
+            below = [child for node in below if not flat.is_leaf[node] for child in (flat.left[node], flat.right[node])]
+        found += van_emde_boas(flat, [root], upper) + van_emde_boas(flat, below, levels - upper)
+    return found
+
+
+def test_the_recursive_order(scene):
+    """The order of van Emde Boas is that of its recursive definition."""
+    flat = unpack(scene.tree)
+    inner = np.flatnonzero(~flat.is_leaf)
+    place = LAYOUTS["van_emde_boas"](flat)
+    expected = van_emde_boas(flat, [0], int(flat.depth[inner].max()) + 1)
+    assert inner[np.argsort(place[inner])].tolist() == expected
+
+
+@pytest.mark.parametrize("layout", [name for name in LAYOUTS if name != "depth_first"])
+def test_a_scene_has_its_layout(layout, tmp_path):
+    """Hits of every traversal are those of brute force, counts and updates those of the builder's order; files keep it."""
+    mesh = SCENES["random_triangles"]()
+    made = wrt.Scene(mesh, wrt.KdTree(layout=layout), device="cpu", num_threads=2)
+    made.save(tmp_path / "scene.npz")
+    loaded = wrt.Scene.load(tmp_path / "scene.npz", device="cpu")
+    assert loaded.tree.layout == layout == loaded.state.accelerator.layout
+    np.testing.assert_array_equal(loaded.tree.pairs.numpy(), made.tree.pairs.numpy())
+    assert made.tree.pairs.ptr % 64 == loaded.tree.pairs.ptr % 64 == 0
+    plain = wrt.Scene(mesh, wrt.KdTree(), device="cpu")
+    np.testing.assert_array_equal(made.tree.nodes.numpy(), plain.tree.nodes.numpy())
+    assert made.tree.bytes > plain.tree.bytes
+    rng = np.random.default_rng(3)
+    origins, targets = rng.random((2, 2000, 3)) * 1.2
+    brute = plain.intersect(origins, targets - origins, traversal="brute")
+    for scene in (made, loaded):
+        for count in (2000, 5):  # many rays, and a prepared query
+            hits = scene.intersect(origins[:count], (targets - origins)[:count], traversal="single")
+            np.testing.assert_array_equal(hits.t, brute.t[:count])
+            np.testing.assert_array_equal(hits.primitive_id, brute.primitive_id[:count])
+        dark = scene.occluded(origins, targets - origins, traversal="single")
+        np.testing.assert_array_equal(dark, brute.is_hit)
+    np.testing.assert_array_equal(made.count(origins, targets - origins), plain.count(origins, targets - origins))
+    made.update(0, vertices=mesh.vertices * [1.0, 1.1, 0.9])
+    hits, brute = (made.intersect(origins, targets - origins, traversal=way) for way in ("single", "brute"))
+    np.testing.assert_array_equal(hits.t, brute.t)
+    assert made.tree.layout == layout
+
+
+def test_pairs_in_files_are_checked(scene):
+    """Nodes in pairs that are not the tree's are refused: kernels follow their indices unchecked."""
+    tree = with_layout(scene.tree, "breadth_first")
+    check_tree(tree, scene.triangle_count)
+    for at, value in ((1, 1 << 30), (1, 8 << 2), (5, 3), (4, 7)):
+        pairs = tree.pairs.numpy().copy()
+        pairs.ravel()[at] = value
+        with pytest.raises(ValueError, match="pair"):
+            check_tree(replace(tree, pairs=wp.array(pairs, dtype=wp.vec2i, device="cpu")), scene.triangle_count)
+    with pytest.raises(ValueError, match="'lazy' does not support layout='pages'"):
+        wrt.KdTree(builder="lazy", layout="pages")
+    with pytest.raises(ValueError, match="layout 'none such' is unknown; choose from random"):
+        wrt.KdTree(layout="none such")
 
 
 def test_a_leaf_and_an_unknown_layout():
@@ -73,6 +150,20 @@ def test_a_leaf_and_an_unknown_layout():
         np.testing.assert_array_equal(lay_out(leaf, layout).nodes.numpy()[0], leaf.nodes.numpy()[0])
     with pytest.raises(ValueError, match="choose from random, breadth_first"):
         lay_out(leaf, "none such")
+
+
+def test_cost_of_allocations(scene):
+    """Nodes in larger records are the same tree; the bytes are those of the records."""
+    mesh = scene.meshes[0]
+    figures = compare_allocations(mesh, builder="binned", width=8, rounds=1, size=8)
+    assert [row.layout.split(", ")[1] for row in figures[:3]] == list(ALLOCATIONS)
+    assert figures[0].node_bytes == 7 * figures[2].node_bytes
+    assert figures[0].ratios == {"near": 1.0, "random": 1.0}
+    rays = to_device(Rays(np.zeros((64, 3)), np.random.default_rng(2).normal(size=(64, 3))), scene.device, scene.center)
+    tree = lay_out(scene.tree, "random")
+    found = [trace_pairs(scene, in_records(tree, words), rays, words).t.numpy() for words in ALLOCATIONS.values()]
+    np.testing.assert_array_equal(found[0], found[2])
+    np.testing.assert_array_equal(found[1], found[2])
 
 
 def test_cost_of_a_step(scene):

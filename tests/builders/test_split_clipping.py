@@ -13,6 +13,7 @@ import wrt
 from wrt import scenes
 from wrt.builders.kdtree import KDTREE_BUILDERS, binned, in_place, nested, streaming
 from wrt.builders.kdtree.kdtree_statistics import kdtree_statistics, unpack
+from wrt.builders.kdtree.phases import clipped_levels, event_levels
 from wrt.builders.kdtree.scan import scanning
 from wrt.builders.kdtree.scan.split_clipping import PAD
 from wrt.kernels.runtime.launch import use_threads
@@ -150,8 +151,8 @@ def test_needles_are_crossed_once(builder, far):
     [
         ("binned", binned, "MIN_LARGE"),
         ("adaptive_sampling", scanning, "MIN_LARGE"),
-        ("in_place", in_place, "CLIPPED_TRIANGLES"),
-        ("nested", nested, "CLIPPED_LARGE"),
+        ("in_place", in_place, "MIN_TASKS"),
+        ("nested", nested, "MIN_LARGE"),
         ("streaming", streaming, "EXACT"),
     ],
 )
@@ -184,6 +185,30 @@ def test_merged_events_make_the_naive_tree(name, options):
         tree, _ = build(mesh, builder, split_clipping=True, **options)
         np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
         np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
+
+
+@pytest.mark.parametrize("tests", [{"split_clipping": True}, {"cell_tests": "nodes"}], ids=["clipped", "tested"])
+@pytest.mark.parametrize("name", [name for name in EXACT_CASES if name not in ("stadium", "atrium", "wood")])
+def test_levels_make_the_naive_tree(name, tests, monkeypatch):
+    """Levels of the parallel builds clip too: they once left it to the tasks, which made another tree. The same nodes to the
+    bit, wherever levels end and chunks begin."""
+    mesh = EXACT_CASES[name]()
+    for options in ({}, {"width": 1, "block_cost": 1.5}):
+        reference, _ = build(mesh, "naive", **tests, **options)
+        for threads, tasks, chunk in ((1, 4, 8192), (3, 12, 8192), (2, 40, 50)):
+            monkeypatch.setattr(clipped_levels, "MERGE_CHUNK", chunk)
+            monkeypatch.setattr(in_place, "task_target", lambda count, tasks=tasks: in_place.TaskTarget(tasks, count))
+            with use_threads(threads):
+                tree, _ = build(mesh, "in_place", **tests, **options)
+            np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+            np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
+        for threads, least, chunk in ((2, 50, 8192), (3, 200, 7)):
+            monkeypatch.setattr(event_levels, "CHUNK", chunk)
+            monkeypatch.setattr(nested, "MIN_LARGE", least)
+            with use_threads(threads):
+                tree, _ = build(mesh, "nested", **tests, **options)
+            np.testing.assert_array_equal(tree.nodes.numpy(), reference.nodes.numpy())
+            np.testing.assert_array_equal(leaf_references(tree), leaf_references(reference))
 
 
 @pytest.mark.parametrize(("size", "share"), [(0.1, 0.96), (0.3, 0.55), (0.5, 0.35)])

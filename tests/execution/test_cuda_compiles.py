@@ -55,11 +55,12 @@ from wrt.kernels.triangle.support.block_packing import make_kernel as make_packi
 ARCHITECTURE = 75
 
 WHOLE, CLIPPED = KdTreeConfig(), KdTreeConfig(split_clipping=True)
+SAMPLED_AGAIN = adaptive_sampling.method(KdTreeConfig(resamplings=2, empty_space="early"))
 SCANNING_METHODS = (
     *(builder.method(WHOLE) for builder in (binned, naive, between_medians, adaptive_sampling)),
     *(medians.method(search, WHOLE) for search in (medians.search_space, medians.search_objects)),
 )
-KDTREE_METHODS = (in_place.method(WHOLE), in_place.method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED))
+KDTREE_METHODS = (in_place.method(WHOLE), in_place.method(CLIPPED), *SCANNING_METHODS, binned.method(CLIPPED), SAMPLED_AGAIN)
 
 
 def modules_with_kernels() -> list[str]:

@@ -16,8 +16,9 @@ from wrt.accelerators.ray_aware_bvh import TOP_LEVELS
 from wrt.builders.bvh import BVH_BUILDERS
 from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
 from wrt.builders.convert.node_layouts import LAYOUTS
+from wrt.builders.cost import COST_MODELS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
+from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
@@ -43,6 +44,9 @@ TABLES: dict[str, Iterable[str]] = {
     "Termination": TERMINATIONS,
     "Axes of medians": AXES,
     "Searched axes": SEARCHED_AXES,
+    "Cost models": COST_MODELS,
+    "Tests of cells": CELL_TESTS,
+    "Empty space": EMPTY_SPACE,
     "Layouts": LAYOUTS,
     "Weights of boxes": COSTS,
     "Axes to split": AXIS_CHOICES,
@@ -68,6 +72,10 @@ DEFAULTS = {
     "Termination": wrt.KdTree().termination,
     "Axes of medians": wrt.KdTree().axis,
     "Searched axes": wrt.KdTree().searched_axes,
+    "Cost models": wrt.KdTree().cost_model,
+    "Tests of cells": wrt.KdTree().cell_tests,
+    "Empty space": wrt.KdTree().empty_space,
+    "Layouts": wrt.KdTree().layout,
     "Triangle tests": DEFAULT_TEST,
     "Schedules": DEFAULT_SCHEDULE,
     "Integrators": "path",

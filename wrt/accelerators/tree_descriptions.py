@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, ClassVar
 
 from wrt.tables import lookup
@@ -12,6 +13,7 @@ if TYPE_CHECKING:
 
     from wrt.builders import tree as common
     from wrt.builders.bvh.bvh_config import BvhConfig
+    from wrt.builders.kdtree import KdTreeBuilder
     from wrt.builders.kdtree.kdtree_config import KdTreeConfig
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
@@ -40,10 +42,22 @@ class KdTree:
             Counts and inside tests are then exact for rays that start within about 20 scene sizes of the scene.
         searched_axes: "all", "longest" or "mixed": the axes on which the builder `adaptive_sampling` takes samples: all three,
             the node's longest one, or that in nodes of more than 1,000 triangles. The other builders take "all" only.
+        resamplings: 1 to 4: how often the builder `adaptive_sampling` takes more samples where the least cost may be.
+        median_levels: 0 to 12: how many levels the builder `binned` splits at the median of the triangles, which balances the
+            work of threads and costs tracing speed.
+        cost_model: "surface_area", or "blocking": the cost then takes into account that rays end at triangles
+            (`wrt.builders.cost`). The builders `binned`, `adaptive_sampling`, `sorting_sweep` and `naive` support it.
+        cell_tests: "none", "leaves" or "nodes": whether triangles, and not only their boxes, are tested against the leaves of
+            the finished tree, or against all cells while it is built. `split_clipping` does more than either.
+        empty_space: "priced", "early", "late" or "both": empty space is cut off at a lower price (`empty_factor`); large slabs
+            also before other planes are tried, and slabs of leaves when the tree is finished. `sweep`, `sorting_sweep`,
+            `naive`, `adaptive_sampling` and the builders of medians support "early" and "both".
+        layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`: the order of nodes in memory that the traversal "single"
+            walks for closest and any hits, in a copy beside the builder's own, which is depth first. Saved with a scene.
 
     Raises:
-        ValueError: an unknown builder, axis or termination, a value out of its range, or a builder that does not support
-            clipping or a choice of axes.
+        ValueError: an unknown builder, axis or other name, a value out of its range, or a builder that does not support an
+            option. Trees that are built lazily are never finished, so they take none of the passes of the end.
     """
 
     kind: ClassVar[str] = "kdtree"
@@ -62,18 +76,47 @@ class KdTree:
     axis: str = "longest"
     split_clipping: bool = False
     searched_axes: str = "all"
+    resamplings: int = 1
+    median_levels: int = 0
+    cost_model: str = "surface_area"
+    cell_tests: str = "none"
+    empty_space: str = "priced"
+    layout: str = "depth_first"
 
     def __post_init__(self) -> None:
+        from wrt.builders.convert.node_layouts import LAYOUTS, NATIVE
+        from wrt.builders.cost import COST_MODELS
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
-        if self.split_clipping and not lookup(KDTREE_BUILDERS, self.builder, "builder").clips:
-            able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.clips)
-            raise ValueError(f"builder {self.builder!r} does not support split_clipping; choose from {able}, or leave it off")
-        if self.searched_axes != "all" and not lookup(KDTREE_BUILDERS, self.builder, "builder").chooses_axes:
-            able = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if builder.chooses_axes)
-            raise ValueError(f"builder {self.builder!r} does not support searched_axes; choose from {able}, or leave it out")
         lookup(KDTREE_BUILDERS, self.builder, "builder")
-        self.config(width=8)
+        lookup(LAYOUTS, self.layout, "layout")
+        lookup(COST_MODELS, self.cost_model, "cost_model")
+        config = self.config(width=8)
+        self._require("split_clipping", self.split_clipping, "off", lambda builder: builder.clips)
+        self._require("searched_axes", self.searched_axes != "all", "out", lambda builder: builder.chooses_axes)
+        self._require("resamplings", self.resamplings != 1, "out", lambda builder: builder.chooses_axes)
+        self._require("median_levels", self.median_levels != 0, "out", lambda builder: builder.clusters)
+        self._require(f"cost_model={self.cost_model!r}", self.ends_rays, "out", lambda builder: builder.any_cost)
+        self._require(f"cell_tests={self.cell_tests!r}", self.cell_tests == "nodes", "out", lambda builder: builder.clips)
+        self._require(f"empty_space={self.empty_space!r}", config.cuts_early, "out", lambda builder: builder.cuts_early)
+        for name, plain in (("cell_tests", "none"), ("empty_space", "priced"), ("layout", NATIVE)):
+            value = getattr(self, name)
+            self._require(f"{name}={value!r}", value != plain, "out", lambda builder: builder.start is None)
+        if self.ends_rays and self.mailbox:
+            raise ValueError("cost_model='blocking' does not know mailboxes; leave mailbox off, or cost_model out")
+
+    def _require(self, option: str, wanted: bool, without: str, able: Callable[[KdTreeBuilder], bool]) -> None:
+        """Refuses an option that the builder does not support."""
+        from wrt.builders.kdtree import KDTREE_BUILDERS
+
+        if wanted and not able(KDTREE_BUILDERS[self.builder]):
+            names = ", ".join(name for name, builder in KDTREE_BUILDERS.items() if able(builder))
+            raise ValueError(f"builder {self.builder!r} does not support {option}; choose from {names}, or leave it {without}")
+
+    @property
+    def ends_rays(self) -> bool:
+        """Whether the cost takes into account that rays end."""
+        return self.cost_model == "blocking"
 
     def config(self, width: int) -> KdTreeConfig:
         """The builder's configuration; `width` is used where the description leaves it open."""
@@ -89,13 +132,25 @@ class KdTree:
             mailbox=self.mailbox,
         )
         stop = StopRules(self.max_depth, self.bad_splits, self.termination, self.leaf_triangles, self.least_size)
-        return KdTreeConfig(cost, stop, self.axis, self.split_clipping, self.searched_axes)
+        names = {field.name for field in fields(KdTreeConfig)} - {"cost", "stop"}
+        return KdTreeConfig(cost, stop, **{name: getattr(self, name) for name in names})
+
+    def config_for(self, triangles: TriangleBoxes, width: int) -> KdTreeConfig:
+        """The builder's configuration for a mesh, of which some costs depend on the triangles; width: as in `config`."""
+        config = self.config(width)
+        if not self.ends_rays:
+            return config
+        return replace(config, cost=replace(config.cost, occluder=triangles.mean_area))
 
     def build(self, triangles: TriangleBoxes, width: int) -> common.KdTree:
         """Builds the tree over `triangles`, on their device; `width` is used where the description leaves it open."""
+        from wrt.builders.convert.node_layouts import with_layout
         from wrt.builders.kdtree import KDTREE_BUILDERS
+        from wrt.builders.kdtree.finish.finishing import finish
 
-        return KDTREE_BUILDERS[self.builder].build(triangles, self.config(width))
+        config = self.config_for(triangles, width)
+        tree = finish(KDTREE_BUILDERS[self.builder].build(triangles, config), triangles, config)
+        return with_layout(tree, self.layout)
 
     @property
     def is_lazy(self) -> bool:

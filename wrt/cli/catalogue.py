@@ -29,7 +29,22 @@ PAPERS: dict[str, dict[str, str]] = {
         ("all", "longest", "mixed"),
         "Hunt, Mark, Stoll: Fast kd-tree construction with an adaptive error-bounded heuristic (2006)",
     ),
-    "layouts": dict.fromkeys(("random", "breadth_first", "depth_first", "subtrees"), HAVRAN),
+    "cost models": {
+        "surface_area": "Goldsmith, Salmon (1987); MacDonald, Booth (1990)",
+        "blocking": f"after {HAVRAN}",
+    },
+    "tests of cells": {
+        "none": "Wald, Havran (2006)",
+        **dict.fromkeys(("leaves", "nodes"), "Havran, Bittner: On improving kd-trees for ray shooting (2002)"),
+    },
+    "empty space": {
+        "priced": "Hurley, Kapustin, Reshetov, Soupikov (2002); Wald, Havran (2006)",
+        **dict.fromkeys(("early", "late", "both"), HAVRAN),
+    },
+    "layouts": {
+        **dict.fromkeys(("random", "breadth_first", "depth_first", "subtrees", "pages"), HAVRAN),
+        "van_emde_boas": "Prokop: Cache-oblivious algorithms (1999)",
+    },
     "weights of boxes": {"pah": FALCONE, "sah": "MacDonald, Booth (1990)"},
     "axes to split": dict.fromkeys(("all", "longest", "facing", "in_turn"), FALCONE),
     "finding the area of a ray": dict.fromkeys(("auto", "octree", "array"), FALCONE),
@@ -82,6 +97,8 @@ OTHERS: dict[str, dict[str, str]] = {
         ),
         "wrt.KdTree(mailbox=True)": "Hunt: Corrections to the surface area metric with respect to mail-boxing (2008)",
         "wrt.KdTree(empty_factor=0.8)": "Wald, Havran (2006)",
+        'wrt.KdTree(builder="adaptive_sampling", resamplings=3)': "Popov, Günther, Seidel, Slusallek (2006)",
+        'wrt.KdTree(builder="binned", median_levels=3)': "Shevtsov, Soupikov, Kapustin (2007)",
     },
     "trees for known rays": {
         "wrt.ProjectedBvh": FALCONE,
@@ -140,8 +157,9 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.bvh import BVH_BUILDERS
     from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
     from wrt.builders.convert.node_layouts import LAYOUTS
+    from wrt.builders.cost import COST_MODELS
     from wrt.builders.kdtree import KDTREE_BUILDERS
-    from wrt.builders.kdtree.kdtree_config import AXES, SEARCHED_AXES
+    from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators import INTEGRATORS
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
@@ -166,6 +184,9 @@ def all_tables() -> dict[str, Rows]:
         "axes of medians": named("axes of medians", AXES),
         "searched axes": named("searched axes", SEARCHED_AXES),
         "clipping and costs": others("clipping and costs"),
+        "cost models": named("cost models", COST_MODELS),
+        "tests of cells": named("tests of cells", CELL_TESTS),
+        "empty space": named("empty space", EMPTY_SPACE),
         "layouts": named("layouts", LAYOUTS),
         "trees for known rays": others("trees for known rays"),
         "weights of boxes": named("weights of boxes", COSTS),

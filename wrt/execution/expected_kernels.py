@@ -21,7 +21,7 @@ from wrt.kernels.runtime import board
 from wrt.kernels.runtime.launch import get_num_threads, specialise
 from wrt.kernels.simd.lanes import native_width
 from wrt.planning.packet_sample import sample_kernel
-from wrt.planning.plan import kernel_factory, plan_for_query, traversal_config
+from wrt.planning.plan import config_for_layout, kernel_factory, plan_for_query, traversal_config
 from wrt.planning.planner import choose_plan, situation_of
 from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY
 
@@ -110,7 +110,8 @@ def query_kernels(
     found = []
     for expected in rays:
         plan = plan_for_query(choose_plan(scene, expected, traversal, triangle_test, expected.kind, False), expected.kind)
-        kernel = specialise(kernel_factory(plan, scene), traversal_config(plan, scene, expected.kind, False))
+        config = config_for_layout(traversal_config(plan, scene, expected.kind, False), plan, scene)
+        kernel = specialise(kernel_factory(plan, scene), config)
         found += [kernel, record_kernel(plan)]
         found += [measure_coherence] if expected.count > scene.few_rays else []
         sampled = traversal == AUTO and situation_of(scene, expected, expected.kind).needs_sample

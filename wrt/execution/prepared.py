@@ -27,7 +27,7 @@ from wrt.execution.traversal_launch import HITS, RAYS, TREE, divide, kernel_and_
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
-from wrt.planning.plan import traversal_config, traversal_of
+from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch, prepare_arguments
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.device_hits import DeviceHits, written
@@ -56,7 +56,7 @@ class PreparedQuery:
     def __init__(self, scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> None:
         self.kind, self._plan, self._mesh = kind, plan, scene.device_mesh
         self._walks_single_rays = traversal_of(plan).walks_single_rays
-        self._config = traversal_config(self._plan, scene, kind, False)
+        self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
         device = scene.device
         self._staging = None
         self._relative = layout == STAGED if isinstance(layout, str) else not layout.centered

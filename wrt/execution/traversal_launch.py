@@ -11,7 +11,15 @@ import warp as wp
 from wrt.execution.triangle_records import record_kernel, records_of
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.launch import CHUNKS_PER_THREAD, MAX_CHUNK, Chunks, expect, get_num_threads, kept, launch, specialise
-from wrt.planning.plan import Plan, kernel_factory, stack_levels, traversal_config, traversal_of, walked_tree
+from wrt.planning.plan import (
+    Plan,
+    config_for_layout,
+    kernel_factory,
+    stack_levels,
+    traversal_config,
+    traversal_of,
+    walked_tree,
+)
 
 if TYPE_CHECKING:
     from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -41,7 +49,7 @@ def run_kernel(
     scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str, work: wp.array, counters: bool
 ) -> None:
     """Traces rays through a scene's tree, or ray by ray through its two levels; `work` as of `counter_rows`."""
-    config = traversal_config(plan, scene, query, counters)
+    config = config_for_layout(traversal_config(plan, scene, query, counters), plan, scene)
     kernel, inputs = kernel_and_inputs(scene, plan, config, rays, hits.struct(), work)
     rays.run, items, chunks = divide(scene, plan, config, rays.count)
     launch(kernel, items, inputs, device=scene.device, **asdict(chunks))
@@ -66,7 +74,8 @@ def kernel_and_inputs(
         tree = AllTriangles()
         tree.count, tree.low, tree.high = scene.triangle_count, scene.tree.low, scene.tree.high
     else:
-        tree = walked_tree(plan, scene).struct()
+        walked = walked_tree(plan, scene)
+        tree = walked.paired_struct() if config.single.pair_words else walked.struct()
     kernel = specialise(kernel_factory(plan, scene), config)
     expect([kernel, record_kernel(plan)], scene.device)
     return kernel, [tree, records_of(scene, plan, rays), rays, hits, counters]

@@ -9,7 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from wrt.kernels.runtime.launch import CUDA_BLOCK
 from wrt.kernels.traversal import TRAVERSALS, Traversal
-from wrt.kernels.traversal.traversal_config import PacketConfig, StackConfig, StreamConfig, TraversalConfig
+from wrt.kernels.traversal.traversal_config import (
+    NEAREST_QUERIES,
+    PacketConfig,
+    SingleConfig,
+    StackConfig,
+    StreamConfig,
+    TraversalConfig,
+)
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.state.query_kinds import ANY
 from wrt.state.wide_trees import wide_tree
@@ -129,6 +136,14 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
         plan.cull_backfaces,
         **families,
     )
+
+
+def config_for_layout(config: TraversalConfig, plan: Plan, scene: SceneState) -> TraversalConfig:
+    """The specialisation for the order of the tree's nodes: single rays walk pairs for their nearest hits, if there are any."""
+    alone = not (scene.instances or scene.only_single) and plan.accelerator == "kdtree" and plan.traversal == "single"
+    if alone and config.query in NEAREST_QUERIES and scene.tree.pairs is not None:
+        return replace(config, single=SingleConfig(pair_words=1))
+    return config
 
 
 def stack_levels(depth: int) -> int:

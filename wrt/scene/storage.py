@@ -51,6 +51,9 @@ TREES = {"bvh": Bvh, "kdtree": KdTree}
 NODE_FIELDS = ("parents", "local", "node_of")
 """What a file holds of a scene's graph besides the names of its nodes."""
 
+OPTIONAL = ("layout", "pairs")
+"""Fields of trees that not every file has."""
+
 INSTANCE_FIELDS = ("transform", "mask", "environment")
 """What a file holds of each instance besides the number of its mesh."""
 
@@ -177,7 +180,7 @@ def stored_fields(cls: type) -> list[str]:
 
 def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:
     """The tree's fields as arrays, and its kind."""
-    values = {name: getattr(tree, name) for name in stored_fields(type(tree))}
+    values = {name: getattr(tree, name) for name in stored_fields(type(tree)) if getattr(tree, name) is not None}
     values["kind"] = next(kind for kind, cls in TREES.items() if isinstance(tree, cls))
     values["stats"] = json.dumps(asdict(tree.stats))
     return {name: value.numpy() if isinstance(value, wp.array) else np.array(value) for name, value in values.items()}
@@ -190,14 +193,25 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
         ValueError, KeyError, TypeError, RuntimeError: the arrays are not a tree over this many triangles.
     """
     cls = TREES[str(arrays["kind"])]
-    values: dict[str, Any] = {name: np.array(arrays[name]) for name in stored_fields(cls)}
+    names = [name for name in stored_fields(cls) if name not in OPTIONAL or name in arrays]
+    values: dict[str, Any] = {name: np.array(arrays[name]) for name in names}
     values["stats"] = BuildStats(**json.loads(str(values["stats"])))
     values["width"] = int(values["width"])
     for corner in ("low", "high"):
         values[corner] = wp.vec3(*values[corner].astype(np.float32).tolist())
+    if "layout" in values:
+        values["layout"] = str(values["layout"])
     if "level_first" in values:
         values["level_first"] = tuple(values["level_first"].tolist())
-    for name, dtype in (("nodes", wp.vec2i), ("bounds", wp.float32), ("child", wp.int32), ("primitive", wp.int32)):
+    if "pairs" in values and values["pairs"].dtype == np.int32:
+        values["pairs"] = to_lines(values["pairs"])
+    for name, dtype in (
+        ("nodes", wp.vec2i),
+        ("pairs", wp.vec2i),
+        ("bounds", wp.float32),
+        ("child", wp.int32),
+        ("primitive", wp.int32),
+    ):
         if name in values:
             wanted = np.float32 if name == "bounds" else np.int32
             if values[name].dtype != wanted:
@@ -206,6 +220,15 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     tree = cls(**values)
     check_tree(tree, triangles)
     return tree
+
+
+def to_lines(pairs: np.ndarray) -> np.ndarray:
+    """A copy of nodes in pairs that begins with a cache line, as orders in memory need it."""
+    from wrt.builders.convert.node_layouts import aligned
+
+    copy = aligned(len(pairs)).numpy()
+    copy[:] = pairs
+    return copy
 
 
 def save_scene(scene: SceneState, path: str | Path) -> None:

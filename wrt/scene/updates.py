@@ -139,13 +139,14 @@ class MovedTriangles:
 
 def can_move(accelerator: Accelerator) -> bool:
     """Whether nodes can be kept: not those of lazy trees, or of trees whose leaves list fewer triangles than their boxes
-    meet.
+    meet, whose costs depend on the triangles, or whose nodes are in another order.
     """
     from wrt.accelerators.projected_bvh import ProjectedBvh
     from wrt.accelerators.tree_descriptions import Bvh, KdTree
 
     if isinstance(accelerator, KdTree):
-        return not (accelerator.is_lazy or accelerator.split_clipping)
+        plain = accelerator.cell_tests == "none" and accelerator.layout == "depth_first"
+        return plain and not (accelerator.is_lazy or accelerator.split_clipping or accelerator.ends_rays)
     return isinstance(accelerator, Bvh | ProjectedBvh)
 
 

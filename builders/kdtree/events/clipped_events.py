@@ -15,6 +15,8 @@ for them in its own list, and the appended child leaves as much room as the stra
 of the node. If it straddles most triangles (long ones that overlap), the build sorts at every level, O(N log^2 N).
 
 **What we changed.** Events of one kind at one position have no defined order, because neither planes nor sides depend on it.
+Many parts begin at the plane that clipped them, so leaves list their triangles by id: the order of their starts would depend on
+which of them were clipped in tasks.
 
 **Limits.** The build takes about twice as long, and the gain depends on the scene: large for long slanted triangles, small for
 scanned surfaces (notebooks/records/2026-11-21-split-clipping.md).
@@ -27,10 +29,10 @@ References:
 import warp as wp
 
 from wrt.builders.cost import Split
-from wrt.builders.kdtree.events.event_lists import EventLists
+from wrt.builders.kdtree.events.event_lists import EventLists, emit_leaf
 from wrt.builders.kdtree.events.event_sort import END, PLANAR, START
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation, Task
+from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Parts, Reservation, Task
 from wrt.builders.kdtree.scan.split_clipping import CLIP, PAD
 from wrt.builders.triangle_boxes import TriangleBoxes
 from wrt.builders.triangle_references import ID_OFFSET
@@ -226,6 +228,41 @@ def partition_clipping(lists: EventLists, task: Task, frame: Frame, split: Split
     add_straddlers(lists, task.triangles_first, straddlers, right)
 
 
+@wp.func
+def sort_ids(ids: wp.array(dtype=int), begin: int, count: int):
+    """Sorts a range by heapsort, which needs no memory and is never slow."""
+    start = count / 2
+    end = int(count)
+    while end > 1:
+        if start > 0:
+            start -= 1
+        else:
+            end -= 1
+            greatest = ids[begin]
+            ids[begin] = ids[begin + end]
+            ids[begin + end] = greatest
+        root = int(start)
+        child = 2 * root + 1
+        while child < end:
+            if child + 1 < end and ids[begin + child] < ids[begin + child + 1]:
+                child += 1
+            if ids[begin + root] < ids[begin + child]:
+                sinking = ids[begin + root]
+                ids[begin + root] = ids[begin + child]
+                ids[begin + child] = sinking
+                root = child
+                child = 2 * root + 1
+            else:
+                child = end
+
+
+@wp.func
+def emit_sorted_leaf(lists: EventLists, task: Task, frame: Frame, parts: Parts, begin: int):
+    """`event_lists.emit_leaf`, by id."""
+    emit_leaf(lists, task, frame, parts, begin)
+    sort_ids(parts.primitive, begin, frame.triangles)
+
+
 def lists_for(reservation: Reservation, triangles: TriangleBoxes, config: KdTreeConfig) -> EventLists:
     """The lists of all tasks, still empty and, if clipping is requested, the mesh and scratch memory."""
     device, count = triangles.boxes.low.device, reservation.triangles
@@ -233,9 +270,9 @@ def lists_for(reservation: Reservation, triangles: TriangleBoxes, config: KdTree
     lists.event = wp.empty(reservation.entries, dtype=wp.vec2i, device=device)
     lists.triangle = wp.empty(count, dtype=int, device=device)
     lists.side = wp.empty(count, dtype=wp.uint8, device=device)
-    if config.split_clipping:
+    if config.tests_nodes:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad = PAD * triangles.size
+        lists.pad, lists.shrinks = PAD * triangles.size, config.split_clipping
         lists.number = wp.zeros(count, dtype=int, device=device)
         lists.straddler = wp.empty(16 * count, dtype=float, device=device)
         lists.new_events = wp.empty(4 * count, dtype=wp.vec2i, device=device)

@@ -39,6 +39,8 @@ class EventLists:
     faces: wp.array(dtype=wp.vec3i)
     pad: float
     """Enlargement of cells and boxes for clipping, in scene units."""
+    shrinks: bool
+    """Whether clipped triangles get the boxes of their parts."""
     number: wp.array(dtype=int)
     """Scratch, one per triangle of a task: its number among the node's straddlers."""
     straddler: wp.array(dtype=float)

@@ -90,7 +90,10 @@ class LevelLists:
     triangle: wp.array(dtype=int)
     """Triangle ids, node after node."""
     side: wp.array(dtype=wp.uint8)
-    """Of each of these triangles: 1 left, 2 right, 3 both."""
+    """Of each of these triangles, where its events go: 1 left, 2 right, 3 both; plus 4 times where the triangle goes. They
+    differ if the triangle is clipped, because its parts have events of their own (`clipped_event_levels`)."""
+    right: wp.array(dtype=int)
+    """Of each of these triangles, its id on the right; `triangle`, unless triangles are clipped."""
     child: wp.array(dtype=wp.vec2i)
     """Of each of these triangles: its index within the left child and within the right one, if it is there."""
 
@@ -231,7 +234,7 @@ def classify_triangles(
         if not node.finished:
             triangle = load_int(lists.triangle, i)
             side = side_of(split, boxes.low[split.axis, triangle], boxes.high[split.axis, triangle])
-        store_byte(lists.side, i, wp.uint8(side))
+        store_byte(lists.side, i, wp.uint8(5 * side))
         left += side & 1
         right += side >> 1
     chunk.left = left
@@ -250,7 +253,7 @@ def count_sides(first: int, lists: LevelLists, nodes: wp.array(dtype=EventNode),
     for i in range(chunk.begin, chunk.end):
         side = int(load_byte(lists.side, triangles_first + (load_pair(lists.event, i)[1] >> 2)))
         left += side & 1
-        right += side >> 1
+        right += (side >> 1) & 1
     chunk.left = left
     chunk.right = right
     chunks[index] = chunk
@@ -275,14 +278,13 @@ def move_triangles(
     if not node.finished:
         right_first = children[node.left + 1].triangles_first
     for i in range(chunk.begin, chunk.end):
-        triangle = load_int(lists.triangle, i)
-        side = int(load_byte(lists.side, i))
+        side = int(load_byte(lists.side, i)) >> 2
         store_pair(lists.child, i, wp.vec2i(left - left_first, right - right_first))
         if (side & 1) != 0:
-            store_int(target.triangle, left, triangle)
+            store_int(target.triangle, left, load_int(lists.triangle, i))
             left += 1
         if (side & 2) != 0:
-            store_int(target.triangle, right, triangle)
+            store_int(target.triangle, right, load_int(lists.right, i))
             right += 1
 
 

@@ -45,7 +45,7 @@ from wrt.builders.kdtree.phases.event_chunks import (
     search_chunks,
 )
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Reservation
-from wrt.builders.triangle_boxes import TriangleBoxes
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
 from wrt.kernels.runtime.launch import launch
 
 CHUNKS_PER_THREAD = 4
@@ -86,6 +86,7 @@ class EventLevels:
         lists = LevelLists()
         lists.event = wp.empty(events, dtype=wp.vec2i, device=self.device)
         lists.triangle = wp.empty(triangles, dtype=int, device=self.device)
+        lists.right = lists.triangle
         lists.side = wp.empty(triangles, dtype=wp.uint8, device=self.device)
         lists.child = wp.empty(triangles, dtype=wp.vec2i, device=self.device)
         return lists
@@ -113,14 +114,29 @@ class EventLevels:
     def classify(self) -> None:
         """Finds the sides of all triangles, and counts triangles and events on both sides."""
         self.triangle_chunks = wp.array(cut_triangles(self.nodes), dtype=TriangleChunk, device=self.device)
-        inputs = [self.triangles.boxes, self.lists, self.live, self.triangle_chunks]
-        self.run(classify_triangles, len(self.triangle_chunks), *inputs)
+        self.run(classify_triangles, len(self.triangle_chunks), self.boxes, self.lists, self.live, self.triangle_chunks)
+        self.clip()
         self.run(count_sides, len(self.chunks), self.lists, self.live, self.chunks)
+
+    def clip(self) -> None:
+        """Clips the straddlers to both sides: not here."""
+
+    def reserve(self) -> None:
+        """Makes room in the children's lists for the events of clipped triangles: none here."""
+
+    def merge(self, target: LevelLists) -> None:
+        """Merges these events into the children's lists: none here."""
+
+    @property
+    def boxes(self) -> Boxes:
+        """The boxes of what the lists hold."""
+        return self.triangles.boxes
 
     def emit(self) -> None:
         """Lists the nodes of the next level, and computes where each chunk writes."""
         self.nodes, events, triangles = (a.numpy() for a in (self.live, self.chunks, self.triangle_chunks))
         self.children = next_level(self.nodes, events, triangles, self.large)
+        self.reserve()
         place_chunks(events, triangles, self.nodes, self.children)
         self.chunks = wp.array(events, dtype=EventChunk, device=self.device)
         self.triangle_chunks = wp.array(triangles, dtype=TriangleChunk, device=self.device)
@@ -133,6 +149,7 @@ class EventLevels:
         children = wp.array(self.children, dtype=EventNode, device=self.device)
         self.run(move_triangles, len(self.triangle_chunks), self.lists, self.live, children, self.triangle_chunks, target)
         self.run(move_events, len(self.chunks), self.lists, self.live, self.chunks, target)
+        self.merge(target)
         self.levels.append(self.nodes)
         self.nodes, self.lists = self.children, target
 

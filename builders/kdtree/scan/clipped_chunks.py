@@ -30,6 +30,8 @@ class ClippedMesh:
     faces: wp.array(dtype=wp.vec3i)
     pad: float
     """Enlargement of cells and boxes, in scene units."""
+    shrinks: bool
+    """Whether clipped triangles get the boxes of their parts."""
 
 
 @wp.func_native(
@@ -188,9 +190,9 @@ def move_clipped_chunks(
         clip_chunk(mesh, references, node, chunk, True, target, sides)
 
 
-def clipped_mesh(triangles: TriangleBoxes) -> ClippedMesh:
-    """The triangles to clip."""
+def clipped_mesh(triangles: TriangleBoxes, shrinks: bool) -> ClippedMesh:
+    """The triangles to clip; shrinks: as of `ClippedMesh`."""
     mesh = ClippedMesh()
     mesh.vertices, mesh.faces = triangles.vertices, triangles.faces
-    mesh.pad = PAD * triangles.size
+    mesh.pad, mesh.shrinks = PAD * triangles.size, shrinks
     return mesh

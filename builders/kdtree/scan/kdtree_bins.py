@@ -119,6 +119,32 @@ def bin_count(counter: wp.array2d(dtype=int), slot: int, i: int) -> int:
 
 
 @wp.func
+def median_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
+    """The plane between bins, along the longest axis of the triangles' box, that divides the triangles most evenly. It costs
+    nothing, so that it is taken. `no_split()` if none divides them."""
+    split = no_split()
+    size = frame.inner_high - frame.inner_low
+    axis = wp.where(size[0] >= size[1] and size[0] >= size[2], 0, wp.where(size[1] >= size[2], 1, 2))
+    triangles = frame.triangles
+    least = int(triangles)
+    left = int(0)
+    right = (triangles + step - 1) / step
+    for b in range(1, bins):
+        left += bin_count(counter, slot, axis * bins + b - 1)
+        right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
+        uneven = wp.abs(left - right) * step
+        position = frame.inner_low[axis] + size[axis] * (float(b) / float(bins))
+        if uneven < least and position > frame.low[axis] and position < frame.high[axis]:
+            least = uneven
+            split.cost = 0.0
+            split.axis = axis
+            split.position = position
+            split.left = wp.min(left * step, triangles)
+            split.right = wp.max(wp.min(right * step, triangles), triangles - split.left)
+    return split
+
+
+@wp.func
 def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
     """The best of the planes between bins and the faces of the triangles' box. step: triangles per counted triangle."""
     best = no_split()

@@ -12,9 +12,9 @@ from functools import cache
 
 import warp as wp
 
-from wrt.builders.cost import Split, SplitCost
+from wrt.builders.cost import Split, SplitCost, no_split
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
-from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning, merge_bins
+from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning, median_bin_plane, merge_bins
 from wrt.builders.kdtree.scan.reference_lists import Sides, measure_sides, move_range
 from wrt.builders.tree import StopLimits, stop
 from wrt.builders.triangle_boxes import Boxes
@@ -102,18 +102,25 @@ def decide(
     limits: StopLimits,
     bins: int,
     sampled: int,
+    median_levels: int,
     nodes: wp.array(dtype=LiveRange),
     counter: wp.array2d(dtype=int),
     merged: int,
 ):
-    """Item: a live node. Merges its bins, and stops or splits. Slots from `merged` on hold the bins of nodes."""
+    """Item: a live node. Merges its bins, and stops or splits. Slots from `merged` on hold the bins of nodes.
+
+    median_levels: levels that are split at medians."""
     index = first + wp.tid()
     node = nodes[index]
     if not node.finished:
         slot = merged + index
         merge_bins(counter, slot, node.chunk_first, node.chunk_first + node.chunk_count, bins)
         step = sample_step(node.frame.triangles, sampled)
-        node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
+        node.split = no_split()
+        if node.frame.depth < median_levels:
+            node.split = median_bin_plane(cost, node.frame, counter, slot, bins, step)
+        if node.split.cost > 0.0:
+            node.split = best_bin_plane(cost, node.frame, counter, slot, bins, step)
         frame = node.frame
         path = stop(limits, cost, frame.depth, frame.triangles, frame.path, node.split, frame.high - frame.low)
         node.finished = path.bad_splits < 0

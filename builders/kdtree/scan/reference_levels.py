@@ -57,11 +57,17 @@ class LevelRules:
         large: nodes of more triangles are split here; the others become tasks.
         bins: bins per axis.
         sampled: in a node of at least this many triangles only every l-th is counted, l = log10(triangles); 0: always all.
+        median_levels: levels whose nodes of more triangles than bins are split at medians, here and not in tasks.
     """
 
     large: int
     bins: int
     sampled: int
+    median_levels: int = 0
+
+    def waits(self, triangles: np.ndarray | int, depth: np.ndarray | int) -> np.ndarray:
+        """Whether nodes are left to tasks."""
+        return np.less_equal(triangles, np.where(np.less(depth, self.median_levels), min(self.large, self.bins), self.large))
 
 
 @dataclass
@@ -89,7 +95,7 @@ class ReferenceLevels:
     def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, rules: LevelRules) -> None:
         count, self.device = triangles.count, triangles.boxes.low.device
         self.cost, self.limits, self.rules = config.cost.struct(), config.stop.limits(count, triangles.size), rules
-        self.mesh = clipped_mesh(triangles) if config.split_clipping else None
+        self.mesh = clipped_mesh(triangles, config.split_clipping) if config.tests_nodes else None
         """The triangles to clip; None if they are not clipped."""
         self.levels: list[np.ndarray] = []
         """The levels that are split."""
@@ -117,7 +123,8 @@ class ReferenceLevels:
     def stop(self) -> None:
         """Every node merges the bins of its chunks, and becomes a leaf, or is split at the best plane between bins."""
         bins, sampled = self.rules.bins, self.rules.sampled
-        inputs = [self.cost, self.limits, bins, sampled, self.live, self.counter, len(self.chunks)]
+        levels = self.rules.median_levels
+        inputs = [self.cost, self.limits, bins, sampled, levels, self.live, self.counter, len(self.chunks)]
         launch(decide, len(self.nodes), inputs, device=self.device, chunk=max(1, MIN_PLANES_PER_ITEM // bins))
 
     def search_and_stop(self, kernel: wp.Kernel, memory: Any) -> None:
@@ -139,7 +146,7 @@ class ReferenceLevels:
 
     def emit(self) -> None:
         """Lists the nodes of the next level, and computes where each chunk writes. The host does."""
-        self.children = next_level(self.nodes, self.sides, self.rules.large)
+        self.children = next_level(self.nodes, self.sides, self.rules)
         place_chunks(self.chunks, self.nodes, self.children, self.sides)
 
     def partition(self) -> None:
@@ -174,7 +181,7 @@ def root_level(triangles: TriangleBoxes, rules: LevelRules) -> np.ndarray:
     frame["triangles"] = triangles.count
     frame["count"][:, 0] = triangles.count
     frame["parent"] = -1
-    nodes["finished"] = triangles.count <= rules.large
+    nodes["finished"] = rules.waits(triangles.count, 0)
     return nodes
 
 
@@ -193,7 +200,7 @@ def cut_chunks(nodes: np.ndarray) -> np.ndarray:
     return chunks
 
 
-def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
+def next_level(nodes: np.ndarray, sides: np.ndarray, rules: LevelRules) -> np.ndarray:
     """Lists the children in order, with a finished node as its own child, and stores their indices in the nodes. sides: of the
     nodes' chunks."""
     child_counts = np.where(nodes["finished"], 1, 2)
@@ -215,7 +222,7 @@ def next_level(nodes: np.ndarray, sides: np.ndarray, large: int) -> np.ndarray:
         frame["inner_high"][of_side] = np.minimum(frame["high"][of_side], high)
     frame["count"][:, 0] = frame["triangles"]
     frame["first"][:, 0] = np.cumsum(frame["triangles"]) - frame["triangles"]
-    children["finished"] |= frame["triangles"] <= large
+    children["finished"] |= rules.waits(frame["triangles"], frame["depth"])
     return children
 
 

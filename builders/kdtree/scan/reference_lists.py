@@ -36,6 +36,8 @@ class SearchRules:
     """Whether the split axis alternates by level; otherwise the longest axis is split."""
     longest_from: int
     """Triangles of a node from which on only its longest axis is searched."""
+    resamplings: int
+    """Scans after the first, for searches by adaptive samples."""
 
 
 @wp.struct
@@ -54,6 +56,8 @@ class ReferenceLists:
     faces: wp.array(dtype=wp.vec3i)
     pad: float
     """Enlargement of cells and boxes for clipping, in scene units."""
+    shrinks: bool
+    """Whether clipped triangles get the boxes of their parts."""
 
 
 @with_known_layout

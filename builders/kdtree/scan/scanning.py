@@ -128,6 +128,7 @@ def search_lists(references: wp.array, sizes: np.ndarray, config: KdTreeConfig, 
     lists.rules.sampled = scan.levels.sampled
     lists.rules.round_robin = config.axis == ROUND_ROBIN
     lists.rules.longest_from = config.longest_from
+    lists.rules.resamplings = config.resamplings
     lists.reference = references
     lists.counter = wp.empty((count, counters_for(scan.levels.bins) + scan.counters), dtype=int, device=device)
     lists.value = wp.empty((count, values), dtype=float, device=device)
@@ -143,9 +144,9 @@ def make_tasks(
     reservation = Reservation(roots["triangles"], 1, spare, config.cost.width, device)
     entries = wp.empty(8 * reservation.entries, dtype=float, device=device)
     lists = search_lists(entries, roots["triangles"], config, scan)
-    if config.split_clipping:
+    if config.tests_nodes:
         lists.vertices, lists.faces = triangles.vertices, triangles.faces
-        lists.pad = PAD * triangles.size
+        lists.pad, lists.shrinks = PAD * triangles.size, config.split_clipping
     source = wp.array(np.ascontiguousarray(roots["first"][:, 0]), dtype=int, device=device)
     roots["first"][:, 0] = reservation.ranges["lists_first"]
     roots["top"] = reservation.ranges["lists_first"] + roots["triangles"]

@@ -20,6 +20,9 @@ beside needles.
 
 Levels that several threads split together clip to the same boxes (`clipped_chunks`).
 
+**Tests without clipping.** If boxes are not to shrink (`KdTreeConfig.cell_tests`), the same clip only tells which cells a
+triangle meets: intersection tests in inner nodes, of which Rahikainen 2013 (4.1) reports that clipping is better.
+
 **Limits.** The build takes 2 to 3 times as long (notebooks/records/2026-11-21-split-clipping.md). The choice of planes is
 greedy: smaller boxes make single splits cheaper, and usually, but not always, the tree.
 
@@ -74,7 +77,7 @@ CLIP = """
             corners = left;
             current = 1 - current;
         }
-        for (int axis = 0; axis < 3; ++axis) {
+        for (int axis = 0; axis < 3 && lists.shrinks; ++axis) {
             double least = INFINITY, most = -INFINITY;
             for (int i = 0; i < corners; ++i) {
                 const double x = polygon[current][i][axis];
@@ -88,8 +91,8 @@ CLIP = """
         return corners > 0;
     };
 """
-"""Head of a native function of lists (with `vertices` and `faces`), low, high and pad. clip shrinks the box of a reference to
-the part of its triangle in the cell (low, high), and returns false if there is none."""
+"""Head of a native function of lists (with `vertices`, `faces` and `shrinks`), low, high and pad. clip returns false if no part
+of a triangle is in the cell (low, high); otherwise, and if `shrinks`, it shrinks the box of the reference to that part."""
 
 
 @wp.func_native(

@@ -124,7 +124,8 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     custom_leaf_step, Results = config.custom_leaf_step, results_of(config)
     test_block = make_custom_leaf_step(config, KdNodes) if custom_leaf_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
-    children_of = kdtree.children_in_pairs if config.single.paired_nodes else kdtree.children_depth_first
+    words = config.single.pair_words
+    children_of = kdtree.children_in_pairs(words) if words else kdtree.children_depth_first
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE

@@ -23,7 +23,7 @@ from wrt.bench.studies.build_comparison import kdtree_descriptions
 from wrt.bench.studies.kdtrees import layout_comparison
 from wrt.bench.studies.kdtrees.kdtree_comparison import RAYS, REFERENCE, BuilderFigures, compare_builders
 from wrt.bench.studies.kdtrees.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth
-from wrt.bench.studies.kdtrees.layout_comparison import LayoutFigures, compare_layouts
+from wrt.bench.studies.kdtrees.layout_comparison import LayoutFigures, compare_allocations, compare_layouts
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.streaming import EXACT
 from wrt.cli.arguments import target_options
@@ -128,16 +128,20 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
 @click.option("--size", default=512, show_default=True, type=click.IntRange(4), help="Trace SIZE x SIZE rays.")
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
 @threads_option
-def layouts_command(model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None) -> None:
+@click.option("--allocations", is_flag=True, help="Compare general with fixed-size allocation of nodes instead.")
+def layouts_command(
+    model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None, allocations: bool
+) -> None:
     """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
     mesh, count = load_model(model), threads or get_num_threads()
+    compare = compare_allocations if allocations else compare_layouts
     with progress() as on_turn, usage_errors():
-        figures = compare_layouts(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
+        figures = compare(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
     print_layouts(figures, mesh, count, table_console())
 
 
 def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int, console: Any) -> None:
-    """The table of layouts."""
+    """The table of layouts; speeds refer to the first."""
     from wrt.bench.core.benchmark_report import new_table, times
 
     columns = [text for rays in layout_comparison.RAYS for text in (f"{rays}, ns a step", "speed")]
@@ -149,7 +153,7 @@ def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int
     console.print(f"[bold]{label}[/bold]", highlight=False)
     console.print(table)
     console.print(
-        f"Speed is a ratio to {layout_comparison.REFERENCE}'s; a step is a node or a leaf with its tests.",
+        f"Speed is a ratio to that of {figures[0].layout}; a step is a node or a leaf with its tests.",
         style="dim",
         highlight=False,
     )

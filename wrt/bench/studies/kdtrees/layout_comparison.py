@@ -6,15 +6,15 @@ steps, inner nodes and leaves, triangle tests included: those are the same for e
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
-from wrt.builders.convert.node_layouts import LAYOUTS, lay_out
+from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out
 from wrt.execution.triangle_records import records_of
 from wrt.kernels.runtime.launch import launch, use_threads
 from wrt.meshes.mesh import TriangleMesh
@@ -35,6 +35,13 @@ REFERENCE = "random"
 CLASSIC_BLOCK = 1.5
 """Cost of a block of one triangle, as usual with a traversal cost of 1."""
 
+ALLOCATIONS = {"general": 7, "fixed size": 3, "an index": 1}
+"""Words of 8 bytes for each node. With a general allocator, a node and six pointers: four of its own, and two to free it; with
+one of fixed size, a node and two pointers (Havran 2001); and a node that holds an index instead."""
+
+ALLOCATED = ("random", "depth_first")
+"""Layouts in which allocations are compared."""
+
 RAYS = ("near", "random")
 """Workloads: a camera's rays, and rays from anywhere to anywhere."""
 
@@ -44,10 +51,10 @@ class LayoutFigures:
     """What a layout costs.
 
     Attributes:
-        layout: key in `LAYOUTS`.
+        layout: its name.
         node_bytes: memory of the nodes.
         step_ns: nanoseconds a step, by workload.
-        ratios: how many times as fast as `REFERENCE`, by workload.
+        ratios: how many times as fast as the reference, by workload.
     """
 
     layout: str
@@ -56,8 +63,8 @@ class LayoutFigures:
     ratios: dict[str, float | None]
 
 
-def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHits:
-    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs."""
+def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers, words: int = 1) -> DeviceHits:
+    """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of so many words."""
     from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_kernel
@@ -66,7 +73,7 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHi
     from wrt.state.device_hits import DeviceHits
 
     plan = make_plan(scene.state, rays, "single", "auto")
-    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(paired_nodes=True))
+    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(pair_words=words))
     hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
     inputs = [tree.struct(), records_of(scene.state, plan, rays.batch), rays.batch, hits.struct(), counters]
@@ -74,8 +81,21 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers) -> DeviceHi
     return hits
 
 
-def compare_layouts(
+def compare_layouts(mesh: TriangleMesh, **options: Any) -> list[LayoutFigures]:
+    """Traces rays through one tree in every layout; options: see `compare`."""
+    return compare(mesh, {name: (name, 1) for name in LAYOUTS}, REFERENCE, **options)
+
+
+def compare_allocations(mesh: TriangleMesh, **options: Any) -> list[LayoutFigures]:
+    """Traces rays through one tree with nodes of the sizes that `ALLOCATIONS` names, in two layouts; options: see `compare`."""
+    placed = {f"{layout}, {kind}": (layout, words) for layout in ALLOCATED for kind, words in ALLOCATIONS.items()}
+    return compare(mesh, placed, next(iter(placed)), **options)
+
+
+def compare(
     mesh: TriangleMesh,
+    placed: Mapping[str, tuple[str, int]],
+    reference: str,
     *,
     builder: str = "in_place",
     width: int | None = None,
@@ -85,17 +105,19 @@ def compare_layouts(
     clock: Callable[[], float] = perf_counter,
     on_turn: Callable[[str], None] = lambda name: None,
 ) -> list[LayoutFigures]:
-    """Traces the rays through one tree in every layout.
+    """Traces the rays through one tree in several orders.
 
     Args:
         mesh: what the tree is built of.
+        placed: name -> key in `LAYOUTS`, and words of 8 bytes for each node.
+        reference: the name that all figures refer to.
         builder: key in `KDTREE_BUILDERS`.
         width: triangles a block, as in `wrt.KdTree`; 1 makes the deep trees of the literature.
-        rounds: turns of each layout.
+        rounds: turns of each order.
         threads: CPU threads.
         size: each workload has size * size rays.
         clock: seconds; `time.thread_time` with one thread on a machine that others use.
-        on_turn: told the name of each layout before its turn.
+        on_turn: told each name before its turn.
 
     Raises:
         ValueError: a size that does not divide into tiles.
@@ -103,20 +125,21 @@ def compare_layouts(
     cost = CLASSIC_BLOCK if width == 1 else KdTree.block_cost
     scene = Scene(mesh, KdTree(builder=builder, width=width, block_cost=cost), device="cpu", num_threads=threads)
     scene.complete()
-    trees = {name: lay_out(scene.tree, name) for name in LAYOUTS}
-    steps: dict[str, dict[str, float]] = {name: {} for name in LAYOUTS}
-    ratios: dict[str, dict[str, float | None]] = {name: {} for name in LAYOUTS}
+    trees = {name: in_records(lay_out(scene.tree, layout), words) for name, (layout, words) in placed.items()}
+    steps: dict[str, dict[str, float]] = {name: {} for name in placed}
+    ratios: dict[str, dict[str, float | None]] = {name: {} for name in placed}
     with use_threads(threads):
         for made in WorkloadMaker(mesh, size=size).make(RAYS):
             work = scene.intersect(made.origins, made.directions, traversal="single", counters=True).counters
             total = int(work["nodes"].sum() + work["leaves"].sum())
             rays = to_device(Rays(made.origins, made.directions), scene.device, scene.center)
             contenders = [
-                Contender(name, lambda tree=tree, rays=rays: trace_pairs(scene, tree, rays)) for name, tree in trees.items()
+                Contender(name, lambda tree=tree, rays=rays, words=placed[name][1]: trace_pairs(scene, tree, rays, words))
+                for name, tree in trees.items()
             ]
             timings = take_turns(contenders, rounds, clock=clock, on_turn=on_turn)
             for name, timing in timings.items():
                 steps[name][made.name] = timing.median * 1e9 * threads / total
-                ratio = timing.ratio_to(timings[REFERENCE])
+                ratio = timing.ratio_to(timings[reference])
                 ratios[name][made.name] = None if ratio is None else 1.0 / ratio
-    return [LayoutFigures(name, trees[name].nodes.shape[0] * 8, steps[name], ratios[name]) for name in LAYOUTS]
+    return [LayoutFigures(name, trees[name].nodes.shape[0] * 8, steps[name], ratios[name]) for name in placed]

@@ -1,0 +1,1 @@
+"""Passes over a finished kd-tree: tests of triangles against leaves, and late cutting of empty space."""
