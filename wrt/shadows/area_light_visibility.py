@@ -46,7 +46,7 @@ class AreaLightVisibility:
     The rays of a point are made on the way, so none of them takes memory. On the CPU, scenes with a BVH trace them by
     multi-frusta (Benthin and Wald 2009, `wrt.kernels.traversal.shadows.multi_frusta`); others make the rays and call
     `wrt.Scene.occluded`. The answers are the same. It pays from 16 samples on, for lights that
-    are large as seen from the points from 64 on (notebooks/records/2026-11-22-multi-frusta.md).
+    are large as seen from the points from 64 on (notebooks/records/2026-11-23-multi-frusta.md).
 
     Args:
         scene: what casts shadows.

@@ -16,7 +16,7 @@ References:
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.shading.sampling import TWO_PI
+from wrt.kernels.shading.sampling import turned
 
 exact_module(__name__)
 
@@ -72,8 +72,8 @@ def visible_facet(out: wp.vec3, normal: wp.vec3, alpha: float, point: wp.vec2):
     x = alpha * wp.dot(out, tangent)
     y = alpha * wp.dot(out, bitangent)
     stretched = wp.normalize(wp.vec3(x, y, wp.dot(out, normal)))
-    angle = TWO_PI * point[0]
+    turn = turned(point[0])
     z = (1.0 - point[1]) * (1.0 + stretched[2]) - stretched[2]
     radius = wp.sqrt(wp.clamp(1.0 - z * z, 0.0, 1.0))
-    cap = wp.vec3(radius * wp.cos(angle), radius * wp.sin(angle), z) + stretched
+    cap = wp.vec3(radius * turn[0], radius * turn[1], z) + stretched
     return wp.normalize(alpha * cap[0] * tangent + alpha * cap[1] * bitangent + wp.max(cap[2], 1e-7) * normal)

@@ -14,7 +14,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.ggx import PI
-from wrt.kernels.shading.sampling import TWO_PI
+from wrt.kernels.shading.sampling import TWO_PI, turned
 
 exact_module(__name__)
 
@@ -57,7 +57,9 @@ def sky_radiance(sky: Environment, direction: wp.vec3):
         result = sky.texels[0]
     elif sky.height > 0:
         height = wp.clamp(wp.dot(direction, sky.up), -1.0, 1.0)
-        x = longitude(sky, direction) * float(sky.width) - 0.5
+        x = float(0.0)
+        if sky.width > 1:  # a gradient has one column
+            x = longitude(sky, direction) * float(sky.width) - 0.5
         y = wp.clamp(wp.acos(height) / PI * float(sky.height) - 0.5, 0.0, float(sky.height) - 1.0)
         column = int(wp.floor(x))
         row = wp.min(int(y), wp.max(sky.height - 2, 0))
@@ -114,6 +116,6 @@ def sample_sky(sky: Environment, point: wp.vec2):
     column = find_interval(sky.cell_sums, begin, sky.columns, point[0])
     across = (float(column) + within(sky.cell_sums, begin + column, point[0])) / float(sky.columns)
     height = 1.0 - 2.0 * down
-    angle = TWO_PI * (across - 0.5)
+    turn = turned(across - 0.5)
     radius = wp.sqrt(wp.max(0.0, 1.0 - height * height))
-    return radius * (wp.cos(angle) * sky.east + wp.sin(angle) * sky.north) + height * sky.up
+    return radius * (turn[0] * sky.east + turn[1] * sky.north) + height * sky.up

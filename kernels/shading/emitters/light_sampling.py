@@ -28,7 +28,7 @@ from wrt.kernels.shading.emitters.light_table import (
     TRIANGLES,
     Lights,
 )
-from wrt.kernels.shading.sampling import TWO_PI
+from wrt.kernels.shading.sampling import TWO_PI, turned
 from wrt.kernels.shading.shading_point import FaceRecord, ShadedMesh, record_of
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.simd.boxes import reach
@@ -101,10 +101,8 @@ def sample_sphere(lights: Lights, entry: int, position: wp.vec3, point: wp.vec2)
         across = wp.sqrt(wp.max(0.0, rest * (1.0 + height)))
         forward = axis / distance
         tangent = tangent_of(forward)
-        angle = TWO_PI * point[1]
-        found.direction = wp.normalize(
-            height * forward + across * (wp.cos(angle) * tangent + wp.sin(angle) * wp.cross(forward, tangent))
-        )
+        turn = turned(point[1])
+        found.direction = wp.normalize(height * forward + across * (turn[0] * tangent + turn[1] * wp.cross(forward, tangent)))
         to_middle = height * distance
         found.segment = (to_middle - wp.sqrt(wp.max(0.0, radius * radius - distance * distance * across * across))) * (
             found.direction

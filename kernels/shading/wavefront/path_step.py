@@ -20,7 +20,15 @@ from wrt.kernels.shading.emitters.environment import find_interval
 from wrt.kernels.shading.emitters.light_table import entry_probability
 from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
-from wrt.kernels.shading.wavefront.ray_at_hit import RayAtHit, SampleKey, ray_at_hit, sample_key
+from wrt.kernels.shading.wavefront.plain_step import WIDTH, shade_plain
+from wrt.kernels.shading.wavefront.ray_at_hit import (
+    AHEAD,
+    RayAtHit,
+    SampleKey,
+    fetch_hits,
+    ray_at_hit,
+    sample_key,
+)
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
     Arrival,
@@ -126,6 +134,53 @@ def scatter(
     return alive
 
 
+@wp.func(inline=True)
+def follow_path(
+    i: int,
+    step: PathStep,
+    scene: LitScene,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    hits: HitBatch,
+    rays: Gathered,
+    following: RayQueue,
+    goes_on: wp.array(dtype=int),
+):
+    """Does the step of ray i."""
+    ray = ray_at_hit(scene, queue, hits, i)
+    density = wp.where(step.samples_lights, ray.density, 0.0)
+    found = wp.vec3()
+    arrival = Arrival()
+    alive = int(0)
+    if scene.lights.areas > 0:
+        found += crossed_lights(scene, ray.weight, density, ray.origin, ray.direction, ray.t)
+    if ray.primitive < 0:
+        found += sky_light(scene, ray.weight, density, ray.direction)
+    elif not step.is_last or may_emit(scene, ray.primitive):
+        point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
+        look = point_look(scene, point)
+        cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
+        found += surface_light(scene, look.number, ray.weight, density, point, cosine, ray.t)
+        if not step.is_last:
+            boundary = boundary_of(scene, look, ray.media, point.is_front)
+            look.ratio = boundary.ratio
+            if not boundary.is_real:
+                alive = pass_through(ray, point, boundary, i, following)
+            else:
+                key = sample_key(source, wave, ray.slot)
+                if step.samples_lights and scene.lights.count > 0 and not is_single(look):
+                    arrival = lamp_light(step, scene, source, key, ray, point, look)
+                alive = scatter(step, source, key, ray, point, look, boundary, i, following)
+    rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
+    if not step.is_last:
+        following.slot[i] = ray.slot
+        goes_on[i] = alive
+        rays.lit[i] = wp.cw_mul(ray.weight, arrival.radiance)
+        rays.shadow_origin[i] = arrival.origin
+        rays.shadow_direction[i] = arrival.segment
+
+
 @wp.kernel
 def path_step(
     first: int,
@@ -143,38 +198,32 @@ def path_step(
 ):
     """Adds the light of rays to their samples, and writes shadow rays and the rays that follow.
 
-    Item: a group of rays, of `count` in all. A sample has one ray in a generation.
+    Item: a group of rays, of `count` in all. A sample has one ray in a generation. Groups of one ray have no plain rays.
     """
     begin = (first + wp.tid()) * group
-    for i in range(begin, wp.min(begin + group, count)):
-        ray = ray_at_hit(scene, queue, hits, i)
-        density = wp.where(step.samples_lights, ray.density, 0.0)
-        found = wp.vec3()
-        arrival = Arrival()
-        alive = int(0)
-        if scene.lights.areas > 0:
-            found += crossed_lights(scene, ray.weight, density, ray.origin, ray.direction, ray.t)
-        if ray.primitive < 0:
-            found += sky_light(scene, ray.weight, density, ray.direction)
-        elif not step.is_last or may_emit(scene, ray.primitive):
-            point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
-            look = point_look(scene, point)
-            cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
-            found += surface_light(scene, look.number, ray.weight, density, point, cosine, ray.t)
-            if not step.is_last:
-                boundary = boundary_of(scene, look, ray.media, point.is_front)
-                look.ratio = boundary.ratio
-                if not boundary.is_real:
-                    alive = pass_through(ray, point, boundary, i, following)
-                else:
-                    key = sample_key(source, wave, ray.slot)
-                    if step.samples_lights and scene.lights.count > 0 and not is_single(look):
-                        arrival = lamp_light(step, scene, source, key, ray, point, look)
-                    alive = scatter(step, source, key, ray, point, look, boundary, i, following)
-        rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
-        if not step.is_last:
-            following.slot[i] = ray.slot
-            goes_on[i] = alive
-            rays.lit[i] = wp.cw_mul(ray.weight, arrival.radiance)
-            rays.shadow_origin[i] = arrival.origin
-            rays.shadow_direction[i] = arrival.segment
+    end = wp.min(begin + group, count)
+    size = wp.where(group > 1 and not step.is_last, WIDTH, 1)
+    fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
+    here = int(begin)
+    while here < end:
+        fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + size, end))
+        done = wp.uint32(0)
+        if size > 1 and here + size <= end:
+            done = shade_plain(
+                here,
+                step.generation,
+                step.roulette,
+                step.samples_lights,
+                scene,
+                source,
+                wave,
+                queue,
+                hits,
+                rays,
+                following,
+                goes_on,
+            )
+        for i in range(here, wp.min(here + size, end)):
+            if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
+                follow_path(i, step, scene, source, wave, queue, hits, rays, following, goes_on)
+        here += size

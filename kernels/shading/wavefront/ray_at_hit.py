@@ -46,6 +46,35 @@ def ray_at_hit(scene: LitScene, queue: RayQueue, hits: HitBatch, i: int):
     return ray
 
 
+AHEAD = wp.constant(16)
+"""Rays by which a step is ahead of itself when it fetches what it will read."""
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    if (scene.shaded.records.shape[0] == 0) return;
+    const auto fetch = [](const void* line) { __builtin_prefetch(line); };
+    for (int i = begin; i < end; ++i) {
+        const int face = hits.primitive.data[i];
+        if (face < 0) continue;
+        fetch(scene.shaded.records.data + face);
+        fetch((const char*)(scene.shaded.records.data + face) + 60);
+        fetch(scene.materials.of_face.data + face * scene.materials.of_face_stride);
+        if (scene.shaded.is_smooth) {
+            const char* normals = (const char*)(scene.shaded.corner_normals.data + 3 * face);
+            fetch(normals); fetch(normals + 35);
+        }
+    }
+#endif
+""")
+def fetch_hits(scene: LitScene, hits: HitBatch, begin: int, end: int):
+    """Fetches the triangles of the hits begin .. end - 1 into the caches of a core: records, numbers of materials, normals.
+
+    Reflected and refracted rays hit triangles in no order, and a step would wait for each (a third of Whitted's time).
+    """
+    ...
+
+
 @wp.struct
 class SampleKey:
     """What the random numbers of a sample follow from."""

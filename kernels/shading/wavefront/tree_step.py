@@ -31,7 +31,14 @@ from wrt.kernels.shading.sampling import MIX_1
 from wrt.kernels.shading.shading_point import ShadingPoint, leaving_origin, shading_point
 from wrt.kernels.shading.wavefront.path_step import kept_above
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, PixelSamples, pixel_point, single_number
-from wrt.kernels.shading.wavefront.ray_at_hit import RayAtHit, SampleKey, ray_at_hit, sample_key
+from wrt.kernels.shading.wavefront.ray_at_hit import (
+    AHEAD,
+    RayAtHit,
+    SampleKey,
+    fetch_hits,
+    ray_at_hit,
+    sample_key,
+)
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import (
     Boundary,
@@ -255,7 +262,10 @@ def tree_step(
     """Writes the light of rays that needs no shadow ray, that of the lamp `step.lamp`, and the rays that follow. Item: a group
     of rays, of `count` in all."""
     begin = (first + wp.tid()) * group
-    for i in range(begin, wp.min(begin + group, count)):
+    end = wp.min(begin + group, count)
+    fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
+    for i in range(begin, end):
+        fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
         ray = ray_at_hit(scene, queue, hits, i)
         emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
         if not step.is_last:
@@ -300,7 +310,10 @@ def shade_by_lamp(
 ):
     """Writes the light that a further lamp gives at hits, and the shadow rays. Item: a group of rays, of `count` in all."""
     begin = (first + wp.tid()) * group
-    for i in range(begin, wp.min(begin + group, count)):
+    end = wp.min(begin + group, count)
+    fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
+    for i in range(begin, end):
+        fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
         ray = ray_at_hit(scene, queue, hits, i)
         rays.lit[i] = wp.vec3()
         rays.shadow_direction[i] = wp.vec3()

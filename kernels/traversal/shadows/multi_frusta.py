@@ -14,7 +14,9 @@ the box around the frustum, from the point to the group, must meet the node's bo
 
 **At leaves** the frustum is tested against the boxes of W triangles, and these against the four planes through its corner rays:
 a triangle is culled if all of its vertices lie outside one of them. (For accurate triangle tests, whose hits lie near their
-triangles; others cull by boxes.) Only then are rays tested, 16 x one triangle, by the code of packets (`packet_block`).
+triangles; others cull by boxes.) What is left is tested only if one of the rays that are still open meets the box of the leaf,
+because a wide frustum meets many leaves that none of its rays meets (notebooks/records/2026-11-23-multi-frusta.md). Rays are
+tested 16 x one triangle, by the code of packets (`packet_block`).
 
 **The same answers as `occluded`** of the same rays: bounds are rounded monotonically from the same expressions, so a frustum
 meets every box that one of its rays meets; triangle test and consistency rule are those of every traversal. A direction whose
@@ -162,6 +164,29 @@ _MAKE = """
         POINTERS
         WRT_TEST
     };
+    auto meets_box = [&](int number, const float* box) {
+        const Frustum& bounds = frusta[number];
+        float* rows = rows_of[number];
+        POINTERS
+        const float wide = bounds.slack;
+        const float x = bounds.origin_low.c[0], y = bounds.origin_low.c[1], z = bounds.origin_low.c[2];
+        const float x0 = (box[0] - wide) - x, y0 = (box[W] - wide) - y, z0 = (box[2 * W] - wide) - z;
+        const float x1 = (box[3 * W] + wide) - x, y1 = (box[4 * W] + wide) - y, z1 = (box[5 * W] + wide) - z;
+        int any = 0;
+        WRT_FOR(P, k) {
+            // a comparison with NaN is false: an axis along which the ray stands still within the box counts as met
+            const float ax = x0 * inverse_x[k], bx = x1 * inverse_x[k], ay = y0 * inverse_y[k], by = y1 * inverse_y[k];
+            const float az = z0 * inverse_z[k], bz = z1 * inverse_z[k];
+            float from = t_min[k], to = t[k];
+            const float nx = inverse_x[k] < 0.0f ? bx : ax, fx = inverse_x[k] < 0.0f ? ax : bx;
+            const float ny = inverse_y[k] < 0.0f ? by : ay, fy = inverse_y[k] < 0.0f ? ay : by;
+            const float nz = inverse_z[k] < 0.0f ? bz : az, fz = inverse_z[k] < 0.0f ? az : bz;
+            from = nx > from ? nx : from; from = ny > from ? ny : from; from = nz > from ? nz : from;
+            to = fx < to ? fx : to; to = fy < to ? fy : to; to = fz < to ? fz : to;
+            any |= from > to ? 0 : 1;
+        }
+        return any != 0;
+    };
     auto cull_boxes = [&](const Frustum& bounds, int node, int* key_row) {
         struct Keys { int* data; };
         const Keys keys = {key_row};
@@ -279,6 +304,7 @@ _WALK = """
                     if (CORNERS && kept) kept = cull_corners(frusta[f], block, kept);
                     if (!kept) continue;
                     if (!(made >> f & 1u)) { made |= 1u << f; make_rays(f); }
+                    if (!meets_box(f, &boxes.data[(size_t)top.node * (6 * W) + i])) continue;
                     test_rays(f, block, kept);
                     alive &= frusta[f].t_max < 0.0f ? ~(1u << f) : ~0u;
                 }

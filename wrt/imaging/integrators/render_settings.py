@@ -73,7 +73,7 @@ class RenderSettings:
     exposure: float = 1.0
     tone_mapping: str = "srgb"
     seed: int = 0
-    wave: int = 1 << 18
+    wave: int = 1 << 19
     traversal: str = AUTO
     triangle_test: str = AUTO
 
