@@ -212,3 +212,19 @@ def widen_vectors(first: int, values: wp.array(dtype=wp.vec3), widened: wp.array
     """Converts vectors to float64. Item: a ray."""
     i = first + wp.tid()
     widened[i] = wp.vec3d(values[i])
+
+
+@wp.kernel
+def number_faces(
+    first: int,
+    geometry: wp.array(dtype=int),
+    local: wp.array(dtype=int),
+    first_face: wp.array(dtype=int),
+    face_of: wp.array(dtype=int),
+):
+    """Writes the number of a hit triangle among those of all meshes, each counted once; -1 for a miss. Item: a ray."""
+    i = first + wp.tid()
+    face = int(-1)
+    if geometry[i] >= 0:
+        face = first_face[geometry[i]] + local[i]
+    face_of[i] = face

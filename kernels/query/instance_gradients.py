@@ -88,19 +88,3 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, do
                 normals[i] = Vector(winding[own] * wp.normalize(wp.cross(edge1, edge2)))
 
     return specialised_kernel(intersect_placed_triangles, gradients=True)
-
-
-@wp.kernel(enable_backward=False)
-def number_faces(
-    first: int,
-    geometry: wp.array(dtype=int),
-    local: wp.array(dtype=int),
-    first_face: wp.array(dtype=int),
-    face_of: wp.array(dtype=int),
-):
-    """Writes the number of a hit triangle among those of all meshes, each counted once; -1 for a miss. Item: a ray."""
-    i = first + wp.tid()
-    face = int(-1)
-    if geometry[i] >= 0:
-        face = first_face[geometry[i]] + local[i]
-    face_of[i] = face

@@ -19,6 +19,7 @@ from native_names import free_names
 from wrt.builders.lights.light_raster import COUNT, COVER, FILL, make_rasteriser
 from wrt.kernels.simd.box_lanes import ray_boxes
 from wrt.kernels.study.bare_triangle_tests import make_frusta
+from wrt.kernels.study.distance_checks import in_range
 from wrt.kernels.study.exit_counts import make_kernel as make_exit_kernel
 from wrt.kernels.study.komatsu_2008 import PUBLISHED
 from wrt.kernels.traversal import TRAVERSALS
@@ -64,7 +65,7 @@ def make_all_kernels() -> list[wp.Kernel]:
 def snippets():
     """All native functions of kernels/ and builders/, by file and name; a factory has made several of some."""
     device_modules()
-    kept = make_all_kernels(), ray_boxes(WIDTH)
+    kept = make_all_kernels(), ray_boxes(WIDTH), [in_range(WIDTH, integers) for integers in (False, True)]
     found: dict[tuple[str, str], list[wp.Function]] = {}
     for function in gc.get_objects():
         if isinstance(function, wp.Function) and function.native_snippet is not None:

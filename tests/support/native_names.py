@@ -19,15 +19,15 @@ QUALIFIERS = frozenset(re.findall(r"\w+", "const constexpr static volatile __res
 KEYWORDS = frozenset(
     re.findall(
         r"\w+",
-        "__asm__ alignas break case continue do else enum false for if namespace nullptr return sizeof struct switch true "
-        "typedef using while",
+        "__asm__ alignas break case continue do else enum false for if namespace nullptr operator return sizeof struct switch "
+        "true typedef using while",
     )
 )
 
 SUPPLIED = frozenset(
     re.findall(
         r"\w+",
-        "INFINITY NAN memcpy fabsf __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
+        "INFINITY NAN memcpy fabsf __brev __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
         "atomicAdd atomicMin sqrt __attribute__ ext_vector_type noinline",
     )
 )

@@ -135,7 +135,7 @@ def _transforms(scene: Queries, transforms: Any, device: wp.Device) -> wp.array:
 
 def _placed_triangles(scene: Queries, hits: Hits) -> list[wp.array]:
     """Faces of all meshes, the face and the instance that each ray hits, and 1 or -1, for mirrored ones, for each instance."""
-    from wrt.kernels.query.instance_gradients import number_faces
+    from wrt.kernels.query.hit_attributes import number_faces
 
     device, tables = scene.device, scene.state.cache.tables
     key = ("faces", "")
