@@ -205,10 +205,10 @@ def analyse(
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.tree import Bvh
 
-    if scene.instances:
-        raise ValueError("a scene of instances has a tree for each mesh; analyse wrt.Scene(scene.flattened()), or one mesh")
     if not isinstance(scene.tree, Bvh):
         raise ValueError(f"scene has a {scene.accelerator.kind}; analyse measures wrt.Bvh and wrt.ProjectedBvh")
+    if scene.instances:
+        raise ValueError("a scene of instances has a tree for each mesh; analyse wrt.Scene(scene.flattened()), or one mesh")
     if area is not None and not isinstance(area, InfluenceArea):
         kind = type(area).__name__
         raise TypeError(f"area must be a wrt.PlaneInfluenceArea, a wrt.PointInfluenceArea or None, not {kind}")
