@@ -12,6 +12,9 @@ MIRROR = wp.constant(1)
 DIELECTRIC = wp.constant(2)
 GLOSSY = wp.constant(3)
 
+TILE = wp.constant(64)
+"""Edge of the tiles of images, in texels: 16 KB a tile."""
+
 
 @wp.struct
 class Materials:
@@ -45,11 +48,15 @@ class Materials:
     corner_color: wp.array(dtype=wp.vec3)
     """(3 F,) linear, if `has_color`; multiplied with the colour."""
     texture_first: wp.array(dtype=int)
-    """(T,) first texel of each image."""
+    """(T,) first texel of each image; its first tile if `tiled`."""
     texture_size: wp.array(dtype=wp.vec2i)
     """(T,) width and height."""
     texels: wp.array(dtype=wp.uint32)
-    """8 bits each of red, green, blue; row 0 is at the top, v = 1."""
+    """8 bits each of red, green, blue; row 0 is at the top, v = 1. If `tiled`, (places, TILE, TILE), flat."""
+    tiled: bool
+    """Whether `texels` holds only some tiles of the images."""
+    tile_place: wp.array(dtype=int)
+    """(tiles,) where each tile is in `texels`, if `tiled`; -1 for nowhere."""
     linear: wp.array(dtype=float)
     """(512,) values of the 256 levels: linear data, then sRGB."""
 
@@ -82,25 +89,68 @@ def texel(materials: Materials, place: int, decode: int):
     )
 
 
+@wp.struct
+class Footprint:
+    """The four texels around a point of an image, and where the point is between them."""
+
+    left: int
+    right: int
+    top: int
+    bottom: int
+    across: float
+    down: float
+
+
 @wp.func
-def texture_at(materials: Materials, texture: int, uv: wp.vec2, decode: int):
-    """An image at texture coordinates, with bilinear interpolation. u grows to the right, v upward."""
-    size = materials.texture_size[texture]
+def footprint(size: wp.vec2i, uv: wp.vec2):
+    """The texels at texture coordinates. u grows to the right, v upward; the image repeats."""
     x = (uv[0] - wp.floor(uv[0])) * float(size[0]) - 0.5
     y = (1.0 - (uv[1] - wp.floor(uv[1]))) * float(size[1]) - 0.5
     left = wp.clamp(int(wp.floor(x)), -1, size[0] - 1)
     top = wp.clamp(int(wp.floor(y)), -1, size[1] - 1)
-    across = x - float(left)
-    down = y - float(top)
-    right = wp.where(left + 1 < size[0], left + 1, 0)
-    bottom = wp.where(top + 1 < size[1], top + 1, 0)
-    first = materials.texture_first[texture]
-    upper_row = first + wp.where(top < 0, size[1] - 1, top) * size[0]
-    lower_row = first + bottom * size[0]
-    left = wp.where(left < 0, size[0] - 1, left)
-    upper = (1.0 - across) * texel(materials, upper_row + left, decode) + across * texel(materials, upper_row + right, decode)
-    lower = (1.0 - across) * texel(materials, lower_row + left, decode) + across * texel(materials, lower_row + right, decode)
-    return (1.0 - down) * upper + down * lower
+    found = Footprint()
+    found.across = x - float(left)
+    found.down = y - float(top)
+    found.right = wp.where(left + 1 < size[0], left + 1, 0)
+    found.bottom = wp.where(top + 1 < size[1], top + 1, 0)
+    found.left = wp.where(left < 0, size[0] - 1, left)
+    found.top = wp.where(top < 0, size[1] - 1, top)
+    return found
+
+
+@wp.func
+def tile_of(materials: Materials, texture: int, column: int, row: int):
+    """The tile that holds a texel."""
+    return (
+        materials.texture_first[texture]
+        + (row / TILE) * ((materials.texture_size[texture][0] + TILE - 1) / TILE)
+        + column / TILE
+    )
+
+
+@wp.func
+def texel_place(materials: Materials, texture: int, column: int, row: int):
+    """Where a texel is in `texels`."""
+    place = int(0)
+    if materials.tiled:
+        tile = materials.tile_place[tile_of(materials, texture, column, row)]
+        place = (tile * TILE + row % TILE) * TILE + column % TILE
+    else:
+        place = materials.texture_first[texture] + row * materials.texture_size[texture][0] + column
+    return place
+
+
+@wp.func
+def texture_at(materials: Materials, texture: int, uv: wp.vec2, decode: int):
+    """An image at texture coordinates, with bilinear interpolation."""
+    at = footprint(materials.texture_size[texture], uv)
+    upper_left = texel(materials, texel_place(materials, texture, at.left, at.top), decode)
+    upper_right = texel(materials, texel_place(materials, texture, at.right, at.top), decode)
+    lower_left = texel(materials, texel_place(materials, texture, at.left, at.bottom), decode)
+    lower_right = texel(materials, texel_place(materials, texture, at.right, at.bottom), decode)
+    upper = (1.0 - at.across) * upper_left + at.across * upper_right
+    lower = (1.0 - at.across) * lower_left + at.across * lower_right
+    return (1.0 - at.down) * upper + at.down * lower
 
 
 @wp.func

@@ -4,6 +4,9 @@
     camera_rays.py    pixels -> rays, through a filter and a lens
     ray_at_hit.py     a ray with what it hit, and the key of its random numbers
     path_step.py      one step of path tracing
+    plain_step.py     the same for W rays in lanes, on matte surfaces
+    shading_streams.py  rays filtered by what they hit, and one code for each stream
+    texture_demand.py the tiles of images that rays need
     tree_step.py      one step of Whitted's and of distribution ray tracing
     ray_queue.py      the rays of a generation, and their compaction: count, scan, fill
     picture.py        radiance of samples -> the film, its noise, and layers

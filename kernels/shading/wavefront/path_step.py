@@ -45,6 +45,12 @@ from wrt.kernels.shading.wavefront.scene_light import (
 
 exact_module(__name__)
 
+UNKNOWN = wp.constant(-1)
+"""What `follow_path` knows of a ray beforehand: nothing."""
+
+MISSED = wp.constant(-2)
+"""The ray hit nothing. Kinds of material stand for themselves."""
+
 
 @wp.struct
 class PathStep:
@@ -137,6 +143,7 @@ def scatter(
 @wp.func(inline=True)
 def follow_path(
     i: int,
+    known: int,
     step: PathStep,
     scene: LitScene,
     source: PixelSamples,
@@ -147,7 +154,7 @@ def follow_path(
     following: RayQueue,
     goes_on: wp.array(dtype=int),
 ):
-    """Does the step of ray i."""
+    """Does the step of ray i. A constant `known` other than `UNKNOWN` leaves the code for such rays only."""
     ray = ray_at_hit(scene, queue, hits, i)
     density = wp.where(step.samples_lights, ray.density, 0.0)
     found = wp.vec3()
@@ -155,11 +162,16 @@ def follow_path(
     alive = int(0)
     if scene.lights.areas > 0:
         found += crossed_lights(scene, ray.weight, density, ray.origin, ray.direction, ray.t)
-    if ray.primitive < 0:
+    missed = known == MISSED
+    if known == UNKNOWN:
+        missed = ray.primitive < 0
+    if missed:
         found += sky_light(scene, ray.weight, density, ray.direction)
     elif not step.is_last or may_emit(scene, ray.primitive):
         point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
         look = point_look(scene, point)
+        if known >= 0:
+            look.kind = known
         cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
         found += surface_light(scene, look.number, ray.weight, density, point, cosine, ray.t)
         if not step.is_last:
@@ -184,7 +196,8 @@ def follow_path(
 @wp.kernel
 def path_step(
     first: int,
-    count: int,
+    start: int,
+    stop: int,
     group: int,
     step: PathStep,
     scene: LitScene,
@@ -198,10 +211,10 @@ def path_step(
 ):
     """Adds the light of rays to their samples, and writes shadow rays and the rays that follow.
 
-    Item: a group of rays, of `count` in all. A sample has one ray in a generation. Groups of one ray have no plain rays.
+    Item: a group of the rays start .. stop - 1. A sample has one ray in a generation. Groups of one ray have no plain rays.
     """
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, count)
+    begin = start + (first + wp.tid()) * group
+    end = wp.min(begin + group, stop)
     size = wp.where(group > 1 and not step.is_last, WIDTH, 1)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     here = int(begin)
@@ -225,5 +238,5 @@ def path_step(
             )
         for i in range(here, wp.min(here + size, end)):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
-                follow_path(i, step, scene, source, wave, queue, hits, rays, following, goes_on)
+                follow_path(i, UNKNOWN, step, scene, source, wave, queue, hits, rays, following, goes_on)
         here += size

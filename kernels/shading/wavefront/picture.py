@@ -117,9 +117,9 @@ def geometry_in(mesh: SceneMesh, instance: int):
 
 
 @wp.kernel
-def write_layers(first: int, scene: LitScene, first_pixel: int, queue: RayQueue, hits: HitBatch, layers: Layers):
-    """Writes what a camera ray sees. Item: a pixel of the wave, whose ray has the same number."""
-    i = first + wp.tid()
+def write_layers(first: int, start: int, scene: LitScene, first_pixel: int, queue: RayQueue, hits: HitBatch, layers: Layers):
+    """Writes what a camera ray sees. Item: a pixel of the wave from `start` on, whose ray has the same number."""
+    i = start + first + wp.tid()
     pixel = first_pixel + i
     primitive = hits.primitive[i]
     normal = wp.vec3()

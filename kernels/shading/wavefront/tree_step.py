@@ -247,7 +247,8 @@ def write_lamp_light(
 @wp.kernel
 def tree_step(
     first: int,
-    count: int,
+    start: int,
+    stop: int,
     group: int,
     step: TreeStep,
     scene: LitScene,
@@ -260,9 +261,9 @@ def tree_step(
     goes_on: wp.array(dtype=int),
 ):
     """Writes the light of rays that needs no shadow ray, that of the lamp `step.lamp`, and the rays that follow. Item: a group
-    of rays, of `count` in all."""
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, count)
+    of the rays start .. stop - 1."""
+    begin = start + (first + wp.tid()) * group
+    end = wp.min(begin + group, stop)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     for i in range(begin, end):
         fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
@@ -297,7 +298,8 @@ def tree_step(
 @wp.kernel
 def shade_by_lamp(
     first: int,
-    count: int,
+    start: int,
+    stop: int,
     group: int,
     step: TreeStep,
     entry: int,
@@ -308,9 +310,9 @@ def shade_by_lamp(
     hits: HitBatch,
     rays: Gathered,
 ):
-    """Writes the light that a further lamp gives at hits, and the shadow rays. Item: a group of rays, of `count` in all."""
-    begin = (first + wp.tid()) * group
-    end = wp.min(begin + group, count)
+    """Writes the light that a further lamp gives at hits, and the shadow rays. Item: a group of the rays start .. stop - 1."""
+    begin = start + (first + wp.tid()) * group
+    end = wp.min(begin + group, stop)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     for i in range(begin, end):
         fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))

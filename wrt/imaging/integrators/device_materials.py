@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.imaging.integrators.texture_tiles import TextureTiles, packed_texels
 from wrt.imaging.rendering import corner_normals
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.bsdf import material_table
@@ -64,7 +65,14 @@ def scene_materials(scene: Scene, materials: Any, default: Material) -> SceneMat
 
 
 def device_materials(found: SceneMaterials, device: wp.Device) -> material_table.Materials:
-    """The table of materials on a device."""
+    """The table of materials on a device, with whole images."""
+    return tiled_materials(found, device, None)[0]
+
+
+def tiled_materials(
+    found: SceneMaterials, device: wp.Device, budget: int | None
+) -> tuple[material_table.Materials, TextureTiles | None]:
+    """The table of materials on a device, and the tiles of its images if the whole ones take more than so many bytes."""
     listed = found.mesh.materials
     table = material_table.Materials()
     same = not found.of_face.any()
@@ -81,16 +89,20 @@ def device_materials(found: SceneMaterials, device: wp.Device) -> material_table
     table.two_sided = column(int, [one.two_sided for one in listed])
     table.absorption = column(wp.vec3, [one.absorption for one in listed])
     table.priority = column(int, [one.priority for one in listed])
-    _add_textures(table, listed, found.mesh.corner_uv, device)
+    tiles = _add_textures(table, listed, found.mesh.corner_uv, device, budget)
     table.has_color = found.mesh.corner_color is not None
     if table.has_color:
         table.corner_color = wp.array(found.mesh.corner_color.reshape(-1, 3), dtype=wp.vec3, device=device)
-    return table
+    return table, tiles
 
 
 def _add_textures(
-    table: material_table.Materials, listed: tuple[Material, ...], corner_uv: np.ndarray | None, device: wp.Device
-) -> None:
+    table: material_table.Materials,
+    listed: tuple[Material, ...],
+    corner_uv: np.ndarray | None,
+    device: wp.Device,
+    budget: int | None,
+) -> TextureTiles | None:
     """Adds texture coordinates and all images, each once."""
     known: dict[Texture, int] = {}
 
@@ -103,17 +115,21 @@ def _add_textures(
     )
     table.has_uv = bool(known)
     if not known:
-        return
+        return None
     table.corner_uv = wp.array(corner_uv.reshape(-1, 2), dtype=wp.vec2, device=device)
     sizes = np.array([texture.pixels.shape[1::-1] for texture in known], dtype=np.int32)
-    firsts = np.cumsum([0, *sizes.prod(axis=1)[:-1]]).astype(np.int32)
-    words = [texture.pixels.astype(np.uint32).reshape(-1, 3) @ np.array([1, 1 << 8, 1 << 16], np.uint32) for texture in known]
-    table.texture_first = wp.array(firsts, dtype=int, device=device)
     table.texture_size = wp.array(sizes, dtype=wp.vec2i, device=device)
-    table.texels = wp.array(np.concatenate(words).astype(np.uint32), dtype=wp.uint32, device=device)
     levels = np.arange(256) / 255.0
     curved = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
     table.linear = wp.array(np.concatenate([levels, curved]).astype(np.float32), dtype=float, device=device)
+    texels = sizes.astype(np.int64).prod(axis=1)
+    if budget is not None and 4 * texels.sum() > budget:
+        return TextureTiles(table, list(known), budget, device)
+    firsts = np.cumsum([0, *texels[:-1]]).astype(np.int32)
+    table.texture_first = wp.array(firsts, dtype=int, device=device)
+    words = np.concatenate([packed_texels(texture.pixels).reshape(-1) for texture in known])
+    table.texels = wp.array(words, dtype=wp.uint32, device=device)
+    return None
 
 
 def shaded_mesh(scene: Scene, crease_angle: float | None) -> ShadedMesh:

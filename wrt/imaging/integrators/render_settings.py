@@ -9,6 +9,7 @@ import numpy as np
 
 from wrt.imaging.cameras import check_whole
 from wrt.imaging.integrators import INTEGRATORS
+from wrt.imaging.integrators.texture_tiles import SMALLEST_BUDGET
 from wrt.kernels.shading.wavefront.camera_rays import FILTERS
 from wrt.kernels.shading.wavefront.picture import TONE_MAPPINGS
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
@@ -50,6 +51,8 @@ class RenderSettings:
         tone_mapping: "srgb" (clipped), "reinhard", "aces", or "linear" for no encoding.
         seed: of the random numbers.
         wave: number of samples that are traced together; it bounds memory and does not change the picture.
+        texture_memory: bytes of device memory for the images of textures, at least 131072; None: they are there as a whole. If
+            they take more, tiles of 64 x 64 texels are loaded as rays need them. It does not change the picture.
         traversal, triangle_test: as in `Scene.intersect`.
 
     Raises:
@@ -74,11 +77,12 @@ class RenderSettings:
     tone_mapping: str = "srgb"
     seed: int = 0
     wave: int = 1 << 19
+    texture_memory: int | None = None
     traversal: str = AUTO
     triangle_test: str = AUTO
 
     def __post_init__(self) -> None:
-        for name, minimum in (("samples", 1), ("depth", 1), ("seed", 0), ("wave", 1)):
+        for name, minimum in (("samples", 1), ("depth", 1), ("seed", 0), ("wave", 1), ("texture_memory", SMALLEST_BUDGET)):
             if getattr(self, name) is not None:
                 check_whole(name, getattr(self, name), minimum)
         choices = {"sampler": SAMPLERS, "pixel_filter": FILTERS, "fresnel": FRESNEL, "tone_mapping": TONE_MAPPINGS}

@@ -11,7 +11,7 @@ import warp as wp
 
 from wrt.imaging.cameras import OrthographicCamera, PinholeCamera, check_whole
 from wrt.imaging.image_files import save_exr, save_image
-from wrt.imaging.integrators.device_materials import device_materials, scene_materials, shaded_mesh
+from wrt.imaging.integrators.device_materials import scene_materials, shaded_mesh, tiled_materials
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, RenderSettings
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
@@ -68,6 +68,9 @@ class Rendering:
         ValueError: a value out of range, or an unknown name.
     """
 
+    wave_type = Wave
+    """What follows the samples; a study measures by another one."""
+
     def __init__(
         self,
         scene: Scene,
@@ -101,7 +104,7 @@ class Rendering:
         with use_threads(scene.num_threads):
             self._lit = LitScene()
             self._lit.schlick = settings.fresnel == FRESNEL[1]
-            self._lit.materials = device_materials(found, device)
+            self._lit.materials, self._tiles = tiled_materials(found, device, settings.texture_memory)
             self._take_state()
             self._film = wp.zeros(self.pixels, dtype=wp.vec3, device=device)
             self._squares = wp.zeros(self.pixels, dtype=float, device=device)
@@ -112,7 +115,7 @@ class Rendering:
         source = pixel_samples(SAMPLERS.index(settings.sampler), self.samples, settings.seed, device)
         ambient = self._ambient()
         slots = self._tile * self._pass
-        self._wave = Wave(self._lit, device, integrator, settings, source, ambient, slots)
+        self._wave = self.wave_type(self._lit, device, integrator, settings, source, ambient, slots, self._tiles)
 
     def _ambient(self) -> Sequence[float]:
         if self.settings.ambient is not None:
@@ -132,6 +135,11 @@ class Rendering:
     def rays(self) -> int:
         """Number of rays traced so far."""
         return self._wave.ray_count
+
+    @property
+    def tile_loads(self) -> int:
+        """Number of tiles of textures loaded so far; 0 without `texture_memory`, or if the whole images fit it."""
+        return 0 if self._tiles is None else self._tiles.loads
 
     def advance(self, samples: int | None = None, progress: Callable[[int, int], Any] | None = None) -> Rendering:
         """Adds samples to all pixels.
@@ -247,8 +255,10 @@ class Rendering:
                 wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, 0
                 self._start(wave, pixels)
                 hits = self._wave.first_hits(self._tracer, 0)
-                inputs = [self._lit, first, self._wave.queue, hits.struct(), made]
-                launch(picture.write_layers, pixels, inputs, device=scene.device)
+                found = hits.struct()
+                for start, stop in self._wave.ranges(found):
+                    inputs = [start, self._lit, first, self._wave.queue, found, made]
+                    launch(picture.write_layers, stop - start, inputs, device=scene.device)
         return {name: self._shaped(getattr(made, name)) for name in LAYERS}
 
     def save(self, path: str | Path) -> None:

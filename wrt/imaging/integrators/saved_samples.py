@@ -3,7 +3,7 @@
 The film holds sums in float32, to which samples are added one by one. So a picture that is continued from the file is the same
 bit for bit as one that was never interrupted. The fingerprint is a hash of everything the picture depends on: meshes with their
 materials, instances, camera, lights, motion, integrator, settings, and the version of wrt. Samples of another picture are
-refused. The size of waves, exposure and tone mapping may differ: they do not change samples.
+refused. The size of waves, memory for textures, exposure and tone mapping may differ: they do not change samples.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from wrt.scene.storage import UNREADABLE
 FILM = (("film", (3,)), ("squares", ()))
 """Arrays of the file, float32, and the shape of a pixel."""
 
-NOT_IN_SAMPLES = ("wave", "exposure", "tone_mapping", "samples")
+NOT_IN_SAMPLES = ("wave", "texture_memory", "exposure", "tone_mapping", "samples")
 """Settings on which samples do not depend; their number is part of the fingerprint by itself."""
 
 

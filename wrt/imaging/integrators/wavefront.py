@@ -8,6 +8,7 @@ value that the host reads.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,8 @@ import warp as wp
 
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
+from wrt.imaging.integrators.texture_tiles import TextureTiles
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel, start_rays
@@ -45,6 +48,7 @@ class Wave:
         samples: random numbers.
         ambient: radiance of the ambient light of the last two.
         slots: most samples of a wave.
+        tiles: of the scene's images; None if they are whole.
     """
 
     def __init__(
@@ -56,8 +60,10 @@ class Wave:
         samples: PixelSamples,
         ambient: Any,
         slots: int,
+        tiles: TextureTiles | None = None,
     ) -> None:
         self.scene, self.settings, self.samples = scene, settings, samples
+        self._tiles = tiles
         self._device, self._is_path = device, integrator == "path"
         self._branches = 1 if self._is_path else 2
         self.radiance = empty(slots, wp.vec3, device)
@@ -84,12 +90,12 @@ class Wave:
             return
         self._room = count
         old = getattr(self, "queue", None)
-        self.queue = _new_queue(count, self._device)
+        self.queue = new_queue(count, self._device)
         del old
         for name, dtype in (("emitted", wp.vec3), ("lit", wp.vec3), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3)):
             setattr(self._rays, name, empty(count, dtype, self._device))
         places = count * self._branches
-        self._scratch = _new_queue(places, self._device)
+        self._scratch = new_queue(places, self._device)
         self._goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
@@ -133,8 +139,9 @@ class Wave:
         self._run_step(tree_step.tree_step, hits)
         self._gather(self._shadows(tracer, lamps[0] != sky) if lamps else self._none, True)
         for entry in lamps[1:]:
-            inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays)
-            self._run_groups(tree_step.shade_by_lamp, *inputs)
+            found = hits.struct()
+            inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, found, self._rays)
+            self.run_groups(tree_step.shade_by_lamp, found, *inputs)
             self._gather(self._shadows(tracer, entry != sky), False)
 
     def _lamps(self) -> list[int]:
@@ -143,8 +150,9 @@ class Wave:
         return [entry for entry in range(lights.count) if self._step.distributed or entry != lights.sky_entry]
 
     def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
-        inputs = (self._step, self.scene, self.samples, self._wave, self.queue, hits.struct(), self._rays, self._scratch)
-        self._run_groups(kernel, *inputs, self._goes_on)
+        found = hits.struct()
+        inputs = (self._step, self.scene, self.samples, self._wave, self.queue, found, self._rays, self._scratch)
+        self.run_groups(kernel, found, *inputs, self._goes_on)
 
     def _shadows(self, tracer: RayTracer, similar: bool) -> wp.array:
         """Which shadow rays are blocked. Those of camera rays' hits to a lamp are similar; to the sky they go all ways."""
@@ -168,16 +176,23 @@ class Wave:
             self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
         return following
 
-    def _run_groups(self, kernel: wp.Kernel, *inputs: Any) -> None:
+    def ranges(self, hits: HitBatch) -> Iterable[tuple[int, int]]:
+        """The rays of the generation, (start, stop), in parts whose textures are in memory."""
+        return [(0, self.count)] if self._tiles is None else self._tiles.ranges(self.scene, hits, self.count)
+
+    def run_groups(self, kernel: wp.Kernel, hits: HitBatch, *inputs: Any) -> None:
         """Runs a step over the rays of the generation, by groups."""
         group = 1 if self._device.is_cuda else GROUP
-        launch(kernel, -(-self.count // group), [self.count, group, *inputs], device=self._device, chunk=-(-CHUNK // group))
+        for start, stop in self.ranges(hits):
+            items = -(-(stop - start) // group)
+            launch(kernel, items, [start, stop, group, *inputs], device=self._device, chunk=-(-CHUNK // group))
 
     def _run(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
         launch(kernel, count, inputs, device=self._device, chunk=CHUNK)
 
 
-def _new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
+def new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
+    """A queue of so many rays; what it holds is undefined."""
     queue = ray_queue.RayQueue()
     queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
     queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))
