@@ -27,11 +27,13 @@ References:
         ACM Transactions on Graphics 33(4), 2014.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wrt.builders.bvh import subset_levels
 from wrt.builders.bvh.bvh_config import BvhConfig
 from wrt.builders.bvh.phases import bvh_levels as level_phase
 from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections, Heuristic
@@ -63,6 +65,9 @@ MIN_CHUNK = 2048
 NODES, CHUNKS = 0, 1
 """Positions of the numbers of live nodes and of their chunks in `Totals`."""
 
+SLOTS_PER_THREAD = 32
+"""Runs of subtrees per thread of a build on a subset, which has thousands of small ones."""
+
 MAX_LEVELS = 32
 """Levels after which the remaining nodes become tasks whatever their size."""
 
@@ -84,6 +89,8 @@ def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -
     """One kernel of each module that a build of so many triangles needs."""
     levels = [make_search_planes(heuristic)] if triangles > largest_task(triangles) else []
     moving = [find_insertion_positions] if config.reinsertion else []
+    if config.subset < 1.0:
+        moving += subset_levels.KERNELS
     return [level_phase.make_references, *levels, make_build_subtrees(heuristic), *moving, *collapse_kernels(heuristic)]
 
 
@@ -130,14 +137,19 @@ class BinnedBuilder:
         self.references = work.empty("references", 16 * count, float)
         """Two buffers of references."""
         self.top: wp.array | None = None
+        self.tasks_per_slot = 1
 
     def build(self) -> Bvh:
         """Builds the tree."""
         load(self.kernels(), self.device)  # compilation is not a phase of the build
         with self.phase("references"):
             self.make_references()
-        with self.phase("top levels"):
-            self.build_levels()
+        chosen = subset_levels.choose(self.triangles.count, self.config.subset)
+        if len(chosen):
+            self.build_on_subset(chosen)
+        else:
+            with self.phase("top levels"):
+                self.build_levels()
         with self.phase("subtrees"):
             self.build_subtrees()
         binary = self.result()
@@ -210,12 +222,31 @@ class BinnedBuilder:
         write(tasks, made[np.argsort(-made["count"], kind="stable")])
         self.tasks = tasks
 
+    def over(self, triangles: TriangleBoxes) -> "BinnedBuilder":
+        """A builder of the same kind for other triangles, all of them."""
+        return BinnedBuilder(triangles, replace(self.config, subset=1.0), self.heuristic)
+
+    def build_on_subset(self, chosen: np.ndarray) -> None:
+        """Phases "subset" and "insertion": the upper levels are those of a tree over the chosen triangles."""
+        with self.phase("subset"):
+            part = self.over(subset_levels.boxes_at(self.triangles, chosen))
+            part.make_references()
+            part.build_levels()
+            part.build_subtrees()
+        with self.phase("insertion"):
+            count = self.triangles.count
+            centers = part.triangles.boxes.low.numpy() + part.triangles.boxes.high.numpy()
+            upper = subset_levels.insert(self.references, count, chosen, centers, part.tree, self.tree)
+        self.tasks, self.task_count, self.top = upper.tasks, len(upper.tasks), upper.top
+        self.tasks_per_slot = -(-self.task_count // (SLOTS_PER_THREAD * get_num_threads()))
+
     def build_subtrees(self) -> None:
-        """Phase "subtrees": builds all tasks, the largest first, which balances the load."""
-        count, work = self.task_count, self.work
-        scratch = work.make("subtree scratch", count, lambda size: make_scratch(size, self.device))
-        domain = work.empty("subtree domain", 8 * STACK * count, float)
-        stack = work.make("stack", count, lambda size: wp.empty((size, STACK), dtype=Frame, device=self.device))
+        """Phase "subtrees": builds all tasks, the largest first, which balances the load; those on a subset by their place."""
+        count, work, each = self.task_count, self.work, self.tasks_per_slot
+        slots = -(-count // each)
+        scratch = work.make("subtree scratch", slots, lambda size: make_scratch(size, self.device))
+        domain = work.empty("subtree domain", 8 * STACK * slots, float)
+        stack = work.make("stack", slots, lambda size: wp.empty((size, STACK), dtype=Frame, device=self.device))
         self.subtrees = work.make(f"subtrees {count}", 1, lambda _: wp.empty(count, dtype=wp.vec2i, device=self.device))
         inputs = [
             self.rules,
@@ -223,13 +254,14 @@ class BinnedBuilder:
             self.references,
             self.triangles.count,
             self.tasks,
+            each,
             scratch,
             domain,
             stack,
             self.tree,
             self.subtrees,
         ]
-        work.launch(self.subtree_kernel, count, inputs, chunk=1, chunks_per_thread=count)
+        work.launch(self.subtree_kernel, slots, inputs, chunk=1, chunks_per_thread=slots)
 
     def result(self) -> BinaryBuild:
         """The finished binary tree. The references are no longer needed."""

@@ -49,6 +49,8 @@ class BvhConfig:
         max_leaf_triangles: most triangles in a leaf, 1 to 63; None for three blocks, but at least 8 triangles.
         reinsertion: most rounds of `wrt.builders.bvh.phases.reinsertion`, 0 to 1000. With at least one, leaves of the binary
             tree hold half a block.
+        subset: share of the triangles, above 0 and at most 1, that decides the upper levels of a builder that bins
+            (`wrt.builders.bvh.subset_levels`).
 
     Raises:
         ValueError: a value is out of range.
@@ -58,6 +60,7 @@ class BvhConfig:
     bins: int = 16
     max_leaf_triangles: int | None = None
     reinsertion: int = 0
+    subset: float = 1.0
 
     def __post_init__(self) -> None:
         if self.cost.width < 2:
@@ -70,6 +73,8 @@ class BvhConfig:
             or not 0 <= self.reinsertion <= MAX_ROUNDS
         ):
             raise ValueError(f"reinsertion is {self.reinsertion!r}; it must be a whole number of rounds from 0 to {MAX_ROUNDS}")
+        if not 0.0 < self.subset <= 1.0:
+            raise ValueError(f"subset is {self.subset}; it must be above 0 and at most 1, a share of the triangles")
         if self.max_leaf_triangles is not None and not 1 <= self.max_leaf_triangles <= MAX_LEAF_TRIANGLES:
             raise ValueError(f"max_leaf_triangles is {self.max_leaf_triangles}; it must be from 1 to {MAX_LEAF_TRIANGLES}")
 

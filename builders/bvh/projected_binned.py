@@ -24,6 +24,8 @@ References:
     I. Wald: On fast construction of SAH-based bounding volume hierarchies. IEEE Symposium on Interactive Ray Tracing 2007.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 
@@ -291,6 +293,11 @@ class ProjectedBuilder(BinnedBuilder):
 
     def __init__(self, triangles: TriangleBoxes, config: ProjectedConfig) -> None:
         super().__init__(triangles, config.bvh, PROJECTED, known_rays(triangles, config))
+        self.projected = config
+
+    def over(self, triangles: TriangleBoxes) -> BinnedBuilder:
+        """A builder of the same kind for other triangles, all of them."""
+        return ProjectedBuilder(triangles, replace(self.projected, bvh=replace(self.config, subset=1.0)))
 
     def kernels(self) -> list[wp.Kernel]:
         """One kernel of each module."""

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import warp as wp
 
-from wrt.kernels.influence.region_tests import DISJOINT, INTERSECTING, Region, classify_pairs
+from wrt.kernels.influence.region_tests import DISJOINT, ENCLOSED, INTERSECTING, Region, classify_pairs
 from wrt.kernels.runtime.launch import launch
 
 MAX_BYTES = 1 << 30
@@ -55,16 +56,20 @@ class Cells:
         """Bytes of the pairs."""
         return self.area.nbytes
 
-    def children(self, parents: np.ndarray, regions: wp.array) -> Cells:
-        """The eight children of each of the cells `parents`, in the order of the parents."""
-        low, high = cut_cells(self.low[parents], self.high[parents])
-        sizes = np.repeat(np.diff(self.begin)[parents], 8)
+    def children(self, parents: np.ndarray, regions: wp.array, cuts: Cuts) -> Cells:
+        """The children of each of the cells `parents`, in the order of the parents."""
+        low, high = cuts.cut(self, parents)
+        sizes = np.repeat(np.diff(self.begin)[parents], cuts.fan)
         ends = np.cumsum(sizes)
         cell = np.repeat(np.arange(len(low), dtype=np.int32), sizes)
-        starts = np.repeat(self.begin[:-1][parents], 8) - (ends - sizes)
+        starts = np.repeat(self.begin[:-1][parents], cuts.fan) - (ends - sizes)
         area = self.area[np.arange(len(cell)) + starts[cell]]
         state = classify(regions, low, high, cell, area)
         touching = state != DISJOINT
+        if cuts.slack > 0.0:
+            part = np.flatnonzero(state == INTERSECTING)
+            within = classify(regions, low + cuts.slack, high - cuts.slack, cell[part], area[part])
+            state[part[within != INTERSECTING]] = ENCLOSED
         counts = np.bincount(cell[touching], minlength=len(low))
         mixed = np.bincount(cell[state == INTERSECTING], minlength=len(low)) > 0
         return Cells(low, high, np.append(0, np.cumsum(counts)), area[touching], mixed)
@@ -77,6 +82,44 @@ class Cells:
         counts = np.concatenate([np.diff(part.begin) for part in parts])
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ("low", "high", "area", "is_mixed")}
         return cls(begin=np.append(0, np.cumsum(counts)), **arrays)
+
+
+class Cuts(Protocol):
+    """How cells are divided.
+
+    Attributes:
+        name: of the structure, for messages.
+        fan: children of a cell.
+        steps: levels that halve all three axes.
+        slack: distance from its faces within which a cell is not cut to tell a region's inside from its outside.
+    """
+
+    name: str
+    fan: int
+    steps: int
+    slack: float
+
+    def words(self, cells: Cells, divided: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """The words of the cells of a level that are divided, (N,) bool; first: of their children, the first ones' numbers."""
+        ...
+
+    def cut(self, cells: Cells, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Corners of the children of some cells of the level, in the order of the parents."""
+        ...
+
+
+class Octants:
+    """Cells are divided into eight."""
+
+    name, fan, steps, slack = "octree", 8, 1, 0.0
+
+    def words(self, cells: Cells, divided: np.ndarray, first: np.ndarray) -> np.ndarray:
+        """The numbers of the first children."""
+        return first
+
+    def cut(self, cells: Cells, parents: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `Cuts`."""
+        return cut_cells(cells.low[parents], cells.high[parents])
 
 
 class AreaLists:
@@ -140,9 +183,10 @@ def hash64(values: np.ndarray) -> np.ndarray:
 
 
 def build_octree(
-    structs: Sequence[Region], low: np.ndarray, high: np.ndarray, depth: int
+    structs: Sequence[Region], low: np.ndarray, high: np.ndarray, depth: int, cuts: Cuts | None = None
 ) -> tuple[np.ndarray, list[np.ndarray]]:
-    """(child words, lists of areas) of an octree in the layout of `wrt.kernels.influence.area_assignment.AreaTree`.
+    """(child words, lists of areas) of an octree, or of a tree of other cuts, in the layout of
+    `wrt.kernels.influence.area_assignment.AreaTree`.
 
     The look-up may find a point on the border of two cells in either, and rounding may move it across. A region that touches
     both cells is therefore classified as disjoint from neither (`wrt.kernels.influence.region_tests.is_separated`).
@@ -151,32 +195,33 @@ def build_octree(
         structs: the regions.
         low, high: (3,) corners of the root, which all regions touch.
         depth: most levels below the root.
+        cuts: how cells are divided; None for octants.
 
     Raises:
-        ValueError: the octree would take more than MAX_BYTES.
+        ValueError: the tree would take more than MAX_BYTES.
     """
-    count = len(structs)
+    count, cuts = len(structs), cuts or Octants()
     regions = wp.array(list(structs), dtype=Region, device="cpu")
     cells = Cells(low[None], high[None], np.array([0, count]), np.arange(count, dtype=np.int32), np.ones(1, dtype=bool))
     lists, levels, total = AreaLists(), [], 1
     for level in range(depth + 1):
         divided = cells.is_mixed & (level < depth)
         words = np.empty(len(cells), dtype=np.int32)
-        words[divided] = total + 8 * np.arange(divided.sum())
+        words[divided] = cuts.words(cells, divided, total + cuts.fan * np.arange(divided.sum()))
         leaves = slices(np.flatnonzero(~divided), np.diff(cells.begin))
         words[~divided] = ~np.concatenate([lists.numbers(cells, chosen) for chosen in leaves])
         levels.append(words)
-        total += 8 * int(divided.sum())
+        total += cuts.fan * int(divided.sum())
         if not divided.any():
             break
         parts, held = [], total * CELL_BYTES + cells.bytes + lists.bytes
-        for parents in slices(np.flatnonzero(divided), 8 * np.diff(cells.begin)):
-            parts.append(cells.children(parents, regions))
+        for parents in slices(np.flatnonzero(divided), cuts.fan * np.diff(cells.begin)):
+            parts.append(cells.children(parents, regions, cuts))
             held += parts[-1].bytes
             if held > MAX_BYTES:
                 raise ValueError(
-                    f"the octree over {count} influence areas takes more than {MAX_BYTES >> 20} MB at level {level + 1} of "
-                    f"{depth}; pass depth={level} to wrt.RayAwareBvh, or top_level='array'"
+                    f"the {cuts.name} over {count} influence areas takes more than {MAX_BYTES >> 20} MB at level {level + 1} "
+                    f"of {depth}; pass depth={level // cuts.steps} to wrt.RayAwareBvh, or top_level='array'"
                 )
         cells = Cells.joined(parts)
     return np.concatenate(levels), lists.lists

@@ -3,7 +3,8 @@
 **Octree** (Falcone 2024, section 5.5.2; `wrt.builders.influence.area_octree`). A leaf lists the areas whose regions touch it,
 so a look-up misses no area. Near the surface of a region, a leaf also lists it for points outside. The thesis accepts these
 points; here the look-up tests the region itself, because the hits depend on it. A depth of 0 gives the thesis' other structure:
-an array of the regions with their boxes. A full tree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
+an array of the regions with their boxes. A kd-tree (`wrt.builders.influence.area_kdtree`) may take the octree's place. A full
+octree of d levels below the root has (8^(d + 1) - 1) / 7 cells.
 
 **Triangles of an area.** All triangles whose boxes touch the region moved outward by `triangle_margin`; see
 `wrt.kernels.influence.area_assignment` for the reason. The list contains every triangle that has a vertex, an edge or an
@@ -21,7 +22,8 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-from wrt.builders.influence.area_octree import build_octree
+from wrt.builders.influence.area_kdtree import FacePlanes, cut_at
+from wrt.builders.influence.area_octree import build_octree, cut_cells
 from wrt.builders.influence.influence_area import InfluenceArea, PlaneInfluenceArea
 from wrt.builders.influence.regions import Frustum, Obb, Region, classify_boxes
 from wrt.builders.tree import Bvh
@@ -131,10 +133,11 @@ class TopLevel:
         areas: influence areas in order of precedence: a look-up returns the first that matches.
         regions: their regions, in the scene's coordinates.
         touch: distance by which regions are widened.
-        depth: most levels of the octree below its root; 0 for an array.
+        depth: most levels of the octree below its root; 0 for an array. A kd-tree has up to three times as many.
         sine: sine of the greatest angle between an affine ray and the area's ray through its origin.
         center: (3,) the scene's centre.
         device: device on which rays look areas up.
+        is_kdtree: whether cells are cut in two (`wrt.builders.influence.area_kdtree`) and not into octants.
     """
 
     def __init__(
@@ -146,12 +149,19 @@ class TopLevel:
         sine: float,
         center: np.ndarray,
         device: wp.Device,
+        is_kdtree: bool = False,
     ) -> None:
         self.center, self.device = center, device
         structs = [region.struct(center, touch) for region in regions]
         low, high = np.min([struct.low for struct in structs], axis=0), np.max([struct.high for struct in structs], axis=0)
         size = (high - low).max() * (1.0 + MARGIN)  # keeps the faces of regions strictly inside the cube
-        child, lists = build_octree(structs, low, low + size, depth)
+        planes, high = np.empty(0), low + size
+        if is_kdtree and depth > 0:
+            cuts = FacePlanes(structs)
+            child, lists = build_octree(structs, low, high, depth * cuts.steps, cuts)
+            planes = np.concatenate(cuts.planes)
+        else:
+            child, lists = build_octree(structs, low, high, depth)
         self.cells, self.lists = len(child), lists
         tree = AreaTree()
         tree.regions = wp.array(structs, dtype=RegionStruct, device=device)
@@ -159,6 +169,7 @@ class TopLevel:
         tree.sine = sine
         tree.touch = touch
         tree.low, tree.cells, tree.depth = wp.vec3d(*low), 2.0**depth / size, depth
+        tree.high, tree.plane = wp.vec3d(*high), wp.array(planes, dtype=wp.float64, device=device)
         tree.child = wp.array(child, dtype=int, device=device)
         tree.begin = wp.array(np.cumsum([0] + [len(entry) for entry in lists]), dtype=int, device=device)
         tree.area = wp.array(np.concatenate(lists), dtype=int, device=device)
@@ -167,7 +178,25 @@ class TopLevel:
     @property
     def bytes(self) -> int:
         """Bytes of the cells and lists."""
-        return sum(array.capacity for array in (self.struct.child, self.struct.begin, self.struct.area))
+        return sum(array.capacity for array in (self.struct.child, self.struct.plane, self.struct.begin, self.struct.area))
+
+    @property
+    def is_kdtree(self) -> bool:
+        """Whether cells are cut in two."""
+        return len(self.struct.plane) > 0
+
+    @property
+    def root(self) -> tuple[np.ndarray, np.ndarray]:
+        """(1, 3) corners of the root, relative to the scene's centre."""
+        return np.array(self.struct.low)[None], np.array(self.struct.high)[None]
+
+    def divide(self, cells: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The children of inner cells, given with their corners, (N, 3), and their corners, in the order of the parents."""
+        words = self.struct.child.numpy()[cells]
+        if not self.is_kdtree:
+            return (words[:, None] + np.arange(8)).ravel(), *cut_cells(low, high)
+        planes = self.struct.plane.numpy()[cells]
+        return ((words >> 2)[:, None] + np.arange(2)).ravel(), *cut_at(low, high, words & 3, planes)
 
     def candidates(self, points: np.ndarray) -> np.ndarray:
         """(N, areas) bool for (N, 3) points: the areas that the leaf around each point lists."""

@@ -8,7 +8,9 @@ same.
 **The octree.** A cell is one word of `child`: the index of the first of its eight consecutive children, or ~list for a leaf,
 where `list` is the list of areas whose regions touch the leaf. Child 4 z + 2 y + x is the upper half along an axis if the bit
 of the axis is set. Leaves with the same areas share a list, so a cell costs only a few bytes. An octree of one cell, a leaf
-with all areas, is a plain array. The lists are conservative; the test of the region decides, after a test of its bounding box.
+with all areas, is a plain array. In a kd-tree, a word is four times the index of the first of two children, plus the axis, and
+`plane` has the coordinate from which on points belong to the second child. The lists are conservative; the test of the region
+decides, after a test of its bounding box.
 
 **The range that an area covers.** Regions are convex, so a ray that starts in one stays inside until the t at which it leaves.
 Every triangle that it can hit before that t touches the region and is therefore in the area's tree. A hit found there is the
@@ -58,16 +60,34 @@ class AreaTree:
     origins."""
     low: wp.vec3d
     """Lower corner of the root cube; points outside the cube have no area."""
+    high: wp.vec3d
+    """Upper corner of the root cube."""
     cells: wp.float64
     """Cells per unit of length along an axis, at the greatest depth."""
     depth: int
     """Greatest number of levels below the root: 2^depth cells along an axis."""
     child: wp.array(dtype=int)
-    """(cells,) index of the first of eight children, or ~list."""
+    """(cells,) index of the first of eight children, or ~list; in a kd-tree 4 * index of the first of two children + axis."""
+    plane: wp.array(dtype=wp.float64)
+    """(cells,) coordinates of the planes of a kd-tree; empty for an octree."""
     begin: wp.array(dtype=int)
     """(lists + 1,) start of each list in `area`."""
     area: wp.array(dtype=int)
     """Area numbers of all lists, ascending within a list."""
+
+
+@wp.func
+def find_in_kdtree(areas: AreaTree, point: wp.vec3d):
+    """Returns the list of the leaf of a kd-tree that contains a point, -1 outside the root."""
+    for axis in range(3):
+        if not (point[axis] >= areas.low[axis] and point[axis] <= areas.high[axis]):
+            return -1
+    cell = int(0)
+    word = areas.child[0]
+    while word >= 0:
+        cell = (word >> 2) + wp.where(point[word & 3] >= areas.plane[cell], 1, 0)
+        word = areas.child[cell]
+    return ~word
 
 
 @wp.func
@@ -76,6 +96,8 @@ def find_list(areas: AreaTree, point: wp.vec3d):
 
     The path to the leaf is given by the bits of the point's coordinates on the finest grid, from the highest bit down.
     """
+    if areas.plane.shape[0] > 0:
+        return find_in_kdtree(areas, point)
     place = (point - areas.low) * areas.cells
     end = wp.float64(1 << areas.depth)
     for axis in range(3):

@@ -145,7 +145,7 @@ def test_what_regions_enclose_is_not_cut():
     assert any(len(lists[~child[cell]]) for cell in np.flatnonzero((child < 0) & (level < DEPTH)))
 
 
-@pytest.mark.parametrize("top_level", ["octree", "array"])
+@pytest.mark.parametrize("top_level", ["octree", "kdtree", "array"])
 def test_areas_of_rays(device, top_level):
     """The first area in whose region a ray starts, and along whose rays it runs, by NumPy in float64."""
     mesh = SCENES["teapot"]()
@@ -200,7 +200,7 @@ def test_every_hit_is_brute_forces(device, name):
     plain = wrt.Scene(mesh, "bvh", device=device)
     expected = plain.intersect(origins, directions, t_min, t_max, traversal="brute")
     dark = plain.occluded(origins, directions, t_min, t_max, traversal="brute")
-    for top_level in ("octree", "array"):
+    for top_level in ("octree", "kdtree", "array"):
         scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas_of(mesh), top_level=top_level), device=device)
         for traversal in ("single", "auto"):
             hits = scene.intersect(origins, directions, t_min, t_max, traversal=traversal)
@@ -311,7 +311,7 @@ def test_areas_without_triangles_are_left_out():
         ({"areas": ["sun"]}, TypeError, "area"),
         ({"local": wrt.KdTree()}, TypeError, "local must be a wrt.Bvh"),
         ({"tolerance": 90.0}, ValueError, "tolerance is 90"),
-        ({"top_level": "list"}, ValueError, "top_level 'list' is unknown; choose from auto, octree, array"),
+        ({"top_level": "list"}, ValueError, "top_level 'list' is unknown; choose from auto, octree, kdtree, array"),
         ({"depth": 0}, ValueError, "depth is 0"),
     ],
 )

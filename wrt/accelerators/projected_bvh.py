@@ -42,6 +42,8 @@ class ProjectedBvh:
         max_depth: largest depth of the binary tree, if possible; None for the depth that traversals support.
         aware_depth: depth of the binary tree from which nodes are split by surface area along the longest side; None for
             never.
+        subset: share of the triangles, in (0, 1], drawn at random, over which the upper levels are built; the others are then
+            inserted (Tessari et al. 2023, suggested in section 7.2). 1 for all triangles.
 
     Raises:
         TypeError: `areas` holds something else.
@@ -50,6 +52,8 @@ class ProjectedBvh:
     References:
         L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
         Milano, 2024.
+        L. Tessari, A. Dittebrandt, M. J. Doyle, C. Benthin: Stochastic subsets for BVH construction. Computer Graphics Forum
+        42(2), 2023.
     """
 
     kind: ClassVar[str] = "bvh"
@@ -70,6 +74,7 @@ class ProjectedBvh:
     leaf_probability: float = 0.0
     max_depth: int | None = None
     aware_depth: int | None = None
+    subset: float = 1.0
 
     def __post_init__(self) -> None:
         from wrt.builders.influence.projected_cost import check_areas
@@ -104,7 +109,7 @@ class ProjectedBvh:
             block, unit = self.triangle_cost, 1
         costs = SurfaceAreaCost(traversal=self.traversal_cost, block=block, width=width, unit=unit)
         return ProjectedConfig(
-            bvh=BvhConfig(costs, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles),
+            bvh=BvhConfig(costs, bins=self.bins, max_leaf_triangles=self.max_leaf_triangles, subset=self.subset),
             rays=RayDistribution(self.areas, self.shares, self.others if self.cost == "pah" else 1.0),
             axes=lookup(AXIS_CHOICES, self.axes, "axes") if isinstance(self.axes, str) else self.axes,
             nodes=NodeRules(

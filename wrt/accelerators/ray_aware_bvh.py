@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from wrt.builders.influence.influence_area import InfluenceArea
     from wrt.builders.triangle_boxes import TriangleBoxes
 
-TOP_LEVELS = ("auto", "octree", "array")
+TOP_LEVELS = ("auto", "octree", "kdtree", "array")
 
 MAX_ARRAY_AREAS = 16
 """Largest number of areas that are searched as an array, which is then faster than an octree
@@ -41,8 +41,9 @@ class RayAwareBvh:
             it. Areas that no triangle touches are left out. A point area accepts rays that start at its apex, not only
             beyond its near plane.
         tolerance: largest angle between a ray and the area's ray through its origin, in degrees, in [0, 90).
-        top_level: how the area of a ray is found: "octree", "array", or "auto" for an array of up to 16 areas.
-        depth: largest number of octree levels below the root, 1 to 8.
+        top_level: how the area of a ray is found: "octree", "kdtree", "array", or "auto": an array of up to 16 areas, else
+            an octree.
+        depth: largest number of octree levels below the root, 1 to 8; a kd-tree has up to three times as many.
         whole: the whole scene's tree, a `wrt.Bvh`; None for `wrt.Bvh()`.
         local: the areas' trees: a `wrt.Bvh`, or a `wrt.ProjectedBvh` whose areas are replaced by the tree's area; None for
             `wrt.ProjectedBvh(areas=[area])`. They get the width of the whole scene's tree.
@@ -51,8 +52,8 @@ class RayAwareBvh:
         TypeError: `areas`, `whole` or `local` holds something else.
         ValueError: no area or too many, an unknown top level, or a value out of range.
 
-    `wrt.Scene` raises a ValueError for an octree of more than 1 GB (thousands of large areas at depth 8); use fewer levels
-    or an array.
+    `wrt.Scene` raises a ValueError for an octree or kd-tree of more than 1 GB (thousands of large areas at depth 8); use fewer
+    levels or an array.
 
     References:
         L. Falcone: Ray distribution aware heuristics for BVHs construction in ray tracing. MSc thesis, Politecnico di
@@ -89,7 +90,7 @@ class RayAwareBvh:
 
     @property
     def octree_depth(self) -> int:
-        """Largest number of octree levels below the root; 0 for an array."""
+        """Largest number of octree levels below the root, also if a kd-tree takes its place; 0 for an array."""
         is_array = len(self.areas) <= MAX_ARRAY_AREAS if self.top_level == "auto" else self.top_level == "array"
         return 0 if is_array else self.depth
 

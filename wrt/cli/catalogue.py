@@ -47,7 +47,7 @@ PAPERS: dict[str, dict[str, str]] = {
     },
     "weights of boxes": {"pah": FALCONE, "sah": "MacDonald, Booth (1990)"},
     "axes to split": dict.fromkeys(("all", "longest", "facing", "in_turn"), FALCONE),
-    "finding the area of a ray": dict.fromkeys(("auto", "octree", "array"), FALCONE),
+    "finding the area of a ray": dict.fromkeys(("auto", "octree", "kdtree", "array"), FALCONE),
     "orders of rays": {
         "none": "the rays' own order",
         "cells": "Pharr, Kolb, Gershbein, Hanrahan (1997); Månsson, Munkberg, Akenine-Möller (2007); Garanzha, Loop (2010)",
@@ -90,6 +90,7 @@ PAPERS: dict[str, dict[str, str]] = {
 OTHERS: dict[str, dict[str, str]] = {
     "BVH builders": {
         "wrt.Bvh(reinsertion=3)": "Meister, Bittner: Parallel reinsertion for bounding volume hierarchy optimization (2018)",
+        "wrt.Bvh(subset=1/32)": "Tessari, Dittebrandt, Doyle, Benthin: Stochastic subsets for BVH construction (2023)",
     },
     "clipping and costs": {
         "wrt.KdTree(split_clipping=True)": (

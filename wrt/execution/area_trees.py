@@ -108,9 +108,9 @@ def build_area_trees(scene: SceneState, triangles: TriangleBoxes) -> AreaTrees |
             counts.append(len(ids))
     if not areas:
         return None
-    top = TopLevel(
-        areas, regions, touch, accelerator.octree_depth, sin(radians(accelerator.tolerance)), scene.center, scene.device
-    )
+    depth, sine = accelerator.octree_depth, sin(radians(accelerator.tolerance))
+    is_kdtree = accelerator.top_level == "kdtree"
+    top = TopLevel(areas, regions, touch, depth, sine, scene.center, scene.device, is_kdtree)
     margin = max(triangle_margin(region, touch, low, high) for region in regions)
     corners = [wp.vec3(*corner) for corner in (low - scene.center - margin, high - scene.center + margin)]
     return AreaTrees(tuple(areas), tuple(numbers), tuple(scenes), tuple(counts), top, *corners)

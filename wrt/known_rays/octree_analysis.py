@@ -19,7 +19,7 @@ __all__ = ["OctreeAnalysis", "analyse_octree"]
 
 @dataclass(frozen=True)
 class OctreeAnalysis:
-    """The cells of the octree over the influence areas of a scene; of an array of areas, the one cell of all.
+    """The cells of the octree or kd-tree over the influence areas of a scene; of an array of areas, the one cell of all.
 
     Attributes:
         low, high: (cells, 3) float64, corners in the scene's coordinates; parents come before their children.
@@ -99,7 +99,7 @@ class OctreeAnalysis:
 
 
 def analyse_octree(scene: Scene) -> OctreeAnalysis:
-    """Measures the octree over the influence areas of a scene.
+    """Measures the octree or kd-tree over the influence areas of a scene.
 
         scene = wrt.Scene(mesh, wrt.RayAwareBvh(areas=areas, top_level="octree"))
         wrt.analyse_octree(scene).save_json("octree.json")
@@ -117,20 +117,17 @@ def analyse_octree(scene: Scene) -> OctreeAnalysis:
 
 def measure_cells(top: TopLevel, numbers: tuple[int, ...]) -> OctreeAnalysis:
     """The cells of a top level; `numbers` are those that its areas are called by."""
-    child, depth, cells = top.struct.child.numpy(), top.struct.depth, float(top.struct.cells)
-    size, count = 2.0**depth / cells, len(child)
-    low, level, parent = np.zeros((count, 3)), np.zeros(count, dtype=int), np.full(count, -1)
-    low[0] = np.array(top.struct.low) + top.center
+    child, count = top.struct.child.numpy(), top.cells
+    low, high = np.zeros((count, 3)), np.zeros((count, 3))
+    level, parent = np.zeros(count, dtype=int), np.full(count, -1)
+    cells, (lows, highs) = np.zeros(1, dtype=int), top.root
+    while len(cells):
+        low[cells], high[cells] = lows + top.center, highs + top.center
+        inner = child[cells] >= 0
+        parents = cells[inner]
+        cells, lows, highs = top.divide(parents, lows[inner], highs[inner])
+        parent[cells] = np.repeat(parents, len(cells) // max(len(parents), 1))
+        level[cells] = level[parent[cells]] + 1
     lists = [tuple(numbers[area] for area in one) for one in top.lists]
-    areas: list[tuple[int, ...] | None] = [None] * count
-    for cell, word in enumerate(child.tolist()):
-        if word < 0:
-            areas[cell] = lists[~word]
-            continue
-        half = size / 2.0 ** (level[cell] + 1)
-        for eighth in range(8):
-            inner = word + eighth
-            parent[inner], level[inner] = cell, level[cell] + 1
-            low[inner] = low[cell] + half * np.array([eighth & 1, eighth >> 1 & 1, eighth >> 2])
-    high = low + (size / 2.0**level)[:, None]
-    return OctreeAnalysis(low, high, parent, level, child < 0, tuple(areas), top.bytes)
+    areas = tuple(lists[~word] if word < 0 else None for word in child.tolist())
+    return OctreeAnalysis(low, high, parent, level, child < 0, areas, top.bytes)

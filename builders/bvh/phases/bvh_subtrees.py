@@ -163,20 +163,22 @@ def make_build_subtrees(heuristic: Heuristic) -> wp.Kernel:
         references: wp.array(dtype=float),
         triangles: int,
         tasks: wp.array(dtype=Frame),
+        each: int,
         scratch: Scratch,
         domain: wp.array(dtype=float),
         stack: wp.array2d(dtype=Frame),
         tree: BinaryTree,
         subtrees: wp.array(dtype=wp.vec2i),
     ):
-        """Item: a task.
+        """Item: a slot, for `each` tasks, one after the other.
 
-        stack: (tasks, STACK) waiting nodes. domain: (tasks * STACK * 8,) centroid boxes of the waiting nodes, followed by that
+        stack: (slots, STACK) waiting nodes. domain: (slots * STACK * 8,) centroid boxes of the waiting nodes, followed by that
         of the current one. subtrees: (tasks,) range of the pairs that each task made.
         """
         slot = first + wp.tid()
-        task = tasks[slot]
-        end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
-        subtrees[slot] = wp.vec2i(task.first + 1, end)
+        for number in range(slot * each, wp.min((slot + 1) * each, subtrees.shape[0])):
+            task = tasks[number]
+            end = build_subtree(rules, rays, references, triangles, task, slot, scratch, domain, stack, tree)
+            subtrees[number] = wp.vec2i(task.first + 1, end)
 
     return specialised_kernel(build_subtrees)

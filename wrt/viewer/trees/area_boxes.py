@@ -29,27 +29,24 @@ def region_corners(scene: Scene) -> np.ndarray:
 
 
 def octree_boxes(top: TopLevel) -> TreeBoxes:
-    """The cells of an octree over influence areas; a single one if it is an array.
+    """The cells of an octree or kd-tree over influence areas; a single one if it is an array.
 
     `triangles` is the number of areas that a leaf lists, which a look-up tests in turn; `fill` its share of all areas; `cost`
     counts them times the cell's share of the root's surface; `empty_space` is 1 for a leaf without an area.
     """
     tree = top.struct
     child, counts = tree.child.numpy(), np.diff(tree.begin.numpy())
-    size = 2.0**tree.depth / tree.cells
-    cells, lows, levels = [np.zeros(1, dtype=np.int64)], [np.array(tree.low, dtype=np.float64)[None]], [0]
-    octants = np.array([[i & 1, i >> 1 & 1, i >> 2] for i in range(8)], dtype=np.float64)
+    cells, corners = [np.zeros(1, dtype=np.int64)], [top.root]
     while sum(map(len, cells)) <= MOST_CELLS:
         inner = child[cells[-1]] >= 0
         if not inner.any():
             break
-        half = size / 2 ** (levels[-1] + 1)
-        lows.append((lows[-1][inner][:, None] + half * octants).reshape(-1, 3))
-        cells.append((child[cells[-1][inner]][:, None] + np.arange(8)).ravel())
-        levels.append(levels[-1] + 1)
-    depth = np.repeat(levels, [len(level) for level in cells])
-    low, words = np.concatenate(lows), child[np.concatenate(cells)]
-    high = low + (size / 2.0**depth)[:, None]
+        children, *both = top.divide(cells[-1][inner], *(corner[inner] for corner in corners[-1]))
+        cells.append(children)
+        corners.append(tuple(both))
+    depth = np.repeat(np.arange(len(cells)), [len(level) for level in cells])
+    words = child[np.concatenate(cells)]
+    low, high = (np.concatenate(part) for part in zip(*corners, strict=True))
     is_leaf = words < 0
     areas = np.where(is_leaf, counts[np.where(is_leaf, ~words, 0)], 0)
     share = half_area(low, high) / float(half_area(low[0], high[0]))
