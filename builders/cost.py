@@ -47,6 +47,7 @@ References:
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import warp as wp
@@ -241,25 +242,50 @@ def saved_by_hits(cost: SplitCost, frame: AxisFrame, position: float, left: int,
     return first * (ends_left * leaf_cost(cost, right) + ends_right * leaf_cost(cost, left))
 
 
-@wp.func
-def cheaper_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int, planar_left: bool, best: Split):
-    """`best`, or a split at `position` if that is strictly inside the box and costs less."""
-    if position > frame.low and position < frame.high:
-        candidate = plane_cost(cost, frame, position, left, right)
-        if cost.occluder > 0.0:
-            candidate -= saved_by_hits(cost, frame, position, left, right)
-        if candidate < best.cost:
-            best.cost = candidate
-            best.axis = frame.axis
-            best.position = position
-            best.planar_left = planar_left
-            best.left = left
-            best.right = right
-    return best
+@cache
+def split_comparison(ends_rays: bool) -> wp.Function:
+    """The function that keeps the cheaper split. ends_rays: whether it knows the cost of rays that end; if not, it does not
+    contain that formula, and searches are faster. It is compiled for one of them, because a search calls it for every plane."""
+
+    @wp.func
+    def compare(cost: SplitCost, frame: AxisFrame, position: float, left: int, right: int, planar_left: bool, best: Split):
+        """`best`, or a split at `position` if that is strictly inside the box and costs less."""
+        if position > frame.low and position < frame.high:
+            candidate = plane_cost(cost, frame, position, left, right)
+            if wp.static(ends_rays) and cost.occluder > 0.0:
+                candidate -= saved_by_hits(cost, frame, position, left, right)
+            if candidate < best.cost:
+                best.cost = candidate
+                best.axis = frame.axis
+                best.position = position
+                best.planar_left = planar_left
+                best.left = left
+                best.right = right
+        return best
+
+    return compare
 
 
-@wp.func
-def better_split(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
-    """`cheaper_split` with the planar triangles on the right, then on the left."""
-    best = cheaper_split(cost, frame, position, left, planar + right, False, best)
-    return cheaper_split(cost, frame, position, left + planar, right, True, best)
+cheaper_split = split_comparison(True)
+"""For either cost model."""
+
+cheaper_by_area = split_comparison(False)
+"""For costs whose `occluder` is 0."""
+
+
+@cache
+def planar_comparison(ends_rays: bool) -> wp.Function:
+    """`split_comparison` with the planar triangles on the right, then on the left."""
+    compare = split_comparison(ends_rays)
+
+    @wp.func
+    def compare_both(cost: SplitCost, frame: AxisFrame, position: float, left: int, planar: int, right: int, best: Split):
+        """`best`, or the cheaper split at `position`."""
+        best = compare(cost, frame, position, left, planar + right, False, best)
+        return compare(cost, frame, position, left + planar, right, True, best)
+
+    return compare_both
+
+
+better_split = planar_comparison(True)
+"""For either cost model."""

@@ -26,7 +26,7 @@ References:
 
 import warp as wp
 
-from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.cost import Split, SplitCost, axis_frame, cheaper_by_area, no_split
 from wrt.builders.kdtree.adaptive_sampling import SAMPLES, count_samples
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.medians import first_axis, median_position
@@ -57,7 +57,7 @@ def search_axis(cost: SplitCost, lists: ReferenceLists, number: int, frame: Fram
     for i in range(SAMPLES):
         left = bin_count(lists.counter, number, i)
         right = wp.max(bin_count(lists.counter, number, SAMPLES + i), frame.triangles - left)  # planar ones go to the right
-        best = cheaper_split(cost, along, lists.value[number, i], left, right, False, best)
+        best = cheaper_by_area(cost, along, lists.value[number, i], left, right, False, best)
     return best
 
 
@@ -66,8 +66,8 @@ def try_box_faces(cost: SplitCost, frame: Frame, best: Split):
     """The better of `best` and the planes at the faces of the triangles' box."""
     for axis in range(3):
         along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
-        best = cheaper_split(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
-        best = cheaper_split(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
+        best = cheaper_by_area(cost, along, frame.inner_low[axis], 0, frame.triangles, False, best)
+        best = cheaper_by_area(cost, along, frame.inner_high[axis], frame.triangles, 0, True, best)
     return best
 
 

@@ -28,13 +28,15 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (section 4.2).
 """
 
+from functools import cache
+
 import warp as wp
 
 from wrt.builders.cost import SplitCost
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
-from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
-from wrt.builders.kdtree.scan.kdtree_bins import best_bin_plane, bin_range, make_binning
+from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
+from wrt.builders.kdtree.scan.kdtree_bins import bin_plane_search, bin_range, make_binning
 from wrt.builders.kdtree.scan.reference_chunks import sample_step
 from wrt.builders.kdtree.scan.reference_levels import LevelRules, ReferenceLevels
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
@@ -58,23 +60,30 @@ MIN_LARGE = 1 << 15
 together (notebooks/records/2026-11-22-binned-kdtree-tasks.md)."""
 
 
-@wp.func
-def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
-    """The best plane of a node."""
-    if frame.triangles <= lists.rules.bins:
-        return search_exactly(cost, lists, number, frame)
-    step = sample_step(frame.triangles, lists.rules.sampled)
-    bin_range(
-        lists.reference, frame.first[0], frame.triangles, step, make_binning(frame, lists.rules.bins), lists.counter, number
-    )
-    return best_bin_plane(cost, frame, lists.counter, number, lists.rules.bins, step)
+@cache
+def searching(ends_rays: bool) -> wp.Function:
+    """The search of `Method`; ends_rays: whether the cost is that of rays that end (`wrt.builders.cost.split_comparison`)."""
+    exactly, best_plane = exact_search(ends_rays), bin_plane_search(ends_rays)
+
+    @wp.func
+    def search(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+        """The best plane of a node."""
+        if frame.triangles <= lists.rules.bins:
+            return exactly(cost, lists, number, frame)
+        step = sample_step(frame.triangles, lists.rules.sampled)
+        bin_range(
+            lists.reference, frame.first[0], frame.triangles, step, make_binning(frame, lists.rules.bins), lists.counter, number
+        )
+        return best_plane(cost, frame, lists.counter, number, lists.rules.bins, step)
+
+    return search
 
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
     return Method(
         memory=ReferenceLists,
-        search=search,
+        search=searching(config.cost.occluder > 0.0),
         stop=stop,
         classify=in_partition,
         partition=partition_clipping if config.tests_nodes else partition,

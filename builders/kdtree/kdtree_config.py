@@ -35,6 +35,14 @@ EMPTY_SPACE = {
 }
 """How empty space is cut off, by name. All but the first are in addition to it."""
 
+GRID, MESHES, PREVIOUS = "grid", "meshes", "previous"
+HIERARCHIES = {
+    GRID: "triangles are sorted into the cells of a grid",
+    MESHES: "the meshes of the scene and their boxes, as long as these divide it; else as grid",
+    PREVIOUS: "the clusters of the previous frame, as long as they have not grown too much; in the first frame as grid",
+}
+"""The hierarchy of boxes from which a lazy tree is built, by name."""
+
 MOST_RESAMPLINGS = 4
 """Most scans of a node after the first; each of them leaves fewer intervals."""
 
@@ -60,10 +68,11 @@ class KdTreeConfig:
             the builder that bins.
         cell_tests: key in `CELL_TESTS`; builders carry out "nodes", and `wrt.builders.kdtree.finish` "leaves".
         empty_space: key in `EMPTY_SPACE`; builders carry out "early", and `wrt.builders.kdtree.finish` "late".
+        hierarchy: key in `HIERARCHIES`, for the lazy builder.
 
     Raises:
-        ValueError: a number out of its range, unknown axis or axes, tests of cells or way to cut off empty space, or tests of
-            cells in addition to clipping.
+        ValueError: a number out of its range, unknown axis or axes, tests of cells, way to cut off empty space or hierarchy, or
+            tests of cells in addition to clipping.
     """
 
     cost: SurfaceAreaCost = field(default_factory=SurfaceAreaCost)
@@ -75,6 +84,7 @@ class KdTreeConfig:
     median_levels: int = 0
     cell_tests: str = "none"
     empty_space: str = PRICED
+    hierarchy: str = GRID
 
     def __post_init__(self) -> None:
         if self.axis not in AXES:
@@ -88,6 +98,8 @@ class KdTreeConfig:
             raise ValueError(f"cell_tests is {self.cell_tests!r}; choose from {', '.join(CELL_TESTS)}")
         if self.empty_space not in EMPTY_SPACE:
             raise ValueError(f"empty_space is {self.empty_space!r}; choose from {', '.join(EMPTY_SPACE)}")
+        if self.hierarchy not in HIERARCHIES:
+            raise ValueError(f"hierarchy is {self.hierarchy!r}; choose from {', '.join(HIERARCHIES)}")
         if self.split_clipping and self.cell_tests != "none":
             raise ValueError("split_clipping tests triangles against all cells already; leave cell_tests out, or clipping off")
 

@@ -27,7 +27,7 @@ References:
 
 import warp as wp
 
-from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.cost import SplitCost, axis_frame, cheaper_by_area, no_split
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, Method, emit_inner, in_partition
@@ -65,7 +65,7 @@ def split_at(cost: SplitCost, lists: ReferenceLists, frame: Frame, axis: int, po
     sides = Sides()
     measure_sides(lists.reference, frame.first[0], frame.triangles, axis, position, False, sides)
     along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
-    return cheaper_split(cost, along, position, sides.left, sides.right, False, no_split())
+    return cheaper_by_area(cost, along, position, sides.left, sides.right, False, no_split())
 
 
 @wp.func

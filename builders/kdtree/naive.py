@@ -7,7 +7,7 @@
 
 **Data.** One list of references per node (`reference_lists`).
 
-**Phases** of a node: `method`. Search: `search_exactly`. Classify and partition: one pass over the references.
+**Phases** of a node: `method`. Search: `exact_search`. Classify and partition: one pass over the references.
 
 **Complexity.** O(N^2), too slow for more than a few ten thousand triangles. The builder shows the benefit of sorting, and
 reproduces the tree of the sorting builders by an independent method.
@@ -24,7 +24,7 @@ References:
 from wrt.builders.kdtree.kdtree_config import KdTreeConfig
 from wrt.builders.kdtree.phases.early_cutting import cutting_early
 from wrt.builders.kdtree.phases.kdtree_subtrees import Method, emit_inner, in_partition
-from wrt.builders.kdtree.scan.exact_planes import search_exactly, values_for
+from wrt.builders.kdtree.scan.exact_planes import exact_search, values_for
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists, emit_leaf, partition
 from wrt.builders.kdtree.scan.scanning import build_scanning, uniform_scan
 from wrt.builders.kdtree.scan.split_clipping import partition_clipping
@@ -34,9 +34,10 @@ from wrt.builders.triangle_boxes import TriangleBoxes
 
 def method(config: KdTreeConfig) -> Method:
     """What is done with a node. `kdtree_subtrees` calls these phases."""
+    search = exact_search(config.cost.occluder > 0.0)
     return Method(
         memory=ReferenceLists,
-        search=cutting_early(search_exactly, ReferenceLists) if config.cuts_early else search_exactly,
+        search=cutting_early(search, ReferenceLists) if config.cuts_early else search,
         stop=stop,
         classify=in_partition,
         partition=partition_clipping if config.tests_nodes else partition,

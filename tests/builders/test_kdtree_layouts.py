@@ -13,7 +13,9 @@ import wrt
 from wrt.bench.studies.kdtrees.layout_comparison import ALLOCATIONS, compare_allocations, compare_layouts, trace_pairs
 from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out, with_layout
 from wrt.builders.kdtree.kdtree_statistics import unpack
+from wrt.builders.kdtree.update.refill import refill
 from wrt.builders.tree_check import check_tree
+from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 
@@ -51,6 +53,15 @@ def test_every_layout_is_the_same_tree(scene, layout):
     np.testing.assert_array_equal(hits.t.numpy(), expected.t)
     np.testing.assert_array_equal(hits.primitive.numpy(), expected.primitive_id)
     assert 0.05 < expected.is_hit.mean() < 1.0
+
+
+def test_refilled_trees_have_no_old_copy(scene):
+    """Leaves of a refilled tree have other lists. A copy of the nodes in another order kept the old ones, so it is dropped."""
+    boxes = triangle_boxes(scene.state.device_mesh.vertices, scene.state.device_mesh.faces)
+    tree = refill(with_layout(scene.tree, "pages"), boxes, np.full(3, 0.01), 64 * boxes.count)
+    assert not np.array_equal(tree.nodes.numpy(), scene.tree.nodes.numpy())
+    check_tree(tree, boxes.count)
+    assert tree.pairs is None
 
 
 def test_what_layouts_promise(scene):

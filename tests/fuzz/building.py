@@ -14,6 +14,10 @@ import warp as wp
 
 import wrt
 from wrt.accelerators.accelerator import Accelerator
+from wrt.builders.convert.node_layouts import LAYOUTS
+from wrt.builders.kdtree import KDTREE_BUILDERS
+from wrt.builders.kdtree.kdtree_config import HIERARCHIES
+from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
 from wrt.builders.tree import Bvh, KdTree
 from wrt.builders.tree_check import check_tree
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes, triangle_boxes
@@ -26,12 +30,9 @@ MAX_REFERENCES = 4096
 
 KDTREES = tuple(
     {"builder": name, "split_clipping": clips}
-    for name, clipping in (
-        ("in_place", True), ("binned", True), ("streaming", True), ("adaptive_sampling", True), ("lazy", True), ("sweep", True),
-        ("sorting_sweep", False), ("naive", True), ("between_medians", True), ("spatial_median", True), ("object_median", True),
-    )
-    for clips in ((False, True) if clipping else (False,))
-)  # fmt: skip
+    for name, builder in KDTREE_BUILDERS.items()
+    for clips in ((False, True) if builder.clips else (False,))
+)
 BVHS = ({"builder": "binned"}, {"builder": "sweep"}, {"builder": "binned", "reinsertion": 2}, {"builder": "projected"})
 
 
@@ -54,11 +55,12 @@ def make_case(rng: np.random.Generator) -> Case:
         options["termination"] = str(rng.choice(["cost", "automatic", "fixed"], p=[0.6, 0.2, 0.2]))
         options["max_depth"] = int(rng.choice([1, 5, 9])) if rng.random() < 0.3 or options["termination"] == "fixed" else None
         options["least_size"] = float(rng.choice([0.0, 0.1]))
+        options |= further_options(rng, options)
     options["widen"] = bool(rng.random() < 0.2)
     points = floats.finite_corners(rng) if rng.random() < 0.3 else floats.corners(rng)
     vertices, faces = floats.shared(rng, points)
     arrays = {"vertices": vertices, "faces": faces}
-    if rng.random() < 0.3 and not options.get("split_clipping") and options["builder"] != "lazy":
+    if rng.random() < 0.3 and not needs_triangles(options):
         arrays["low"], arrays["high"] = (floats.NUMBERS[rng.integers(len(floats.NUMBERS))](rng, (len(faces), 3)) for _ in "12")
     if rng.random() < 0.15:
         arrays["moved"] = floats.NUMBERS[rng.integers(len(floats.NUMBERS))](rng, vertices.shape)
@@ -67,6 +69,31 @@ def make_case(rng: np.random.Generator) -> Case:
         options |= {"eye": eye.tolist(), "way": way.tolist(), "fov": float(rng.choice([1e-3, 40.0, 170.0])), "others": 0.1}
         options["axes"] = str(rng.choice(["facing", "longest", "in_turn", "all"]))
     return Case("meshes", options, arrays)
+
+
+def further_options(rng: np.random.Generator, options: dict) -> dict:
+    """Some of the options that only some builders have, for a kd-tree with the others."""
+    able, further = KDTREE_BUILDERS[options["builder"]], {}
+    tests = ["none", "leaves"] if options["split_clipping"] is False else ["none"]
+    tests += ["nodes"] if able.clips and not options["split_clipping"] else []
+    spaces = ["priced", "late"] + (["early", "both"] if able.cuts_early else [])
+    if able.any_cost and not options["mailbox"]:
+        further["cost_model"] = ["surface_area", "blocking"]
+    if able.chooses_axes:
+        further |= {"resamplings": [1, 2, 4], "searched_axes": ["all", "longest", "mixed"]}
+    if able.clusters:
+        further["median_levels"] = [0, 1, 3, 12]
+    if able.start is None:
+        further |= {"cell_tests": tests, "empty_space": spaces, "layout": list(LAYOUTS)}
+    else:
+        further["hierarchy"] = list(HIERARCHIES)
+    return {name: values[rng.integers(len(values))] for name, values in further.items() if rng.random() < 0.4}
+
+
+def needs_triangles(options: dict) -> bool:
+    """Whether a builder reads the triangles, or divides boxes that must not be inside out."""
+    reads = options.get("split_clipping") or options.get("cell_tests", "none") != "none"
+    return reads or options.get("cost_model") == "blocking" or options["builder"] == "lazy"
 
 
 def accelerator_of(options: dict) -> Accelerator:
@@ -90,7 +117,7 @@ def run_case(case: Case) -> str:
     of_triangles = "low" not in arrays  # else a lower corner may be above the upper one, and only memory is looked after
     small = bool(np.abs(np.concatenate([boxes.low, boxes.high])).max() <= 2.0**36)
     admitted = of_triangles and small and bool(np.isfinite(arrays["vertices"]).all())
-    tree = accelerator.build(boxes, 8)
+    tree = build(accelerator, boxes)
     if of_triangles or isinstance(tree, Bvh):
         check(tree, len(faces), admitted or isinstance(tree, Bvh))
     if "moved" in arrays:
@@ -99,6 +126,21 @@ def run_case(case: Case) -> str:
     elif case.options["widen"] and isinstance(tree, KdTree):
         widen(tree, boxes, admitted)
     return "built"
+
+
+def build(accelerator: Accelerator, boxes: TriangleBoxes) -> Bvh | KdTree:
+    """The tree; a lazy one from a hierarchy if it is to have one: three ranges of triangles as meshes, or its own clusters."""
+    hierarchy = getattr(accelerator, "hierarchy", "grid")
+    if hierarchy == "grid":
+        return accelerator.build(boxes, 8)
+    meshes = previous = None
+    if hierarchy == "meshes":
+        first = np.unique(np.linspace(0, boxes.count, 4).astype(int))
+        corners = (boxes.boxes.low.numpy(), np.minimum), (boxes.boxes.high.numpy(), np.maximum)
+        meshes = MeshBoxes(first, *(extreme.reduceat(corner, first[:-1], axis=1).T for corner, extreme in corners))
+    else:
+        previous = accelerator.start(boxes, 8, wp.get_device("cpu"))
+    return accelerator.start(boxes, 8, wp.get_device("cpu"), meshes, previous).finish()
 
 
 def placed(points: np.ndarray) -> wp.array:

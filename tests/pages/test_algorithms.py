@@ -18,7 +18,7 @@ from wrt.builders.bvh.phases.split_axes import AXIS_CHOICES
 from wrt.builders.convert.node_layouts import LAYOUTS
 from wrt.builders.cost import COST_MODELS
 from wrt.builders.kdtree import KDTREE_BUILDERS
-from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, SEARCHED_AXES
+from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
 from wrt.builders.tree import TERMINATIONS
 from wrt.cli.catalogue import PAPERS, all_tables
 from wrt.imaging.integrators.render_settings import INTEGRATORS
@@ -47,6 +47,7 @@ TABLES: dict[str, Iterable[str]] = {
     "Cost models": COST_MODELS,
     "Tests of cells": CELL_TESTS,
     "Empty space": EMPTY_SPACE,
+    "Hierarchies of lazy trees": HIERARCHIES,
     "Layouts": LAYOUTS,
     "Weights of boxes": COSTS,
     "Axes to split": AXIS_CHOICES,
@@ -72,6 +73,7 @@ DEFAULTS = {
     "Termination": wrt.KdTree().termination,
     "Axes of medians": wrt.KdTree().axis,
     "Searched axes": wrt.KdTree().searched_axes,
+    "Hierarchies of lazy trees": wrt.KdTree().hierarchy,
     "Cost models": wrt.KdTree().cost_model,
     "Tests of cells": wrt.KdTree().cell_tests,
     "Empty space": wrt.KdTree().empty_space,

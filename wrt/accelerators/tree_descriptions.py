@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from wrt.builders.bvh.bvh_config import BvhConfig
     from wrt.builders.kdtree import KdTreeBuilder
     from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+    from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
 
@@ -54,6 +55,9 @@ class KdTree:
             `naive`, `adaptive_sampling` and the builders of medians support "early" and "both".
         layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`: the order of nodes in memory that the traversal "single"
             walks for closest and any hits, in a copy beside the builder's own, which is depth first. Saved with a scene.
+        hierarchy: "grid", "meshes" or "previous": from what the builder `lazy` starts: from triangles sorted into a grid, from
+            the boxes of the scene's meshes, or, in updates, from the clusters of the previous frame. The other builders take
+            "grid" only.
 
     Raises:
         ValueError: an unknown builder, axis or other name, a value out of its range, or a builder that does not support an
@@ -82,6 +86,7 @@ class KdTree:
     cell_tests: str = "none"
     empty_space: str = "priced"
     layout: str = "depth_first"
+    hierarchy: str = "grid"
 
     def __post_init__(self) -> None:
         from wrt.builders.convert.node_layouts import LAYOUTS, NATIVE
@@ -96,6 +101,9 @@ class KdTree:
         self._require("searched_axes", self.searched_axes != "all", "out", lambda builder: builder.chooses_axes)
         self._require("resamplings", self.resamplings != 1, "out", lambda builder: builder.chooses_axes)
         self._require("median_levels", self.median_levels != 0, "out", lambda builder: builder.clusters)
+        self._require(
+            f"hierarchy={self.hierarchy!r}", self.hierarchy != "grid", "out", lambda builder: builder.start is not None
+        )
         self._require(f"cost_model={self.cost_model!r}", self.ends_rays, "out", lambda builder: builder.any_cost)
         self._require(f"cell_tests={self.cell_tests!r}", self.cell_tests == "nodes", "out", lambda builder: builder.clips)
         self._require(f"empty_space={self.empty_space!r}", config.cuts_early, "out", lambda builder: builder.cuts_early)
@@ -159,11 +167,18 @@ class KdTree:
 
         return KDTREE_BUILDERS[self.builder].start is not None
 
-    def start(self, triangles: TriangleBoxes, width: int, device: wp.Device) -> LazyKdTree:
-        """Starts a lazily built tree over `triangles` on `device`; width: as in `config`."""
+    def start(
+        self,
+        triangles: TriangleBoxes,
+        width: int,
+        device: wp.Device,
+        meshes: MeshBoxes | None = None,
+        previous: LazyKdTree | None = None,
+    ) -> LazyKdTree:
+        """Starts a lazily built tree over `triangles` on `device`; width: as in `config`; meshes, previous: see `hierarchy`."""
         from wrt.builders.kdtree import KDTREE_BUILDERS
 
-        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device)
+        return KDTREE_BUILDERS[self.builder].start(triangles, self.config(width), device, meshes, previous)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,6 +41,13 @@ PAPERS: dict[str, dict[str, str]] = {
         "priced": "Hurley, Kapustin, Reshetov, Soupikov (2002); Wald, Havran (2006)",
         **dict.fromkeys(("early", "late", "both"), HAVRAN),
     },
+    "hierarchies of lazy trees": {
+        "grid": "after Shevtsov, Soupikov, Kapustin (2007)",
+        **dict.fromkeys(
+            ("meshes", "previous"),
+            "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
+        ),
+    },
     "layouts": {
         **dict.fromkeys(("random", "breadth_first", "depth_first", "subtrees", "pages"), HAVRAN),
         "van_emde_boas": "Prokop: Cache-oblivious algorithms (1999)",
@@ -160,7 +167,7 @@ def all_tables() -> dict[str, Rows]:
     from wrt.builders.convert.node_layouts import LAYOUTS
     from wrt.builders.cost import COST_MODELS
     from wrt.builders.kdtree import KDTREE_BUILDERS
-    from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, SEARCHED_AXES
+    from wrt.builders.kdtree.kdtree_config import AXES, CELL_TESTS, EMPTY_SPACE, HIERARCHIES, SEARCHED_AXES
     from wrt.builders.tree import TERMINATIONS
     from wrt.imaging.integrators import INTEGRATORS
     from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
@@ -188,6 +195,7 @@ def all_tables() -> dict[str, Rows]:
         "cost models": named("cost models", COST_MODELS),
         "tests of cells": named("tests of cells", CELL_TESTS),
         "empty space": named("empty space", EMPTY_SPACE),
+        "hierarchies of lazy trees": named("hierarchies of lazy trees", HIERARCHIES),
         "layouts": named("layouts", LAYOUTS),
         "trees for known rays": others("trees for known rays"),
         "weights of boxes": named("weights of boxes", COSTS),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import warp as wp
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
@@ -24,6 +25,9 @@ from wrt.state.scene_state import SceneState
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
+    from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
+    from wrt.meshes.placement import PlacedMeshes
     from wrt.scene.storage import TreeSource
     from wrt.scene.updates import UpdateReport
 
@@ -61,7 +65,7 @@ class MeshState(SceneState):
         meshes = tuple(changed.get(number, mesh) for number, mesh in enumerate(self.meshes))
         with use_threads(self.num_threads):
             if not can_move(self.accelerator):
-                return replace(build_state(meshes, self.settings, None), mark=self.mark)
+                return replace(build_state(meshes, self.settings, None, self.lazy_tree), mark=self.mark)
             with memory_for_tree(meshes):
                 placed = place_meshes(meshes, self.device)
                 shift = self.center - placed.center + typical_motion(self.meshes, meshes)
@@ -77,8 +81,13 @@ class MeshState(SceneState):
         )
 
 
-def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str | Path | TreeSource | None) -> MeshState:
-    """The state of a scene of meshes: their tree is found in `cache`, or built.
+def build_state(
+    meshes: tuple[TriangleMesh, ...],
+    settings: Settings,
+    cache: str | Path | TreeSource | None,
+    previous: LazyKdTree | None = None,
+) -> MeshState:
+    """The state of a scene of meshes: their tree is found in `cache`, or built; previous: the lazy tree of the last frame.
 
     Raises:
         ValueError, MemoryError, OSError: as `wrt.Scene`.
@@ -90,7 +99,7 @@ def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str
         placed = place_meshes(meshes, settings.device)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
         boxes = triangle_boxes(placed.vertices, placed.faces, placed.center, placed.bounds)
-        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache)
+        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache, boxes_of_meshes(meshes, placed), previous)
     state = MeshState(
         settings=settings,
         meshes=meshes,
@@ -104,6 +113,14 @@ def build_state(meshes: tuple[TriangleMesh, ...], settings: Settings, cache: str
     from wrt.execution.area_trees import build_area_trees
 
     return replace(state, area_trees=build_area_trees(state, boxes))
+
+
+def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes) -> MeshBoxes:
+    """The box of each mesh relative to the scene's centre, rounded as its vertices, which keeps their order."""
+    from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
+
+    corners = (np.array([mesh.bounds for mesh in meshes]) - placed.center).astype(np.float32)
+    return MeshBoxes(placed.first, corners[:, 0], corners[:, 1])
 
 
 def memory_for_tree(meshes: tuple[TriangleMesh, ...]) -> Any:

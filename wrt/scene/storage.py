@@ -37,6 +37,7 @@ from wrt.meshes.node_graph import NOWHERE, NodeGraph
 from wrt.scene.archives import read_archive, write_archive
 
 if TYPE_CHECKING:
+    from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.builders.triangle_boxes import TriangleBoxes
     from wrt.meshes.placement import PlacedMeshes
@@ -156,12 +157,19 @@ def tree_key(vertices: np.ndarray, faces: np.ndarray, accelerator: Accelerator, 
 
 
 def find_tree(
-    recipe: TreeRecipe, boxes: TriangleBoxes, placed: PlacedMeshes, cache: str | Path | TreeSource | None
+    recipe: TreeRecipe,
+    boxes: TriangleBoxes,
+    placed: PlacedMeshes,
+    cache: str | Path | TreeSource | None,
+    meshes: MeshBoxes | None = None,
+    previous: LazyKdTree | None = None,
 ) -> tuple[Bvh | KdTree, LazyKdTree | None]:
-    """The tree of some triangles, from a source or built; for a lazy tree, the part that exists so far, and the lazy tree."""
+    """The tree of some triangles, from a source or built; for a lazy tree, the part that exists so far, and the lazy tree.
+
+    meshes, previous: as of `wrt.builders.kdtree.lazy.lazy_kdtree.start`."""
     accelerator, source = recipe.accelerator, as_source(cache)
     if isinstance(accelerator, descriptions.KdTree) and accelerator.is_lazy:
-        growing = accelerator.start(boxes, recipe.width, recipe.device)
+        growing = accelerator.start(boxes, recipe.width, recipe.device, meshes, previous)
         return growing.current.tree, growing
 
     def build() -> Bvh | KdTree:

@@ -4,7 +4,8 @@
 than tracing the rays.
 
 **Algorithm.** A scanning build can build a part of a tree without reading the rest. It need not start from triangles: the nodes
-of an existing hierarchy can represent them. The presort here is a grid (`triangle_clusters`), two passes over the triangles.
+of an existing hierarchy can represent them: the meshes of the scene, or the clusters of the previous frame (`given_clusters`,
+`KdTreeConfig.hierarchy`). Without one the presort is a grid (`triangle_clusters`), two passes over the triangles.
 The binned builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of
 clusters, which are not built yet. When rays request cells, their triangles are found among those of their clusters
 (`cell_lists`). The subtrees of all requested cells are built in one batch on all threads (`kdtree_subtrees`), and inserted into
@@ -15,8 +16,8 @@ a small detailed object in a large scene is one cell until a ray reaches it.
 (`wrt.kernels.traversal.single.lazy_requests`). The tree that is traced has the same planes and the subtrees built so far. Cells
 that are not built are empty leaves, so that every traversal works unchanged.
 
-**Complexity.** O(N) for the presort, once; then O(v log v) for v triangles in cells that are reached. The tree of the previous
-frame could replace the grid and remove the first term: any hierarchy can be converted to `Clusters`.
+**Complexity.** O(N) for the presort, once; with the meshes of a scene, O(meshes). Then O(v log v) for v triangles in cells that
+are reached. The boxes of all triangles, a pass of their own, are an input of every builder.
 
 **What we changed.** The paper's tracer stops at a node that is not built, builds it and resumes. Warp kernels cannot stop. Here
 rays are traced through the parts that are built, and record the cells that they reach before their hit. When these cells have
@@ -42,9 +43,10 @@ import warp as wp
 
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import binned
-from wrt.builders.kdtree.kdtree_config import KdTreeConfig
+from wrt.builders.kdtree.kdtree_config import MESHES, PREVIOUS, KdTreeConfig
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.lazy.cell_lists import Pair, list_references, list_triangles
+from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes, mesh_clusters, moved_clusters
 from wrt.builders.kdtree.lazy.kdtree_grafting import insert_gaps, move_nodes
 from wrt.builders.kdtree.lazy.triangle_clusters import Clusters, count_cells, leaves_of, sort_into_clusters
 from wrt.builders.kdtree.phases.assembly import copy_subtrees
@@ -68,6 +70,10 @@ LARGE = 1 << 13
 MAX_DUPLICATION = 16.0
 """A cell is not divided if its cells would have more than this many times its triangles in total."""
 
+MESH_DUPLICATION = 4.0
+"""`MAX_DUPLICATION` of a scene that is divided by the boxes of its meshes: where these overlap much, a sort finds better
+planes."""
+
 CELL_SPARE_MEMORY = 3.0
 """Working memory of a cell relative to its own lists; doubled whenever it is too small."""
 
@@ -77,6 +83,10 @@ that no ray reaches; more of them leave more planes to a search that sees triang
 
 CLUSTER_COST = 1.0
 """Cost of CLUSTERS clusters, relative to the cost of visiting an inner node."""
+
+MESH_COST = 4.0
+"""Cost of a mesh that is a cluster, likewise: high enough that meshes apart from each other get cells of their own, low enough
+that meshes are seldom cut."""
 
 CELL = np.dtype(
     [
@@ -131,9 +141,14 @@ class LazyKdTree:
         triangles: boxes of the triangles, on the CPU.
         config: cost model and stop rules.
         device: device on which the tree is traced.
+        given: clusters of all triangles; None if they are to be sorted.
     """
 
-    def __init__(self, triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> None:
+    def __init__(
+        self, triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device, given: Clusters | None = None
+    ) -> None:
+        self.presort = given
+        """The clusters of the root, if it is divided."""
         self.triangles, self.config, self.device = triangles, config, device
         self.build_device = triangles.boxes.low.device
         self.phase = Phases(self.build_device)
@@ -205,17 +220,29 @@ class LazyKdTree:
         return ids, np.cumsum(sizes) - sizes, sizes
 
     def _divide(self, number: int, ids: wp.array) -> bool:
-        """Divides a cell into cells; False if no plane does, or if too many triangles straddle the planes."""
+        """Divides a cell into cells, the root by the given clusters if these suit; False if it cannot be divided."""
+        given = self.presort if number == 0 else None
+        if given is not None and self._divide_by(number, given, MESH_DUPLICATION if given.are_meshes else MAX_DUPLICATION):
+            return True
+        parent = self.cells[number]
+        clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
+        divided = self._divide_by(number, clusters, MAX_DUPLICATION)
+        if number == 0:
+            self.presort = clusters if divided else None
+        return divided
+
+    def _divide_by(self, number: int, clusters: Clusters, most: float) -> bool:
+        """Divides a cell into cells by its clusters; False if no plane does, or if too many triangles straddle the planes:
+        most is the largest number of triangles in the cells, relative to those of the divided cell."""
         parent = self.cells[number]
         least, size = self.config.stop.least_size * self.triangles.size, float((parent["high"] - parent["low"]).max())
         if not size > least or not least / size < 1.0:  # NaN is not divided either
             return False
-        clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
         top = self._build_top(parent, clusters, least / size)
         flat = unpack(top)
         leaf, listed = leaves_of(clusters, top.nodes)
-        duplication = clusters.sizes[listed].sum() / len(ids)
-        if len(flat.axis) == 1 or duplication > MAX_DUPLICATION:
+        duplication = clusters.sizes[listed].sum() / len(clusters.order)
+        if len(flat.axis) == 1 or duplication > most:
             return False
         leaves, begins, numbers = np.unique(leaf, return_index=True, return_counts=True)
         cells = np.zeros(len(leaves), dtype=CELL)
@@ -233,8 +260,8 @@ class LazyKdTree:
         self.cells = np.concatenate([self.cells, cells])
         self.listed = np.concatenate([self.listed, listed + len(self.clusters)])
         bounds = np.stack([clusters.first[:-1], clusters.first[1:]], axis=1)
-        self.clusters = np.concatenate([self.clusters, bounds + len(self.order)])
-        self.order = joined(self.order, clusters.order)
+        self.clusters = np.concatenate([self.clusters, bounds + (len(self.order) if number else 0)])
+        self.order = joined(self.order, clusters.order) if number else clusters.order
         self.cells["unbuilt"][number] = False
         return True
 
@@ -244,8 +271,9 @@ class LazyKdTree:
         boxes.low, boxes.high = (wp.array(np.ascontiguousarray(c), dtype=float, device=self.build_device) for c in corners)
         cost = self.config.cost
         depth = min(StopRules().limits(len(clusters.low)).depth, self.limits.depth - int(parent["depth"]))
+        block, width = (MESH_COST, 1) if clusters.are_meshes else (CLUSTER_COST, CLUSTERS)
         config = KdTreeConfig(
-            SurfaceAreaCost(1.0, CLUSTER_COST, width=CLUSTERS, empty_factor=cost.empty_factor),
+            SurfaceAreaCost(1.0, block, width=width, empty_factor=cost.empty_factor),
             StopRules(max_depth=depth, bad_splits=0, least_size=least_size),
         )
         return binned.build(TriangleBoxes(boxes, len(clusters.low), parent["low"], parent["high"]), config)
@@ -333,10 +361,27 @@ def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
     return start(triangles, config, triangles.boxes.low.device).finish()
 
 
-def start(triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device) -> LazyKdTree:
-    """Starts a tree that is built on demand."""
+def start(
+    triangles: TriangleBoxes,
+    config: KdTreeConfig,
+    device: wp.Device,
+    meshes: MeshBoxes | None = None,
+    previous: LazyKdTree | None = None,
+) -> LazyKdTree:
+    """Starts a tree that is built on demand.
+
+    Args:
+        triangles, config, device: as of `LazyKdTree`.
+        meshes: the meshes of the scene, for `config.hierarchy` "meshes"; None for one mesh.
+        previous: the tree of the same triangles in the previous frame, for "previous"; None if there is none.
+    """
     load(
         (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.method(config))),
         triangles.boxes.low.device,
     )
-    return LazyKdTree(triangles, config, device)
+    given = None
+    if config.hierarchy == MESHES and meshes is not None:
+        given = mesh_clusters(meshes, triangles.boxes.low.device)
+    elif config.hierarchy == PREVIOUS and previous is not None and previous.presort is not None:
+        given = moved_clusters(previous.presort, triangles)
+    return LazyKdTree(triangles, config, device, given)

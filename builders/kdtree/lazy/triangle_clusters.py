@@ -54,6 +54,8 @@ class Clusters:
         low, high: (clusters, 3) float32, a box that strictly contains its triangles' boxes.
         core_low, core_high: (clusters, 3) float32, the part of that box in the cell of the grid. Cores do not overlap, so they
             give better candidate planes; the whole boxes decide which cells a cluster meets.
+        are_meshes: whether the clusters are meshes, of any number of triangles.
+        sorted_area: area of the boxes after the last sort, relative to that of the box around them; 0 if that was just now.
     """
 
     order: wp.array
@@ -62,6 +64,8 @@ class Clusters:
     high: np.ndarray
     core_low: np.ndarray
     core_high: np.ndarray
+    are_meshes: bool = False
+    sorted_area: float = 0.0
 
     @property
     def sizes(self) -> np.ndarray:

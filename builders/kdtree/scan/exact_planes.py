@@ -9,9 +9,11 @@ References:
     V. Rahikainen: On real-time ray tracing. M.Sc. thesis, University of Tampere, 2013 (algorithm 4.1.2).
 """
 
+from functools import cache
+
 import warp as wp
 
-from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, better_split, no_split
+from wrt.builders.cost import AxisFrame, Split, SplitCost, axis_frame, no_split, planar_comparison
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import ReferenceLists
 from wrt.kernels.runtime.options import exact_module
@@ -66,30 +68,40 @@ def count_sides(lists: ReferenceLists, number: int, padded: int, position: float
     ...
 
 
-@wp.func
-def try_position(
-    cost: SplitCost, along: AxisFrame, lists: ReferenceLists, number: int, padded: int, position: float, best: Split
-):
-    """The better of `best` and the plane at a position. The result does not depend on the order of the planes."""
-    if position > along.low and position < along.high and not (best.axis == along.axis and best.position == position):
-        counts = count_sides(lists, number, padded, position)
-        found = better_split(cost, along, position, counts[0], counts[1], counts[2], no_split())
-        first_of_equals = found.cost == best.cost and best.axis == along.axis and position < best.position
-        if found.cost < best.cost or first_of_equals:
-            best = found
-    return best
+@cache
+def exact_search(ends_rays: bool) -> wp.Function:
+    """The search of a builder; ends_rays: as of `wrt.builders.cost.split_comparison`."""
+    compare = planar_comparison(ends_rays)
+
+    @wp.func
+    def try_position(
+        cost: SplitCost, along: AxisFrame, lists: ReferenceLists, number: int, padded: int, position: float, best: Split
+    ):
+        """The better of `best` and the plane at a position. The result does not depend on the order of the planes."""
+        if position > along.low and position < along.high and not (best.axis == along.axis and best.position == position):
+            counts = count_sides(lists, number, padded, position)
+            found = compare(cost, along, position, counts[0], counts[1], counts[2], no_split())
+            first_of_equals = found.cost == best.cost and best.axis == along.axis and position < best.position
+            if found.cost < best.cost or first_of_equals:
+                best = found
+        return best
+
+    @wp.func
+    def search_exactly(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
+        """The best plane of a node."""
+        best = no_split()
+        best.axis = 3
+        padded = (frame.triangles + LANES - 1) / LANES * LANES
+        for axis in range(3):
+            along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+            gather_axis(lists, number, frame.first[0], frame.triangles, axis, padded)
+            for i in range(frame.triangles):
+                best = try_position(cost, along, lists, number, padded, lists.value[number, i], best)
+                best = try_position(cost, along, lists, number, padded, lists.value[number, padded + i], best)
+        return best
+
+    return search_exactly
 
 
-@wp.func
-def search_exactly(cost: SplitCost, lists: ReferenceLists, number: int, frame: Frame):
-    """The best plane of a node."""
-    best = no_split()
-    best.axis = 3
-    padded = (frame.triangles + LANES - 1) / LANES * LANES
-    for axis in range(3):
-        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
-        gather_axis(lists, number, frame.first[0], frame.triangles, axis, padded)
-        for i in range(frame.triangles):
-            best = try_position(cost, along, lists, number, padded, lists.value[number, i], best)
-            best = try_position(cost, along, lists, number, padded, lists.value[number, padded + i], best)
-    return best
+search_exactly = exact_search(True)
+"""For either cost model."""

@@ -14,9 +14,11 @@ References:
         scenes. Computer Graphics Forum 26(3), 2007.
 """
 
+from functools import cache
+
 import warp as wp
 
-from wrt.builders.cost import SplitCost, axis_frame, cheaper_split, no_split
+from wrt.builders.cost import SplitCost, axis_frame, no_split, split_comparison
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
 from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.kernels.runtime.options import exact_module
@@ -144,26 +146,37 @@ def median_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=in
     return split
 
 
-@wp.func
-def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
-    """The best of the planes between bins and the faces of the triangles' box. step: triangles per counted triangle."""
-    best = no_split()
-    triangles = frame.triangles
-    for axis in range(3):
-        along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
-        low = frame.inner_low[axis]
-        high = frame.inner_high[axis]
-        best = cheaper_split(cost, along, low, 0, triangles, False, best)
-        if low < high:
-            left = int(0)
-            right = (triangles + step - 1) / step
-            for b in range(1, bins):
-                left += bin_count(counter, slot, axis * bins + b - 1)
-                right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
-                position = low + (high - low) * (float(b) / float(bins))
-                on_left = wp.min(left * step, triangles)
-                # a triangle in the plane counts on neither side, so planar ones are put on the right
-                on_right = wp.max(wp.min(right * step, triangles), triangles - on_left)
-                best = cheaper_split(cost, along, position, on_left, on_right, False, best)
-        best = cheaper_split(cost, along, high, triangles, 0, True, best)
-    return best
+@cache
+def bin_plane_search(ends_rays: bool) -> wp.Function:
+    """The search among bins; ends_rays: as of `wrt.builders.cost.split_comparison`."""
+    compare = split_comparison(ends_rays)
+
+    @wp.func
+    def best_bin_plane(cost: SplitCost, frame: Frame, counter: wp.array2d(dtype=int), slot: int, bins: int, step: int):
+        """The best of the planes between bins and the faces of the triangles' box. step: triangles per counted triangle."""
+        best = no_split()
+        triangles = frame.triangles
+        for axis in range(3):
+            along = axis_frame(cost, axis, frame.low, frame.high, frame.triangles)
+            low = frame.inner_low[axis]
+            high = frame.inner_high[axis]
+            best = compare(cost, along, low, 0, triangles, False, best)
+            if low < high:
+                left = int(0)
+                right = (triangles + step - 1) / step
+                for b in range(1, bins):
+                    left += bin_count(counter, slot, axis * bins + b - 1)
+                    right -= bin_count(counter, slot, (3 + axis) * bins + bins - b)
+                    position = low + (high - low) * (float(b) / float(bins))
+                    on_left = wp.min(left * step, triangles)
+                    # a triangle in the plane counts on neither side, so planar ones are put on the right
+                    on_right = wp.max(wp.min(right * step, triangles), triangles - on_left)
+                    best = compare(cost, along, position, on_left, on_right, False, best)
+            best = compare(cost, along, high, triangles, 0, True, best)
+        return best
+
+    return best_bin_plane
+
+
+best_bin_plane = bin_plane_search(True)
+"""For either cost model."""

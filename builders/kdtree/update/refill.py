@@ -68,7 +68,7 @@ def find_leaves(
 
 
 def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, max_references: int) -> KdTree | None:
-    """The same planes with moved triangles in the leaves; None if this needs more references than allowed.
+    """The same planes with moved triangles in the leaves, depth first; None if this needs more references than allowed.
 
     Args:
         tree: a tree over the same number of triangles, on the CPU; not modified.
@@ -98,7 +98,8 @@ def refill(tree: KdTree, triangles: TriangleBoxes, shift: np.ndarray, max_refere
     moved = wp.array(words, dtype=wp.vec2i, device=device), wp.array(primitive, dtype=int, device=device)
     stats.reserve(*moved, found, counts, offsets)
     low, high = (wp.vec3(*map(float, corner)) for corner in (triangles.low, triangles.high))
-    return replace(tree, nodes=moved[0], primitive=moved[1], low=low, high=high, stats=stats)
+    plain = {"layout": "depth_first", "pairs": None}  # a copy in another order would hold the old leaves
+    return replace(tree, nodes=moved[0], primitive=moved[1], low=low, high=high, stats=stats, **plain)
 
 
 def fill_leaves(leaves: np.ndarray, counts: np.ndarray, nodes: int, width: int) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,122 @@
+"""Clusters that need no sort: the meshes of a scene, or the clusters of the previous frame (Hunt, Mark and Fussell 2007).
+
+**Meshes.** The triangles of a mesh have consecutive ids, and its box is known, so the scene itself is a list of clusters. The
+top of the tree is built over the meshes' boxes in O(meshes), without reading a triangle. A mesh that a ray reaches is sorted
+then, unless it is small. The meshes may be the nodes of a scene graph. Its inner nodes are not needed: they would only save the
+sort of the boxes.
+
+**Previous frame.** Triangles that move keep most of their neighbours. The order of the last frame's clusters is kept, and one
+pass over the triangles computes their new boxes. When the clusters have grown too much, they are sorted anew
+(`MAX_GROWN_AREA`).
+
+References:
+    W. Hunt, W. R. Mark, D. Fussell: Fast and lazy build of acceleration structures from scene hierarchies.
+        IEEE Symposium on Interactive Ray Tracing 2007.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.kdtree.lazy.triangle_clusters import Clusters
+from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
+from wrt.kernels.runtime.launch import launch
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+MAX_GROWN_AREA = 1.5
+"""Area of the boxes of all clusters, relative to that after the last sort, from which on they are sorted anew. Both are
+measured in areas of the scene's box."""
+
+
+@dataclass(frozen=True)
+class MeshBoxes:
+    """The meshes of a scene.
+
+    Attributes:
+        first: (meshes + 1,) the first triangle of each mesh, and the number of all triangles.
+        low, high: (meshes, 3) float32, the box of each mesh's triangles, relative to the same point as they are.
+    """
+
+    first: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+
+def mesh_clusters(meshes: MeshBoxes, device: wp.Device) -> Clusters | None:
+    """A cluster for each mesh; None if there is only one."""
+    sizes = np.diff(meshes.first)
+    used = np.flatnonzero(sizes)
+    if len(used) < 2:
+        return None
+    low = np.nextafter(meshes.low[used], -np.float32(np.inf))
+    high = np.nextafter(meshes.high[used], np.float32(np.inf))
+    count = int(meshes.first[-1])
+    order = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
+    first = np.append(np.asarray(meshes.first, dtype=np.int64)[used], count)
+    return Clusters(order, first, low, high, low, high, are_meshes=True)
+
+
+@wp.func_native(
+    """
+    const size_t n = boxes.low.shape[1];
+    float* __restrict__ to = corners.data + (size_t)cluster * 12;
+    for (int j = 0; j < 12; ++j) to[j] = INFINITY;
+    for (int i = begin; i < end; ++i) {
+        const size_t triangle = order.data[i];
+        for (int axis = 0; axis < 3; ++axis) {
+            const float low = boxes.low.data[axis * n + triangle], high = boxes.high.data[axis * n + triangle];
+            const float center = 0.5f * low + 0.5f * high;
+            const float value[4] = {low, -high, center, -center};
+            for (int j = 0; j < 4; ++j) to[3 * j + axis] = value[j] < to[3 * j + axis] ? value[j] : to[3 * j + axis];
+        }
+    }
+"""
+)
+def box_of_range(
+    boxes: Boxes, order: wp.array(dtype=int), begin: int, end: int, cluster: int, corners: wp.array2d(dtype=float)
+):
+    """The box of the triangles order[begin .. end - 1], and that of their centres: (low, -high) of both."""
+    ...
+
+
+@wp.kernel
+def measure_clusters(
+    first: int, boxes: Boxes, order: wp.array(dtype=int), starts: wp.array(dtype=int), corners: wp.array2d(dtype=float)
+):
+    """Item: a cluster. starts: (clusters + 1,). corners: (clusters, 12)."""
+    cluster = first + wp.tid()
+    box_of_range(boxes, order, starts[cluster], starts[cluster + 1], cluster, corners)
+
+
+def moved_clusters(old: Clusters, triangles: TriangleBoxes) -> Clusters | None:
+    """The clusters of the previous frame around the same triangles elsewhere; None if they have grown too much, or if there
+    are other triangles than before.
+
+    Cores are the boxes of the triangles' centres, which do not overlap as long as no triangle moves."""
+    if len(old.order) != triangles.count:
+        return None
+    device = old.order.device
+    corners = wp.empty((len(old.low), 12), dtype=float, device=device)
+    starts = wp.array(old.first, dtype=int, device=device)
+    launch(measure_clusters, len(old.low), [triangles.boxes, old.order, starts, corners], device=device, chunk=16)
+    low, high, core_low, core_high = corners.numpy().reshape(-1, 4, 3).transpose(1, 0, 2)
+    low, high = np.nextafter(low, -np.float32(np.inf)), np.nextafter(-high, np.float32(np.inf))
+    sorted_area = old.sorted_area or relative_area(old.low, old.high)
+    if not relative_area(low, high) <= MAX_GROWN_AREA * sorted_area:
+        return None
+    core_low, core_high = np.clip(core_low, low, high), np.clip(-core_high, low, high)
+    return Clusters(old.order, old.first, low, high, core_low, core_high, sorted_area=sorted_area)
+
+
+def relative_area(low: np.ndarray, high: np.ndarray) -> float:
+    """Area of boxes, relative to that of the box around them; NaN if that has none."""
+
+    def area(size: np.ndarray) -> np.ndarray:
+        return size[..., 0] * size[..., 1] + size[..., 1] * size[..., 2] + size[..., 2] * size[..., 0]
+
+    with np.errstate(all="ignore"):
+        whole = area(high.max(axis=0).astype(np.float64) - low.min(axis=0))
+        return float(area(high.astype(np.float64) - low).sum() / whole)
