@@ -16,6 +16,7 @@ import ctypes
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -95,6 +96,26 @@ def write(array: wp.array, values: np.ndarray) -> None:
         wp.copy(array, wp.array(values, dtype=array.dtype, device=array.device), count=count)
 
 
+def host_view(values: np.ndarray, dtype: Any, begin: int = 0, count: int | None = None) -> wp.array:
+    """A flat Warp array on the CPU of the memory of a contiguous NumPy array, in half the time of Warp's own conversion.
+
+    Args:
+        values: what the memory belongs to; the view keeps it alive.
+        dtype: of the view's elements, as they lie in memory.
+        begin: byte at which the view begins.
+        count: number of elements; None for the rows of `values`.
+    """
+    begin += values.__array_interface__["data"][0]
+    view = wp.array(ptr=begin, dtype=dtype, shape=len(values) if count is None else count, device=_cpu())
+    view.used = values
+    return view
+
+
+@cache
+def _cpu() -> wp.Device:
+    return wp.get_device("cpu")
+
+
 def read_ints(array: wp.array, count: int) -> list[int]:
     """The first numbers of an array of int32, or of vectors of them; on CUDA, a round trip."""
     if array.device.is_cpu:
@@ -102,10 +123,10 @@ def read_ints(array: wp.array, count: int) -> list[int]:
     return array.numpy().ravel()[:count].tolist()
 
 
-MAX_KEPT = 2
-"""Workspaces that the process keeps."""
+MAX_KEPT = 4
+"""Workspaces that the process keeps: of two builds, and what a small scene needs besides."""
 
-_kept: deque[tuple[Hashable, Workspace]] = deque(maxlen=MAX_KEPT)
+_kept: deque[tuple[Hashable, Any]] = deque(maxlen=MAX_KEPT)
 
 
 @contextmanager
@@ -114,11 +135,16 @@ def kept_workspace(kind: Hashable, device: wp.Device) -> Iterator[Workspace]:
     work = take(kind) or Workspace(device, is_kept=True)
     yield work
     work.forget()
+    give_back(kind, work)
+
+
+def give_back(kind: Hashable, work: Any) -> None:
+    """Keeps a workspace, or what a job uses in place of one, for the next job of its kind."""
     _kept.append((kind, work))
 
 
-def take(kind: Hashable) -> Workspace | None:
-    """Takes a workspace of a kind out of those that are kept; None if there is none."""
+def take(kind: Hashable) -> Any | None:
+    """Takes the workspace of a kind out of those that are kept; None if there is none."""
     for entry in tuple(_kept):
         if entry[0] == kind:
             try:

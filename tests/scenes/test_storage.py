@@ -18,7 +18,7 @@ from conftest import DEVICES, assert_same_hits, mixed_rays
 
 import wrt
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
-from wrt.builders.bvh import BVH_BUILDERS
+from wrt.builders.bvh import BVH_BUILDERS, few_triangles
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree_check import check_tree
 from wrt.kernels.layout.bvh_nodes import leaf_child
@@ -57,6 +57,12 @@ def built(monkeypatch) -> list[str]:
             return original(self, triangles, width)
 
         monkeypatch.setattr(cls, "build", build)
+
+    def build_few(*given, original=few_triangles.build_few):
+        names.append("bvh")
+        return original(*given)
+
+    monkeypatch.setattr(few_triangles, "build_few", build_few)
     return names
 
 

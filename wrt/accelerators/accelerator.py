@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import get_args
 
 from wrt.accelerators.projected_bvh import ProjectedBvh
@@ -28,4 +29,10 @@ def resolve_accelerator(accelerator: str | Accelerator) -> Accelerator:
         kind = type(accelerator).__name__
         names = ", ".join(f"wrt.{entry.__name__}" for entry in get_args(Accelerator))
         raise TypeError(f"accelerator must be a name or one of {names}, not {kind}")
-    return lookup(ACCELERATORS, accelerator, "accelerator")()
+    return _described(accelerator)
+
+
+@cache
+def _described(name: str) -> Accelerator:
+    """The description of a name. It is frozen, so all scenes share it: checking it takes as long as some rays."""
+    return lookup(ACCELERATORS, name, "accelerator")()

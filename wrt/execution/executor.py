@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import warp as wp
 
 from wrt.execution.batch import trace_batch
-from wrt.execution.prepared import PreparedQuery
+from wrt.execution.prepared import prepare
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
 from wrt.rays.ray_buffers import RayBuffers, set_environment, set_mask, to_device
@@ -129,7 +129,7 @@ def run_prepared(scene: SceneState, chosen: ChosenPlan, buffers: RayBuffers, kin
     """Answers rays by a prepared query, made if none is free."""
     if chosen.missed_savings:
         scene.cache.missed_savings += chosen.missed_savings * buffers.count
-    prepared = chosen.take(layout) or PreparedQuery(scene, chosen.carried_out, kind, layout)
+    prepared = chosen.take(layout) or prepare(scene, chosen.carried_out, kind, layout)
     prepared.fit(scene)
     if layout in (STAGED, STAGED_CENTERED):
         hits = prepared.run_staged(buffers.given)

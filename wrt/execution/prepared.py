@@ -17,17 +17,20 @@ making Warp arrays of them takes longer than tracing them (notebooks/records/202
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Any
 from weakref import finalize
 
 import numpy as np
 import warp as wp
 
-from wrt.execution.traversal_launch import HITS, RAYS, TREE, divide, kernel_and_inputs, no_work
+from wrt.execution.traversal_launch import HITS, RAYS, RECORDS, TREE, divide, kernel_and_inputs, no_work
+from wrt.execution.triangle_records import records_of
+from wrt.host_arrays import point_at
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 from wrt.memory import new_rays
-from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
+from wrt.planning.plan import config_for_layout, stack_levels, traversal_config, traversal_of
 from wrt.rays.ray_arrays import new_batch, prepare_arguments
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
 from wrt.state.device_hits import DeviceHits, written
@@ -58,6 +61,8 @@ class PreparedQuery:
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
         device = scene.device
+        self._used: Any = None  # keeps the arrays of the scene alive that this was made to fit
+        self._of = kind_of_scene(scene, plan, kind, layout)
         self._staging = None
         self._relative = layout == STAGED if isinstance(layout, str) else not layout.centered
         if layout in (STAGED, STAGED_CENTERED):
@@ -76,14 +81,33 @@ class PreparedQuery:
         self._divided: tuple[tuple[int, int], tuple[int, int, Chunks]] | None = None  # of the last call, by rays and threads
 
     def fit(self, scene: SceneState) -> None:
-        """Makes this serve a state whose instances are elsewhere than in the one that it was prepared for."""
-        if scene.device_mesh is not self._mesh:
+        """Makes this serve another state than it was prepared for: one whose instances are elsewhere, or one of its kind
+        (`kind_of_scene`)."""
+        if scene.device_mesh is self._mesh:
+            return
+        if scene.instances:
             self._launch.replace(TREE, scene.upper())
-            if self._relative:
-                self._rays.center[:] = scene.center.tolist()
-                if self._staging is not None:
-                    self._staging.rays.center = wp.vec3d(*map(float, scene.center))
-            self._mesh = scene.device_mesh
+        else:
+            tree, blocks = scene.tree, records_of(scene, self._plan, None)
+            nodes, records = self._launch.argument(TREE), self._launch.argument(RECORDS)
+            point_at(nodes.bounds, tree.bounds)
+            point_at(nodes.child, tree.child)
+            nodes.low[:], nodes.high[:] = tree.low[:], tree.high[:]
+            point_at(records.records, blocks.records)
+            point_at(records.primitive, blocks.primitive)
+            self._used = tree, blocks
+        if self._relative:
+            self._rays.center[:] = scene.center.tolist()
+            if self._staging is not None:
+                self._staging.rays.center = wp.vec3d(*map(float, scene.center))
+        self._mesh = scene.device_mesh
+
+    def retire(self) -> None:
+        """Leaves this to the scenes to come, if there are others of its kind; the last one is gone."""
+        if self._of is not None:
+            self._mesh = self._used = None
+            self._launch.forget(())
+            _retired.setdefault(self._of, deque(maxlen=MAX_FREE)).append(self)
 
     def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.
@@ -116,6 +140,28 @@ class PreparedQuery:
         self._launch.run(rays.count, FEW_CHUNKS, self)  # until the last helper is done, nobody else gets the staging
         copies = {name: values.copy() for name, values in staging.outputs}
         return DeviceHits.of_host(rays.count, staging.hits.device, copies)
+
+
+def kind_of_scene(scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> Hashable | None:
+    """What scenes have in common that one prepared query of few rays can serve; None if it cannot serve another."""
+    if not (scene.shares_few_rays and plan.accelerator == "bvh" and layout in (STAGED, STAGED_CENTERED)):
+        return None
+    return plan, kind, layout, stack_levels(scene.depth)
+
+
+def prepare(scene: SceneState, plan: Plan, kind: str, layout: Layout | str) -> PreparedQuery:
+    """A prepared query for the caller alone, new or retired; arguments as of the class."""
+    of = kind_of_scene(scene, plan, kind, layout)
+    if of in _retired:
+        try:
+            return _retired[of].pop()  # the caller fits it
+        except IndexError:
+            pass
+    return PreparedQuery(scene, plan, kind, layout)
+
+
+_retired: dict[Hashable, deque[PreparedQuery]] = {}
+"""Prepared queries whose scenes are gone, by `kind_of_scene`: to make one takes as long as some rays."""
 
 
 class Staging:

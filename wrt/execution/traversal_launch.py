@@ -41,7 +41,7 @@ ITEMS_PER_THREAD = 32
 MIN_ITEMS_PER_THREAD = 6
 """Items that a thread has at least, if they can be cut: with fewer, threads wait for the last one."""
 
-TREE, RAYS, HITS = 1, 3, 4
+TREE, RECORDS, RAYS, HITS = 1, 2, 3, 4
 """Which of a traversal kernel's arguments they are, the number of the first item counted."""
 
 

@@ -112,6 +112,8 @@ class _Triangles:
 class FanState(MeshState):
     """The state of a scene of fans."""
 
+    is_plain: ClassVar[bool] = False
+
     refused: ClassVar[dict[str, str]] = {
         "update": "the fans of this scene are fixed; make a new one, or a wrt.Scene to update",
         "statistics": "statistics are those of triangles; use wrt.Scene(scene.meshes).statistics()",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ import warp as wp
 
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.workspace import host_view
 from wrt.meshes.mesh import TriangleMesh
 
 MAX_EXTENT = 2.0**36
@@ -79,6 +81,34 @@ def place_meshes(meshes: tuple[TriangleMesh, ...], device: wp.Device, center: np
     mesh.center = wp.vec3d(*map(float, center))
     mesh.geometry_first = wp.array(first, dtype=int, device=device)
     return PlacedMeshes(first, center, bounds, host_vertices, host_faces, mesh)
+
+
+def lay_out_few(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, SceneMesh]:
+    """`place_meshes` for few triangles on the CPU, in a fraction of the time, up to the vertices' new positions.
+
+    Returns:
+        The centre, (3,) float64; (V, 3) vertices of all meshes as they were given; the scene's mesh with its box, and
+        with room for the vertices.
+
+    Raises:
+        ValueError: as `find_bounds`.
+    """
+    low, high = meshes[0].bounds.tolist()
+    if len(meshes) > 1:
+        bounds = np.array([mesh.bounds for mesh in meshes])
+        low, high = bounds[:, 0].min(axis=0).tolist(), bounds[:, 1].max(axis=0).tolist()
+    if max(*high, -min(low)) > MAX_COORDINATE or max([b - a for a, b in zip(low, high, strict=True)]) > MAX_EXTENT:
+        find_bounds(meshes)  # raises the error
+    center = [0.5 * a + 0.5 * b for a, b in zip(low, high, strict=True)]
+    vertices, faces, first = join_meshes(meshes)
+    mesh = SceneMesh()
+    mesh.vertices = host_view(np.empty((len(vertices), 3), dtype=np.float32), wp.vec3)
+    mesh.faces, mesh.geometry_first = host_view(faces, wp.vec3i), host_view(first.astype(np.int32), wp.int32)
+    mesh.center = wp.vec3d(*center)
+    for name, corner in (("low", low), ("high", high)):  # rounded as vertices are, and without negative zeros
+        relative = (ctypes.c_float * 3)(*[a - b for a, b in zip(corner, center, strict=True)])
+        setattr(mesh, name, wp.vec3(*[value + 0.0 for value in relative]))
+    return np.array(center), vertices, mesh
 
 
 def find_center(meshes: Sequence[TriangleMesh]) -> np.ndarray:
@@ -203,9 +233,9 @@ def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
 
 def join_meshes(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Vertices, faces and the first triangle of each mesh, for the union of all meshes."""
-    counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
     if len(meshes) == 1:
-        return meshes[0].vertices, meshes[0].faces, counts
+        return meshes[0].vertices, meshes[0].faces, np.array([0, meshes[0].triangle_count])
+    counts = np.cumsum([0] + [mesh.triangle_count for mesh in meshes])
     offsets = np.cumsum([0] + [mesh.vertex_count for mesh in meshes])
     vertices = np.concatenate([mesh.vertices for mesh in meshes])
     faces = np.concatenate([mesh.faces + offset for mesh, offset in zip(meshes, offsets[:-1], strict=True)])

@@ -111,6 +111,10 @@ class ChosenPlan:
         """Puts a prepared query where the next caller finds it."""
         self._free[layout].append(prepared)
 
+    def __del__(self) -> None:
+        for prepared in self.waiting():
+            prepared.retire()
+
     def waiting(self) -> list[Any]:
         """Prepared queries that no caller holds."""
         return [prepared for free in [*self._free.values()] for prepared in [*free]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -56,6 +57,12 @@ CHOICE_USES = 64
 takes some 0.2 ms (notebooks/records/2026-11-22-auto.md).
 """
 
+MAX_SHARED = 256
+"""Plans of few rays that scenes share: more than there are kinds of queries in one program."""
+
+_few_ray_plans: dict[Hashable, Plan] = {}
+"""Plans by kind of query, of rays and of scene: few rays go one by one, however many triangles there are."""
+
 
 def make_plan(
     scene: SceneState,
@@ -92,7 +99,12 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
     chosen = scene.cache.choice(key)
     if chosen is not None:
         return chosen
-    plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
+    shared = (key, scene.triangle_test, scene.width) if each_alone and scene.shares_few_rays else None
+    plan = None if shared is None else _few_ray_plans.get(shared)
+    if plan is None:
+        plan = choose_plan(scene, rays, traversal, triangle_test, kind, cull_backfaces)
+        if shared is not None and len(_few_ray_plans) < MAX_SHARED:
+            _few_ray_plans[shared] = plan
     uses = float("inf") if each_alone else CHOICE_USES
     return scene.cache.keep_choice(key, chosen_plan(scene, plan, rays, kind), uses)
 

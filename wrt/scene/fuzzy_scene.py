@@ -135,6 +135,8 @@ class FuzzyScene(Scene):
 class FuzzyState(MeshState):
     """The state of a scene of fuzzy boxes, in one frame."""
 
+    is_plain: ClassVar[bool] = False
+
     refused: ClassVar[dict[str, str]] = {
         "update": "the frames of this scene are fixed; call show(frame), or make a wrt.Scene to update",
         "statistics": "a scene of fuzzy boxes has several trees; use wrt.Scene(scene.meshes).statistics() for the frame shown",

@@ -140,6 +140,8 @@ class GroupedState(MeshState):
         reports: what the last update did to the trees of those that moved.
     """
 
+    is_plain: ClassVar[bool] = False
+
     layout: GroupLayout
     trees: tuple[common.Bvh | common.KdTree, ...] = ()
     reports: Mapping[int, UpdateReport] = field(default_factory=dict)

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import warp as wp
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
+from wrt.accelerators.tree_descriptions import Bvh
+from wrt.builders.bvh import few_triangles
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.expected_kernels import build_kernels
 from wrt.kernels.runtime.launch import expect, use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import check_index, moved_mesh, place_meshes
+from wrt.meshes.placement import check_index, lay_out_few, moved_mesh, place_meshes
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 from wrt.state.query_cache import QueryCache
@@ -25,6 +28,7 @@ from wrt.state.scene_state import SceneState
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from wrt.builders.bvh.bvh_config import BvhConfig
     from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
     from wrt.builders.kdtree.lazy.lazy_kdtree import LazyKdTree
     from wrt.meshes.placement import PlacedMeshes
@@ -39,6 +43,8 @@ class MeshState(SceneState):
     Attributes:
         last_update: what the last update did to the tree; None if there was none, or trees of this kind are always built again.
     """
+
+    is_plain: ClassVar[bool] = True
 
     last_update: UpdateReport | None = None
 
@@ -92,6 +98,8 @@ def build_state(
     Raises:
         ValueError, MemoryError, OSError: as `wrt.Scene`.
     """
+    if cache is None and builds_few(meshes, settings):
+        return build_few_state(meshes, settings)
     if cache is None:
         triangles = sum(mesh.triangle_count for mesh in meshes)
         expect(build_kernels(settings.accelerator, settings.device, meshes[0].vertices.dtype, triangles), wp.get_device("cpu"))
@@ -121,6 +129,34 @@ def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes) -> M
 
     corners = (np.array([mesh.bounds for mesh in meshes]) - placed.center).astype(np.float32)
     return MeshBoxes(placed.first, corners[:, 0], corners[:, 1])
+
+
+def builds_few(meshes: tuple[TriangleMesh, ...], settings: Settings) -> bool:
+    """Whether the tree is one that `wrt.builders.bvh.few_triangles` builds."""
+    tree, device = settings.accelerator, settings.device
+    if type(tree) is not Bvh or tree.builder != "binned" or tree.reinsertion or tree.subset != 1.0:
+        return False
+    if not device.is_cpu or device.is_capturing:
+        return False
+    return sum([mesh.triangle_count for mesh in meshes]) <= few_triangles.MOST
+
+
+def build_few_state(meshes: tuple[TriangleMesh, ...], settings: Settings) -> MeshState:
+    """The state of a scene of few triangles."""
+    try:
+        center, vertices, mesh = lay_out_few(meshes)
+        config = few_config(settings.accelerator, native_width(settings.device))
+        tree = few_triangles.build_few(config, mesh.center, vertices, mesh.faces, mesh.low, mesh.high, mesh.vertices)
+    except (MemoryError, RuntimeError):
+        with memory_for_tree(meshes):  # entered here alone: few triangles feel it
+            raise
+    return MeshState(settings=settings, meshes=meshes, center=center, built_tree=tree, device_mesh=mesh)
+
+
+@lru_cache
+def few_config(accelerator: Bvh, width: int) -> BvhConfig:
+    """The builder's configuration: checking it takes as long as some rays."""
+    return accelerator.config(width)
 
 
 def memory_for_tree(meshes: tuple[TriangleMesh, ...]) -> Any:

@@ -6,11 +6,11 @@ the scene's in one assignment, so that a query under way in another thread sees 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
-from uuid import uuid4
 
 import numpy as np
 import warp as wp
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 def new_mark() -> str:
     """A name by which hits know their scene; updates, copies and pickles of the scene keep it."""
-    return uuid4().hex
+    return os.urandom(16).hex()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -54,6 +54,9 @@ class SceneState:
 
     refused: ClassVar[Mapping[str, str]] = {}
     """What scenes of this kind cannot do, each with a message that says what to do instead."""
+
+    is_plain: ClassVar[bool] = False
+    """Whether rays meet the triangles of the meshes in one tree, and nothing else."""
 
     settings: Settings
     meshes: tuple[TriangleMesh, ...]
@@ -116,6 +119,12 @@ class SceneState:
     def bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center
+
+    @cached_property
+    def shares_few_rays(self) -> bool:
+        """Whether few rays are answered as in all other scenes of the kind: then they share plans and prepared queries."""
+        alone = self.is_plain and self.accelerator.kind == "bvh" and self.lazy_tree is None and self.area_trees is None
+        return alone and not self.only_single and self.device.is_cpu
 
     @cached_property
     def few_rays(self) -> int:

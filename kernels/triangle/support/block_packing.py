@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import warp as wp
 
-from wrt.kernels.runtime.launch import kept, launch, specialise
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.launch import kept, launch, load, specialise
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.runtime.workspace import give_back, take
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, TriangleBlocks, load_corners
 
 exact_module(__name__)
@@ -110,5 +113,25 @@ def pack_blocks(
             if done:  # views take as long to make as small arrays to fill
                 ids, records = ids[done:], records[done * record.components :]
             inputs = [vertices, faces, ids, width, wp.vec3(*origin), records]
-            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
+            if device.is_cpu and not device.is_capturing and len(primitive) <= CHUNK:
+                pack_few(record, inputs)
+            else:
+                launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
     return blocks
+
+
+def pack_few(record: Record, inputs: list[Any]) -> None:
+    """Runs the kernel on the calling thread, with arguments that are kept from scene to scene and refer to other arrays."""
+    packed = take((pack_few, record))
+    if packed is None:
+        kernel, device = specialise(make_kernel, record), inputs[0].device
+        load([kernel], device)
+        packed = PackedKernel(kernel, [0, *inputs], device)
+    arguments = packed.arguments
+    for index, array in ((1, inputs[0]), (2, inputs[1]), (3, inputs[2]), (6, inputs[5])):
+        field = packed.argument(index)
+        field.data, field.shape[0] = array.ptr, len(array)
+    arguments.p4, arguments.p5 = inputs[3], inputs[4]
+    packed.call_own_range(0, len(inputs[2]))
+    packed.forget(())
+    give_back((pack_few, record), packed)

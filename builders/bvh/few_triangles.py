@@ -1,0 +1,209 @@
+"""The binned build of few triangles, from vertices to the finished tree, on the calling thread.
+
+**Problem.** A thousand triangles take the kernels of a build 0.1 ms, and Python several times that: to allocate arrays, to pack
+the arguments of launches, and to describe every intermediate result (notebooks/records/2026-11-23-small-scenes.md).
+
+**Idea.** A `FewTriangles` has everything for up to `capacity` triangles: work arrays, and the kernels of all phases with packed
+arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another. They are the
+kernels of `wrt.builders.bvh.binned_bvh`, and one task builds the whole tree, as it does there. So the trees are the same.
+
+**Limits.** On the CPU, without reinsertion. Up to `MOST` triangles, which several threads would not build faster.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from time import perf_counter
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.bvh.binned_bvh import MIN_LARGE, kernels
+from wrt.builders.bvh.bvh_config import BvhConfig
+from wrt.builders.bvh.phases.bin_heuristic import SURFACE, AllDirections
+from wrt.builders.bvh.phases.binary_tree import Frame, empty_tree
+from wrt.builders.bvh.phases.bvh_bins import make_scratch
+from wrt.builders.bvh.phases.bvh_levels import make_references
+from wrt.builders.bvh.phases.bvh_subtrees import STACK, make_build_subtrees
+from wrt.builders.bvh.phases.collapse import (
+    empty_levels,
+    list_children,
+    make_pick_children,
+    make_solve,
+    scan_level,
+    write_nodes,
+)
+from wrt.builders.tree import BuildStats, Bvh
+from wrt.builders.triangle_boxes import Boxes, compute_boxes
+from wrt.kernels.layout.mesh_placement import make_shift
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.launch import load, specialise
+from wrt.kernels.runtime.workspace import give_back, host_view, take
+
+MOST = MIN_LARGE
+"""Most triangles of such a build."""
+
+LEAST_CAPACITY = 1024
+"""Least number of triangles for which work arrays are made."""
+
+
+class FewTriangles:
+    """Work arrays and packed kernels of builds of up to `capacity` triangles; for one caller at a time.
+
+    Args:
+        config: of the trees, without reinsertion.
+        dtype: of the vertices, vec3 or vec3d.
+        capacity: most triangles.
+    """
+
+    def __init__(self, config: BvhConfig, dtype: type, capacity: int) -> None:
+        device, width = wp.get_device("cpu"), config.cost.width
+        shift, build, solve, pick = make_kernels(dtype)
+        load([shift, compute_boxes, *kernels(config, capacity)], device)
+        self.capacity, self.width = capacity, width
+        boxes = Boxes()
+        boxes.low, boxes.high = (wp.empty((3, capacity), dtype=float, device=device) for _ in range(2))
+        references, parts = empty(16 * capacity, float), empty(16, float)
+        tasks, subtrees, totals = empty(1, Frame), empty(1, wp.vec2i), empty(2, int)
+        scratch, domain = make_scratch(1, device), empty(8 * STACK, float)
+        stack = wp.empty((1, STACK), dtype=Frame, device=device)
+        tree, wide = empty_tree(capacity, device), empty_levels(capacity + 1, width, device)
+        rules, rays = config.struct(), AllDirections()
+        points, given, faces, numbers, floats = (
+            empty(0, wp.vec3),
+            empty(0, dtype),
+            empty(0, wp.vec3i),
+            empty(0, int),
+            empty(0, float),
+        )
+
+        def packed(kernel: wp.Kernel, *inputs: object) -> PackedKernel:
+            return PackedKernel(kernel, [0, *inputs], device)
+
+        self.shift = packed(shift, wp.vec3d(), given, points)
+        self.boxes = packed(compute_boxes, points, faces, boxes)
+        self.references = packed(make_references, boxes, 0, 0, references, parts)
+        self.subtree = packed(build, rules, rays, references, 0, tasks, scratch, domain, stack, tree, subtrees)
+        self.solve = packed(solve, rules, rays, tree, subtrees, numbers, references)
+        self.pick = packed(pick, 0, rules, rays, tree, references, wide)
+        self.scan = packed(scan_level, 0, 0, wide, totals)
+        self.list = packed(list_children, 0, width, wide)
+        self.write = packed(write_nodes, tree, rules.cost.width_bits, wide, floats, numbers, numbers)
+        self.given, self.points = self.shift.argument(2), self.shift.argument(3)
+        self.corners, self.faces = self.boxes.argument(1), self.boxes.argument(2)
+        self.nodes = [self.write.argument(index) for index in (4, 5, 6)]
+        self.root = (ctypes.c_float * 8).from_address(tree.box.ptr)
+        self.task = (ctypes.c_int32 * 5).from_address(tasks.ptr)
+        self.source = ctypes.c_int32.from_address(wide.source.ptr)
+        self.totals = (ctypes.c_int32 * 2).from_address(totals.ptr)
+        work = [
+            boxes.low,
+            boxes.high,
+            references,
+            tree.box,
+            tree.range,
+            tree.pair,
+            tree.order,
+            wide.source,
+            wide.pick,
+            wide.first,
+        ]
+        self.work_bytes = sum(array.capacity for array in work)
+
+    def build(
+        self, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, low: wp.vec3, high: wp.vec3, relative: wp.array
+    ) -> Bvh:
+        """Writes `relative` and builds the tree; arguments as of `build_few`."""
+        start, count = perf_counter(), len(faces)
+        self.place(center, vertices, faces, relative)
+        root, task = self.root, self.task
+        root[0:3], root[4:7] = low[:], [-value for value in high]
+        task[0:5] = 0, 0, count, 0, 0
+        arguments = self.references.arguments
+        arguments.p2 = arguments.p3 = count
+        self.references.call_own_range(0, 1)
+        referenced = perf_counter()
+        self.subtree.arguments.p4 = count
+        self.subtree.call_own_range(0, 1)
+        built = perf_counter()
+        bounds, child, primitive, level_first = self.collapse()
+        stats = BuildStats(
+            {
+                "references": referenced - start,
+                "top levels": 0.0,
+                "subtrees": built - referenced,
+                "collapse": perf_counter() - built,
+            },
+            self.work_bytes + bounds.capacity + child.capacity + primitive.capacity,
+        )
+        return Bvh(bounds, child, primitive, low, high, self.width, tuple(level_first), stats)
+
+    def place(self, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, relative: wp.array) -> None:
+        """Writes vertices relative to the centre, and the boxes of triangles."""
+        points, count = len(vertices), len(faces)
+        self.shift.arguments.p1 = center
+        self.given.data = vertices.__array_interface__["data"][0]
+        self.points.data = self.corners.data = relative.ptr
+        self.given.shape[0] = self.points.shape[0] = self.corners.shape[0] = points
+        self.faces.data, self.faces.shape[0] = faces.ptr, count
+        self.shift.call_own_range(0, points)
+        self.boxes.call_own_range(0, count)
+
+    def collapse(self) -> tuple[wp.array, wp.array, wp.array, list[int]]:
+        """Bounds, child words, leaf lists and levels of the wide tree (`wrt.builders.bvh.phases.collapse`)."""
+        pick, scan, children, totals = self.pick, self.scan, self.list, self.totals
+        self.solve.call_own_range(0, 1)
+        self.source.value = 0
+        totals[0:2] = 1, 0
+        level_first, nodes = [0], 1
+        while (first := level_first[-1]) < nodes:
+            pick.arguments.p1 = scan.arguments.p1 = children.arguments.p1 = first
+            scan.arguments.p2 = nodes
+            pick.call_own_range(0, nodes - first)
+            scan.call_own_range(0, 1)
+            children.call_own_range(0, nodes - first)
+            level_first.append(nodes)
+            nodes = totals[0]
+        lanes, width = nodes * self.width, self.width
+        block = np.empty((7 * nodes + totals[1]) * width, dtype=np.int32)
+        arrays = (
+            host_view(block, wp.float32, 0, 6 * lanes),
+            host_view(block, wp.int32, 24 * lanes, lanes),
+            host_view(block, wp.int32, 28 * lanes, totals[1] * width),
+        )
+        for field, array in zip(self.nodes, arrays, strict=True):
+            field.data, field.shape[0] = array.ptr, array.size
+        self.write.call_own_range(0, nodes)
+        return *arrays, level_first
+
+
+def make_kernels(dtype: type) -> tuple[wp.Kernel, ...]:
+    """The kernels that depend on a type or a heuristic."""
+    return specialise(make_shift, dtype), make_build_subtrees(SURFACE), make_solve(SURFACE), make_pick_children(SURFACE)
+
+
+def empty(count: int, dtype: type) -> wp.array:
+    """A flat array on the CPU."""
+    return wp.empty(count, dtype=dtype, device="cpu")
+
+
+def build_few(
+    config: BvhConfig, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, low: wp.vec3, high: wp.vec3, relative: wp.array
+) -> Bvh:
+    """Places triangles and builds their tree.
+
+    Args:
+        config: of the tree, without reinsertion.
+        center: the point that the tree is relative to.
+        vertices: (V, 3) float32 or float64, contiguous.
+        faces: (F,) vec3i on the CPU, 1 to `MOST`.
+        low, high: box of all triangles relative to the centre, rounded as the vertices are, without negative zeros.
+        relative: (V,) vec3 on the CPU; receives the vertices relative to the centre.
+    """
+    dtype = wp.vec3 if vertices.dtype == np.float32 else wp.vec3d
+    capacity = max(LEAST_CAPACITY, 1 << (len(faces) - 1).bit_length())
+    kind = build_few, config, dtype, capacity
+    few = take(kind) or FewTriangles(config, dtype, capacity)
+    tree = few.build(center, vertices, faces, low, high, relative)
+    give_back(kind, few)
+    return tree
