@@ -10,9 +10,9 @@ a hit divides.
 **Data.** Ten floats, 40 bytes: the two other components of the normal over its main one, and the plane's distance over the
 same; two coordinates of a vertex; two of each of two edges, over the normal's main component; the axis.
 
-**Departures.** The paper's flag for triangles perpendicular to an axis, whose plane is simpler, is omitted: lanes of both kinds
-run in the same loop. The equations are those printed as (2.13) in Rahikainen 2013, and they are correct. The record is computed
-in float64, then rounded.
+**Departures.** The paper's flag for triangles perpendicular to an axis, whose plane is simpler, is omitted: it saves nothing in
+scenes (`wrt.kernels.study.variants.axis_flag`). The equations are those printed as (2.13) in Rahikainen 2013, and they are
+correct. The record is computed in float64, then rounded.
 
 **Limits.** All lanes divide at once, so dividing last saves nothing with lanes; a single step is faster
 (notebooks/records/2026-11-21-triangle-tests.md). The inside test is relative to a vertex, which is precise. t is less precise,
@@ -53,7 +53,7 @@ def derive(corners: Corners, origin: wp.vec3):
     flat[0] = float(k)
     flat[1] = float(normal[p] / normal[k])
     flat[2] = float(normal[q] / normal[k])
-    flat[3] = float(a[k] + (normal[p] * a[p] + normal[q] * a[q]) / normal[k])
+    flat[3] = float(a[k] + (normal[p] * a[p] + normal[q] * a[q]) / normal[k]) + 0.0  # + 0.0 turns -0 into 0
     flat[4] = corners.a[p]
     flat[5] = corners.a[q]
     flat[6] = float(edge_b[p] / normal[k])

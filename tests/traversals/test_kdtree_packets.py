@@ -12,6 +12,7 @@ from test_packets import beams, ragged
 import wrt
 from wrt.bench.studies.kdtrees.entry_point_tiles import compare_levels, morton_view, tile_query
 from wrt.bench.studies.kdtrees.packet_widths import compare_widths
+from wrt.bench.studies.kdtrees.tree_coupling import coupled_query
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.packet.core import entry_point
@@ -206,3 +207,28 @@ def test_mailboxes_that_do_not_fit():
     with pytest.raises(ValueError, match="kdtree"):
         other.intersect(rays, traversal=replace(other.explain(rays), mailbox="hashed"))
     assert all(TRAVERSALS[name].mailbox for name in ("single", "packet", *ENTRY_POINTS, "omnidirectional"))
+
+
+def test_coupled_trees_equal_brute_force():
+    """Packets of more than eight active rays walk the BVH, smaller ones and parts the kd-tree, single rays the kd-tree. The
+    kd-tree's packets once took the culling of the BVH, whose frustum is that of a leaf's box, and lost hits."""
+    mesh = SCENES["stadium"]()
+    bvh, kdtree = (wrt.Scene(mesh, tree, device="cpu") for tree in ("bvh", "kdtree"))
+    origins, directions = wide_beams(mesh, 24)
+    scattered = np.random.default_rng(7)
+    for row in range(64):  # the first packets keep one ray each of two packets in three, or rays of all directions
+        if row % 3:
+            directions[32 * row + 1 : 32 * row + 32 - 8 * (row % 2)] = 0.0
+        else:
+            directions[32 * row : 32 * row + 32] = scattered.normal(size=(32, 3))
+    rays = ragged(origins, directions)
+    expected = brute_force(bvh, rays)
+    assert expected.is_hit.mean() > 0.02
+    hits = coupled_query(bvh, kdtree, rays, small=8, kdtree_singles=True)()
+    np.testing.assert_array_equal(hits.t.numpy(), expected.t)
+    np.testing.assert_array_equal(hits.primitive.numpy(), expected.primitive_id)
+    with pytest.raises(ValueError, match="small is -1"):
+        coupled_query(bvh, kdtree, rays, small=-1, kdtree_singles=True)
+    other = wrt.Scene(SCENES["random_triangles"](), "kdtree", device="cpu")
+    with pytest.raises(ValueError, match="same mesh"):
+        coupled_query(bvh, other, rays, small=8, kdtree_singles=True)

@@ -137,6 +137,13 @@ OTHERS: dict[str, dict[str, str]] = {
         'form="planes"': "Havel, Herout: Yet faster ray-triangle intersection (using SSE4) (2010), in fans",
         "files of fans": "Galin, Akkouche (2005): M + 2 vertices a fan",
     },
+    "for measurements": {
+        "shevtsov_flag": "Shevtsov, Soupikov, Kapustin (2007), with its flag of axis-aligned triangles",
+        "wald_table": "Wald (2004): axes by a table",
+        "wald_modulo": "Wald (2004): axes by division",
+        "wald_shifts": "Wächter: Realtime ray tracing (2004): axes by shifts",
+        "coupled_trees": "Cadet, Lécussan: Coupled use of BSP and BVH trees in order to exploit ray bundle performance (2007)",
+    },
     "around a hit": {
         "Hits.smooth_normal": "Thürmer, Wüthrich: Computing vertex normals from polygonal facets (1998)",
         "Hits.spawn": "Wächter, Binder (2019); Pharr, Jakob, Humphreys (2016)",
@@ -213,6 +220,7 @@ def all_tables() -> dict[str, Rows]:
         "fans": others("fans"),
         "as published": named("as published", PUBLISHED),
         "tried by Pichler": named("tried by Pichler", (*STUDIED, DAMMERTZ_KELLER.name)),
+        "for measurements": others("for measurements"),
         "schedules": [{"name": schedule.name, "paper": schedule.source} for schedule in SCHEDULES.values()],
         "around a hit": others("around a hit"),
         "integrators": named("integrators", INTEGRATORS),

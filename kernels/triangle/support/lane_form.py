@@ -241,12 +241,16 @@ class LaneForm:
 
     def packet_steps(self) -> str:
         """C++ of `PacketForm.inside`."""
+        return "int inside[W];\n" + "".join(f"float kept_{name}[W];\n" for name in self.kept()) + self.packet_loops()
+
+    def packet_loops(self) -> str:
+        """C++ that fills what `packet_steps` declares: a loop over lanes for each step."""
         values = {value.name: source for value, source in zip(self.ray, self.sources, strict=True)}
 
         def declare(step: Step) -> list[str]:
             return ["const int k = f + i;", *(f"const float {name} = {values[name]};" for name in step.reads(values))]
 
-        text = "int inside[W];\n" + "".join(f"float kept_{name}[W];\n" for name in self.kept())
+        text = ""
         for number, step in enumerate(self.steps):
             still = "(inside[i] != 0) & " if number else ""
             text += f"""

@@ -1,0 +1,1 @@
+"""Variants of tests and traversals that no scene uses: for measurements."""
