@@ -27,7 +27,7 @@ COMPARISONS = {
     "builders": ("kdtree_commands", "builders_command"),
     "ray-aware": ("ray_aware_command", "ray_aware_command"),
     "layouts": ("kdtree_commands", "layouts_command"),
-    "build-sizes": ("build_sizes_command", "build_sizes_command"),
+    "build-sizes": ("scaling_command", "build_sizes_command"),
     "scaling": ("scaling_command", "scaling_command"),
     "scheduling": ("scaling_command", "scheduling_command"),
     "shadows": ("shadows_command", "shadows_command"),
