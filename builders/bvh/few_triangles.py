@@ -83,7 +83,7 @@ class FewTriangles:
         self.shift = packed(shift, wp.vec3d(), given, points)
         self.boxes = packed(compute_boxes, points, faces, boxes)
         self.references = packed(make_references, boxes, 0, 0, references, parts)
-        self.subtree = packed(build, rules, rays, references, 0, tasks, scratch, domain, stack, tree, subtrees)
+        self.subtree = packed(build, rules, rays, references, 0, tasks, 1, scratch, domain, stack, tree, subtrees)
         self.solve = packed(solve, rules, rays, tree, subtrees, numbers, references)
         self.pick = packed(pick, 0, rules, rays, tree, references, wide)
         self.scan = packed(scan_level, 0, 0, wide, totals)
