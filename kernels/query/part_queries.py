@@ -17,6 +17,48 @@ from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, COUNT
 
 exact_module(__name__)
 
+AHEAD = wp.constant(16)
+"""Rays by which a kernel is ahead of itself when it fetches what it will read: rays of a queue are far apart in memory."""
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    __builtin_prefetch(rays.origins.data + (size_t)i * rays.origin_stride);
+    __builtin_prefetch(rays.directions.data + (size_t)i * rays.direction_stride);
+    __builtin_prefetch(rays.t_max.data + (size_t)i * rays.t_max_stride);
+    __builtin_prefetch(hits.t.data + i);
+#endif
+""")
+def fetch_ray(rays: RayBatch, hits: HitBatch, i: int):
+    """Fetches a ray and its best hit into the caches of a core. An address without an array does no harm."""
+    ...
+
+
+@wp.func_native("""
+#if !defined(__CUDA_ARCH__)
+    if (place >= order.shape[0]) return;
+    const int i = order.data[place], local = found.primitive.data[place];
+    if (local < 0) return;
+    __builtin_prefetch(hits.t.data + i, 1);
+    __builtin_prefetch(hits.primitive.data + i, 1);
+    __builtin_prefetch(hits.uv.data + i, 1);
+    __builtin_prefetch(corners.data + 3 * (size_t)i, 1);
+    __builtin_prefetch(mesh.faces.data + local);
+    __builtin_prefetch(ids.data + local);
+#endif
+""")
+def fetch_merged(
+    order: wp.array(dtype=int),
+    mesh: SceneMesh,
+    ids: wp.array(dtype=int),
+    found: HitBatch,
+    hits: HitBatch,
+    corners: wp.array(dtype=wp.vec3),
+    place: int,
+):
+    """Fetches what merging a closest hit reads and writes into the caches of a core."""
+    ...
+
 
 @cache
 def make_gather(query: str) -> wp.Kernel:
@@ -60,7 +102,10 @@ def make_gather_live(query: str) -> wp.Kernel:
         item = first + wp.tid()
         begin = begins[item]
         for place in range(begin, begins[item + 1]):
-            i = live[item * size + place - begin]
+            at = item * size + place - begin
+            if place + AHEAD < begins[item + 1]:
+                fetch_ray(rays, hits, live[at + AHEAD])
+            i = live[at]
             order[place] = i
             ray = load_ray(rays, i)
             queue.origins[place] = ray.origin
@@ -83,6 +128,7 @@ def merge_closest(
 ):
     """Merges the closest hit that a part found for a ray. Item: a place in the queue. corners: (3 N,) by ray."""
     place = first + wp.tid()
+    fetch_merged(order, mesh, ids, found, hits, corners, place + AHEAD)
     i = order[place]
     local = found.primitive[place]
     if local >= 0:

@@ -11,10 +11,12 @@ import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
+from wrt.execution import triangle_records
 from wrt.partitioned import partitioned_scene
 from wrt.partitioned.cycling import cycle
-from wrt.partitioned.partition_files import LIST, part_path
+from wrt.partitioned.partition_files import LIST, RECORDS, RELATIVE, part_path
 from wrt.partitioned.spatial_parts import Grid, divide
+from wrt.scene.archives import checksum, read_archive, write_archive
 
 MODES = tuple(partitioned_scene.MODES)
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
@@ -233,6 +235,45 @@ def test_trees_of_another_version_are_built_again(tmp_path, rays, monkeypatch):
     expected = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu").intersect(*rays)
     monkeypatch.setattr(wrt, "__version__", "another")
     assert_same_hits(wrt.PartitionedScene(path, device="cpu").intersect(*rays), expected)
+
+
+def test_records_come_from_the_files(tmp_path, folder, whole, rays, monkeypatch):
+    """They were made again for every part that was loaded. Files without them, as earlier versions wrote, still work."""
+    expected = whole.intersect(*rays)
+    plain = tmp_path / "plain"
+    wrt.PartitionedScene.build(meshes(), plain, part_triangles=250, store_records=False, device="cpu")
+    for number in range(len(list(plain.glob("part-*")))):  # as before vertices relative to the centre were stored
+        arrays = read_archive(part_path(plain, number))
+        assert not [name for name in arrays if name.startswith(RECORDS)]
+        with part_path(plain, number).open("wb") as file:
+            arrays = {name: array for name, array in arrays.items() if name != RELATIVE}
+            np.savez(file, **arrays, checksum=np.array(checksum(arrays)))
+    earlier = wrt.PartitionedScene(plain, device="cpu")
+    assert_same_hits(earlier.intersect(*rays), expected)
+    earlier.release()
+    assert_same_hits(earlier.intersect(*rays), expected)  # without checks
+
+    made, pack = [], triangle_records.pack_blocks
+    monkeypatch.setattr(triangle_records, "pack_blocks", lambda *args: made.append(1) or pack(*args))
+    scene = wrt.PartitionedScene(folder, device="cpu")
+    assert_same_hits(scene.intersect(*rays), expected)
+    assert not made
+    full = scene.loaded_bytes
+    earlier.release()
+    assert_same_hits(earlier.intersect(*rays), expected)
+    assert made
+    assert earlier.loaded_bytes == full, "records count as memory wherever they come from"
+
+
+def test_wrong_records_are_refused(tmp_path, rays):
+    path = tmp_path / "scene"
+    scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
+    arrays = read_archive(part_path(path, 0))
+    name = next(name for name in arrays if name.startswith(RECORDS))
+    for changed in ({name: arrays[name][:-16]}, {RELATIVE: arrays[RELATIVE] + np.float32(1)}):
+        write_archive(part_path(path, 0), arrays | changed)
+        with pytest.raises(ValueError, match="part 0 of this scene, or it is damaged"):
+            scene.occluded(*rays)
 
 
 def test_nothing_is_left_of_a_failed_build(tmp_path):

@@ -22,7 +22,7 @@ from wrt.builders.bvh import BVH_BUILDERS, few_triangles
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.tree_check import check_tree
 from wrt.kernels.layout.bvh_nodes import leaf_child
-from wrt.scene.archives import read_archive, write_archive
+from wrt.scene.archives import ALIGNED, array_places, read_archive, write_archive
 from wrt.scene.storage import pack_tree, unpack_tree
 
 DESCRIPTIONS = {
@@ -228,11 +228,11 @@ def test_nothing_half_written(tmp_path, monkeypatch):
     scene.save(path)
     before = path.read_bytes()
 
-    def interrupted(file, **arrays):
+    def interrupted(file, array, **options):
         file.write(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(np, "savez", interrupted)
+    monkeypatch.setattr(np.lib.format, "write_array", interrupted)
     with pytest.raises(KeyboardInterrupt):
         scene.save(path)
     assert path.read_bytes() == before
@@ -366,3 +366,12 @@ def test_archives_are_read_by_many_threads(tmp_path):
         gc.set_threshold(*thresholds)
         gc.callbacks.remove(let_others_in)
     assert not errors
+
+
+def test_arrays_begin_at_cache_lines(tmp_path):
+    """Parts of scenes are mapped into memory, and kernels read vectors there."""
+    arrays = {"a" * length: np.arange(length + 3, dtype=np.float32) for length in range(1, 9)}
+    write_archive(tmp_path / "file.npz", arrays)
+    assert all(place.offset % ALIGNED == 0 for place in array_places(tmp_path / "file.npz").values())
+    with np.load(tmp_path / "file.npz") as stored:
+        assert all(np.array_equal(stored[name], array) for name, array in arrays.items())

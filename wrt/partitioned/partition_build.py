@@ -3,7 +3,7 @@
 **Phases.** *Read*: each mesh is checked and copied to the disk; bounds are joined. *Count*: triangles are counted by the cells
 of a grid (`wrt.partitioned.spatial_parts`). *Distribute*: the triangles of each mesh are appended to the files of their parts,
 with the vertices that they use and the numbers that they have in the whole scene. *Build*: each part gets its tree, relative
-to the centre of the whole scene, and is saved.
+to the centre of the whole scene, and its triangle records, and is saved.
 
 Everything happens in a folder beside the target, which is renamed when it is complete; after an error, nothing is left.
 
@@ -26,13 +26,17 @@ import warp as wp
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.runtime.launch import as_device
 from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
-from wrt.partitioned.partition_files import PartList, label_of, part_path, write_list
+from wrt.partitioned.partition_files import REACHED, RECORDS, RELATIVE, PartList, label_of, part_path, write_list
 from wrt.partitioned.spatial_parts import Division, Grid, divide
+from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import scene_arrays
+from wrt.state.query_kinds import CLOSEST
 from wrt.state.scene_state import Settings, new_mark
 
 MAX_TRIANGLES = (1 << 31) - 1
@@ -125,7 +129,9 @@ def meshes_of(geometry: Iterable[Any]) -> Iterator[TriangleMesh]:
                 yield from as_meshes(member)
 
 
-def build_parts(geometry: Any, folder: Path, settings: Settings, part_triangles: int, advance: Any) -> None:
+def build_parts(
+    geometry: Any, folder: Path, settings: Settings, part_triangles: int, store_records: bool, advance: Any
+) -> None:
     """Builds a partitioned scene in a folder that does not exist yet; arguments as of `wrt.PartitionedScene.build`.
 
     Args:
@@ -148,7 +154,7 @@ def build_parts(geometry: Any, folder: Path, settings: Settings, part_triangles:
         meshes.remove()
         mark, rows = new_mark(), []
         for number in range(division.parts):
-            rows.append(build_part(work, number, meshes, settings, mark))
+            rows.append(build_part(work, number, meshes, settings, mark, store_records))
             advance(rows[-1]["triangles"], "building")
         columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         first, bounds = np.array(meshes.first, dtype=np.int64), global_bounds(meshes)
@@ -186,15 +192,21 @@ def append(folder: Path, number: int, kind: str, values: np.ndarray) -> None:
         np.ascontiguousarray(values).tofile(file)
 
 
-def build_part(folder: Path, number: int, meshes: MeshFiles, settings: Settings, mark: str) -> dict[str, Any]:
+def build_part(
+    folder: Path, number: int, meshes: MeshFiles, settings: Settings, mark: str, store_records: bool
+) -> dict[str, Any]:
     """Phase "build": writes the file of a part; returns its row of the list of parts."""
     files = {kind: folder / f"{number}.{kind}" for kind in ("vertices", "faces", "ids")}
     vertices = np.fromfile(files["vertices"], dtype=meshes.dtype).reshape(-1, 3)
     mesh = TriangleMesh(vertices, np.fromfile(files["faces"], dtype=np.int32).reshape(-1, 3))
     ids = np.fromfile(files["ids"], dtype=np.int32)
     state, low, high = part_state(mesh, settings, meshes.center, global_bounds(meshes))
-    extra = {"ids": ids, "label": np.array(label_of(mark, number))}
-    write_archive(part_path(folder, number), scene_arrays(state) | extra)
+    extra = {"ids": ids, "label": np.array(label_of(mark, number)), RELATIVE: state.device_mesh.vertices.numpy()}
+    if store_records:
+        extra |= stored_records(state)
+    arrays = scene_arrays(state) | extra
+    names = sorted(arrays, key=lambda name: name.startswith(REACHED))  # these lie together, at the end: they are mapped at once
+    write_archive(part_path(folder, number), {name: arrays[name] for name in names})
     for path in files.values():
         path.unlink()
     sizes = {"triangles": len(ids), "vertices": len(vertices), "slots": len(state.tree.primitive)}
@@ -222,6 +234,13 @@ def part_state(
         device_mesh=placed.fill_in(tree.low, tree.high),
     )
     return state, boxes.low, boxes.high
+
+
+def stored_records(state: MeshState) -> dict[str, np.ndarray]:
+    """The triangle records of a part's tree, by the name of their array."""
+    test, mesh, tree = default_test(state.settings, CLOSEST), state.device_mesh, state.tree
+    blocks = pack_blocks(TRIANGLE_TESTS[test].record, mesh.vertices, mesh.faces, tree.primitive, tree.width)
+    return {RECORDS + test: blocks.records.numpy()}
 
 
 @contextmanager

@@ -1,8 +1,9 @@
 """The files of a partitioned scene: a list of its parts, and a scene file for each part.
 
-`scene.npz` lists the parts; `part-00000.npz` and so on are files of `wrt.Scene.save` with two more arrays: the numbers that
-the part's triangles have in the whole scene, and a label that says which part of which scene it is. Each is an archive with a
-checksum (`wrt.scene.archives`). A part whose arrays or label do not match is refused.
+`scene.npz` lists the parts; `part-00000.npz` and so on are files of `wrt.Scene.save` with more arrays: the numbers that the
+part's triangles have in the whole scene, and a label that says which part of which scene it is. Most files also hold what need
+not be computed when a part is loaded: vertices relative to the scene's centre, and triangle records in the order of the
+tree's leaves. Each is an archive with a checksum (`wrt.scene.archives`). A part whose arrays or label do not match is refused.
 """
 
 from __future__ import annotations
@@ -20,6 +21,15 @@ FORMAT = 1
 """Version of the list of parts; incremented when the contents change."""
 
 LIST = "scene.npz"
+
+RELATIVE = "relative"
+"""Array of a part's vertices relative to the scene's centre (`shifted` computes them). Files of earlier versions have none."""
+
+RECORDS = "records."
+"""Begin of the name of the array of triangle records; the name of a triangle test that reads such records follows."""
+
+REACHED = ("tree.", RECORDS)
+"""Begins of the names of arrays most of which rays read."""
 
 
 @dataclass(frozen=True)

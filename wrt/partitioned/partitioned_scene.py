@@ -65,7 +65,7 @@ class QueryTraffic(NamedTuple):
 
     Attributes:
         loads: parts loaded from disk.
-        bytes_read: bytes read from their files.
+        bytes_read: bytes of their files, read or mapped into memory.
         visits: queues that were traced in a part.
         rays_traced: rays in all these queues.
         peak_bytes: most memory of all parts together.
@@ -132,6 +132,7 @@ class PartitionedScene:
         *,
         part_triangles: int = PART_TRIANGLES,
         accelerator: str | Bvh = "bvh",
+        store_records: bool = True,
         memory: int | str = MEMORY,
         triangle_test: str = AUTO,
         device: str | wp.Device | None = None,
@@ -148,6 +149,8 @@ class PartitionedScene:
             folder: path of a folder that does not exist yet, or is empty.
             part_triangles: greatest number of triangles of a part, at least 1. Several parts should fit in `memory`.
             accelerator: "bvh", "auto", or a `wrt.Bvh`, the tree of each part.
+            store_records: whether files hold the triangle records of `triangle_test`, at least 36 bytes a triangle more.
+                Otherwise they are made whenever a part is loaded, as always on a GPU. That may be better for slow disks.
             memory, triangle_test, device, num_threads: as in the constructor.
             progress: whether to show a progress bar on stderr.
 
@@ -168,7 +171,9 @@ class PartitionedScene:
         check_test(settings.triangle_test)
         parse_memory(memory)
         with use_threads(num_threads), progress_bar(progress, None) as advance:
-            build_parts(geometry, as_folder(folder), settings, int(part_triangles), lambda count, phase: advance(int(count)))
+            stores = store_records and settings.device.is_cpu
+            size = int(part_triangles)
+            build_parts(geometry, as_folder(folder), settings, size, stores, lambda count, phase: advance(int(count)))
         return cls(folder, memory=memory, triangle_test=triangle_test, device=device, num_threads=num_threads)
 
     @takes(PartOptions, mode=CYCLE)

@@ -15,9 +15,12 @@ import warp as wp
 from wrt.execution.executor import trace_chosen
 from wrt.kernels.query.part_queries import MERGES, make_gather
 from wrt.kernels.runtime.launch import launch
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.memory import new_rays
-from wrt.planning.planner import find_plan
+from wrt.planning.planner import default_test, find_plan
 from wrt.rays.ray_buffers import RayBuffers
+from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     from wrt.kernels.layout.bvh_nodes import WideNodes
@@ -71,6 +74,9 @@ class RayJob:
         self.cache, self.upper, self.query, self.rays, self.coherent = cache, upper, query, rays, coherent
         self.hits, self.corners, self.expected_bytes = hits, corners, expected_bytes
         self.device, self.parts = cache.settings.device, len(cache.parts)
+        by_tree = query.traversal == AUTO or TRAVERSALS[query.traversal].walks_tree
+        test = default_test(cache.settings, query.kind) if query.triangle_test == AUTO else query.triangle_test
+        self.record = TRIANGLE_TESTS[test].record if by_tree else None
         self.plan: Plan | None = None
         self.visits = self.traced = 0
 
@@ -89,7 +95,8 @@ class RayJob:
             order: numbers of the rays.
             rays: copies of them (`gathered`).
         """
-        part, count, kind = self.cache.part(number, int(self.expected_bytes[number])), len(order), self.query.kind
+        part = self.cache.part(number, int(self.expected_bytes[number]), self.record)
+        count, kind = len(order), self.query.kind
         buffers = RayBuffers(rays, (count,), False, np.float32, self.coherent, False, [])
         chosen = find_plan(part.state, buffers, self.query)
         found, _ = trace_chosen(part.state, chosen, buffers, kind, False)

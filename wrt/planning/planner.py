@@ -21,6 +21,7 @@ from wrt.tables import lookup
 
 if TYPE_CHECKING:
     from wrt.rays.ray_buffers import RayBuffers
+    from wrt.state.scene_settings import Settings
     from wrt.state.scene_state import SceneState
 
 DEFAULT_TEST = "woop"
@@ -167,7 +168,7 @@ def choose_plan(
     )
 
 
-def default_test(scene: SceneState, query: str) -> str:
+def default_test(scene: SceneState | Settings, query: str) -> str:
     """Name of the triangle test for queries that name none: the scene's, or the default test if the query counts and the
     scene's test cannot.
     """

@@ -26,6 +26,15 @@ import numpy as np
 CHECKSUM = "checksum"
 """Name of the array that holds the checksum."""
 
+ALIGNED = 64
+"""Bytes at whose multiples the elements of an array begin in a file, so that kernels can read them where they are."""
+
+LOCAL_HEADER, ZIP64, EXTRA_HEADER = 30, 20, 4
+"""Bytes before the name of a member of an archive, of the field with its sizes, and before the contents of other fields."""
+
+PADDING = 0xD935
+"""Identifier of a field that aligns the contents of a member, as Android's archives have it."""
+
 _parsing = threading.Lock()
 """Held while the header of an array is parsed. CPython 3.11 may raise a SystemError when two threads parse literals at the
 same time (CPython issue 106905).
@@ -49,8 +58,14 @@ def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
         OSError: the file cannot be written.
         ValueError: `path` exists and is not a regular file.
     """
-    with replaced(path) as file:
-        np.savez(file, **{**arrays, CHECKSUM: np.array(checksum(arrays))})
+    with replaced(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name, array in {**arrays, CHECKSUM: np.array(checksum(arrays))}.items():
+            member = zipfile.ZipInfo(f"{name}.npy")
+            begin = file.tell() + LOCAL_HEADER + len(member.filename.encode()) + ZIP64 + EXTRA_HEADER
+            missing = -begin % ALIGNED  # the header of an array ends at a multiple of 64 bytes from its begin
+            member.extra = struct.pack("<HH", PADDING, missing) + bytes(missing)
+            with archive.open(member, "w", force_zip64=True) as stream:
+                np.lib.format.write_array(stream, np.asarray(array), allow_pickle=False)
 
 
 def read_archive(path: Path) -> dict[str, np.ndarray]:

@@ -1,0 +1,264 @@
+"""Loading a part: its file is checked once, and then mapped into memory.
+
+The first time a part is loaded, its file is checked as `wrt.Scene.load` checks one: checksum, sizes, and the indices in its
+tree. From then on it is mapped and its arrays are used where they are, as long as the file has not changed since (size, time of
+change, inode); a file that has changed is checked again. A mapped part is neither copied nor computed: its triangle records
+are in the file as well (`wrt.partitioned.partition_build`). Those of another triangle test are made when a query needs them,
+and so are all on a GPU, which makes them faster than they can be copied to it.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import sys
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import warp as wp
+
+from wrt.builders.tree import Bvh
+from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout.mesh_placement import shifted
+from wrt.kernels.query.hit_attributes import SceneMesh
+from wrt.kernels.runtime.launch import as_device
+from wrt.kernels.simd.lanes import native_width
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+from wrt.memory import empty, keep_alive
+from wrt.partitioned.partition_files import REACHED, RECORDS, RELATIVE, PartList, label_of, part_path
+from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, read_archive
+from wrt.scene.mesh_state import MeshState
+from wrt.scene.storage import UNREADABLE, parse_scene, tree_key
+from wrt.state.scene_settings import Settings
+from wrt.state.scene_state import SceneState
+
+if TYPE_CHECKING:
+    from wrt.kernels.triangle.support.record_blocks import Record
+
+TREE = {"bounds": wp.float32, "child": wp.int32, "primitive": wp.int32}
+"""Arrays of a part's tree, and what they hold."""
+
+TYPES = {**{f"tree.{name}": dtype for name, dtype in TREE.items()}, "faces.0": wp.vec3i, "ids": wp.int32}
+"""Arrays of a part's file that are used as they are, and what they hold."""
+
+
+MADV_POPULATE_READ = 22
+"""Linux's advice to map pages for reading, since version 5.14."""
+
+
+class Part(NamedTuple):
+    """A part in memory.
+
+    Attributes:
+        state: its triangles and its tree, for queries.
+        ids: (F,) int32 on the device: numbers of its triangles in the whole scene, ascending.
+    """
+
+    state: SceneState
+    ids: wp.array
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the part, with its triangle records."""
+        return self.state.bytes + self.ids.capacity
+
+
+@dataclass(frozen=True)
+class CheckedFile:
+    """A file of a part that was checked.
+
+    Attributes:
+        identity: inode, size and time of change.
+        places: where its arrays are.
+        tree: its tree, without arrays; None if this machine builds another one.
+    """
+
+    identity: tuple[int, ...]
+    places: dict[str, ArrayPlace]
+    tree: Bvh | None
+
+
+class PartLoader:
+    """Loads the parts of a scene.
+
+    Args:
+        folder: the folder of the scene.
+        parts: the list of its parts.
+        settings: of the scene.
+
+    Attributes:
+        bytes_read: bytes of the file that were read or mapped for the latest part.
+    """
+
+    def __init__(self, folder: Path, parts: PartList, settings: Settings) -> None:
+        self.folder, self.parts, self.settings = folder, parts, settings
+        self.bytes_read = 0
+        self._checked: dict[int, CheckedFile] = {}
+
+    def load(self, number: int, record: Record | None) -> Part:
+        """Loads a part, with its triangle records if its file has those of this kind.
+
+        Raises:
+            FileNotFoundError, PermissionError: the file is gone, or may not be read.
+            ValueError: it is damaged, or the part of another scene.
+        """
+        path = part_path(self.folder, number)
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"part {number} of the scene is gone: no file '{path}'; restore it, or build the scene again"
+            )
+        known, identity = self._checked.get(number), identity_of(path)
+        if known is not None and known.identity == identity and known.tree is not None:
+            return self._map(path, known, record)
+        self._checked.pop(number, None)
+        try:
+            known, part = self._check(path, number, identity)
+        except PermissionError:
+            raise
+        except UNREADABLE as error:
+            reason = f"{type(error).__name__}: {error}"
+            raise ValueError(
+                f"'{path}' is not part {number} of this scene, or it is damaged ({reason}); restore it, or build the scene "
+                "again"
+            ) from error
+        self._checked[number] = known
+        return part or self._map(path, known, record)
+
+    def _check(self, path: Path, number: int, identity: tuple[int, ...]) -> tuple[CheckedFile, Part | None]:
+        """Reads a part and checks all of it. Returns the part if it cannot be mapped, because its tree is built again here.
+
+        Raises:
+            ValueError, TypeError, KeyError, RuntimeError, OSError: it is damaged, or another part.
+        """
+        arrays = read_archive(path)
+        if str(arrays["label"]) != label_of(self.parts.mark, number):
+            raise ValueError(f"its label is {arrays['label']}")
+        (mesh,), accelerator, _, known, _ = parse_scene(arrays)
+        ids, count = arrays["ids"], int(self.parts.triangles[number])
+        if ids.dtype != np.int32 or ids.shape != (count,) or mesh.triangle_count != count:
+            raise ValueError(f"it has {mesh.triangle_count} triangles and {ids.shape} numbers, not {count}")
+        if ids[0] < 0 or ids[-1] >= self.parts.first[-1] or (np.diff(ids) <= 0).any():
+            raise ValueError("the numbers of its triangles do not ascend, or are not those of the scene")
+        vertices, width = shifted(self.parts.center, mesh.vertices), native_width(self.settings.device)
+        low, high = (wp.vec3(*corner.tolist()) for corner in self.parts.bounds)
+        if tree_key(vertices.numpy(), mesh.faces, accelerator, width) == known.key:
+            check_extras(arrays, vertices.numpy(), len(known.known.primitive))
+            bare = replace(known.known, bounds=None, child=None, primitive=None, low=low, high=high)
+            return CheckedFile(identity, array_places(path), bare), None
+        # another version of wrt wrote it, or vectors have another width
+        self.bytes_read = sum(array.nbytes for array in arrays.values())
+        faces = wp.array(mesh.faces, dtype=wp.vec3i, device=as_device("cpu"), copy=False)
+        tree = accelerator.build(triangle_boxes(vertices, faces, self.parts.center), width)
+        ids = wp.array(ids, dtype=int, device=as_device("cpu"), copy=False)
+        part = self._placed(replace(tree, low=low, high=high), vertices, faces, ids)
+        return CheckedFile(identity, array_places(path), None), part
+
+    def _map(self, path: Path, known: CheckedFile, record: Record | None) -> Part:
+        """Maps the arrays of a file that was checked before.
+
+        Raises:
+            ValueError: the file became shorter meanwhile.
+        """
+        types: dict[str, type] = dict(TYPES)
+        stored = next((name for name in known.places if name.startswith(RECORDS)), None)
+        if stored is not None and TRIANGLE_TESTS[stored.removeprefix(RECORDS)].record == record and self.settings.device.is_cpu:
+            types[stored] = wp.float32
+        else:
+            stored = None
+        has_relative = RELATIVE in known.places
+        types |= {RELATIVE: wp.vec3} if has_relative else {"vertices.0": None}
+        arrays = mapped(path, known.places, types)
+        self.bytes_read = sum(known.places[name].bytes for name in types)
+        vertices = arrays[RELATIVE] if has_relative else shifted(self.parts.center, arrays["vertices.0"], empty)
+        tree = replace(known.tree, **{name: arrays[f"tree.{name}"] for name in TREE})
+        part = self._placed(tree, vertices, arrays["faces.0"], arrays["ids"])
+        if stored is not None:
+            blocks = TriangleBlocks()
+            blocks.records, blocks.primitive = arrays[stored], tree.primitive
+            part.state.cache.records["bvh", record] = None, blocks
+        return part
+
+    def _placed(self, tree: Bvh, vertices: wp.array, faces: wp.array, ids: wp.array) -> Part:
+        """The part on the scene's device."""
+        device = self.settings.device
+        mesh = SceneMesh()
+        mesh.vertices, mesh.faces = vertices.to(device), faces.to(device)
+        mesh.center = wp.vec3d(*map(float, self.parts.center))
+        mesh.low, mesh.high = tree.low, tree.high
+        state = MeshState(
+            settings=self.settings, meshes=(), center=self.parts.center, built_tree=tree.to(device), device_mesh=mesh
+        )
+        return Part(state, ids.to(device))
+
+
+def check_extras(arrays: dict[str, np.ndarray], vertices: np.ndarray, slots: int) -> None:
+    """Checks what a part's file holds so that it need not be computed again, if it holds it.
+
+    Args:
+        arrays: of the file.
+        vertices: (V, 3) float32, relative to the scene's centre.
+        slots: number of lanes of the leaf blocks of its tree.
+
+    Raises:
+        ValueError, KeyError: it does not fit the part.
+    """
+    if RELATIVE in arrays and not np.array_equal(arrays[RELATIVE], vertices, equal_nan=True):
+        raise ValueError("its vertices differ from those relative to the scene's centre")
+    for name in arrays:
+        if name.startswith(RECORDS):
+            size = slots * TRIANGLE_TESTS[name.removeprefix(RECORDS)].record.components
+            if arrays[name].dtype != np.float32 or arrays[name].shape != (size,):
+                raise ValueError(f"{name} holds {arrays[name].shape} of {arrays[name].dtype}, not {size} of float32")
+
+
+def identity_of(path: Path) -> tuple[int, ...]:
+    """What changes if a file is written or replaced: inode, size, time of change."""
+    status = os.stat(path)
+    return status.st_ino, status.st_size, status.st_mtime_ns
+
+
+def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | None]) -> dict[str, Any]:
+    """Arrays of a file as flat Warp arrays on the CPU in mapped memory, which may only be read; as NumPy arrays for type None.
+
+    The pages of trees and triangle records, most of which rays reach, are mapped at once where the system can do that: page
+    faults would take several times as long. Others are mapped when they are accessed. Arrays that do not begin at multiples of
+    `ALIGNED`, in files of earlier versions, are copied.
+
+    Raises:
+        ValueError: the file is shorter than it was.
+    """
+    chosen = [places[name] for name in types]
+    begin = min(place.offset for place in chosen) // mmap.ALLOCATIONGRANULARITY * mmap.ALLOCATIONGRANULARITY
+    end = max(place.offset + place.bytes for place in chosen)
+    with open(path, "rb", buffering=0) as file:
+        if os.fstat(file.fileno()).st_size < end:
+            raise ValueError(f"'{path}' ends early; restore it, or build the scene again")
+        mapping = mmap.mmap(file.fileno(), end - begin, offset=begin, access=mmap.ACCESS_READ)
+    populate(mapping, [(places[name].offset - begin, places[name].bytes) for name in types if name.startswith(REACHED)])
+    space = np.frombuffer(mapping, dtype=np.uint8)
+    address, arrays, cpu = space.__array_interface__["data"][0] - begin, {}, as_device("cpu")
+    for name, dtype in types.items():
+        place = places[name]
+        if dtype is None or (address + place.offset) % ALIGNED:
+            piece = space[place.offset - begin : place.offset - begin + place.bytes]
+            array = np.array(piece).view(place.dtype).reshape(place.shape)
+            arrays[name] = array if dtype is None else wp.array(array, dtype=dtype, device=cpu, copy=False)
+            continue
+        count = place.bytes // wp.types.type_size_in_bytes(dtype)
+        array = wp.array(ptr=address + place.offset, dtype=dtype, shape=count, capacity=place.bytes, device=cpu)
+        arrays[name] = keep_alive(array, space)
+    return arrays
+
+
+def populate(mapping: mmap.mmap, ranges: list[tuple[int, int]]) -> None:
+    """Maps the pages of some ranges of bytes (begin, size) at once, with the pages between them; on Linux only."""
+    if not sys.platform.startswith("linux"):
+        return
+    begin = min(begin for begin, _ in ranges) // mmap.PAGESIZE * mmap.PAGESIZE
+    end = max(begin + size for begin, size in ranges)
+    with suppress(OSError):  # an earlier Linux: pages are mapped when they are accessed
+        mapping.madvise(MADV_POPULATE_READ, begin, end - begin)
