@@ -66,7 +66,7 @@ class Stage:
         return [self.static, self.animation.mesh(frame)]
 
 
-def by_updates(accelerator: str, rebuild: str) -> Callable[[Stage], Show]:
+def by_updates(accelerator: str | KdTree, rebuild: str) -> Callable[[Stage], Show]:
     """One tree, updated for each frame."""
 
     def start(stage: Stage) -> Show:
@@ -159,6 +159,7 @@ WAYS: dict[str, Callable[[Stage], Show]] = {
     "refit or build, bvh": by_updates("bvh", "auto"),
     "build, kdtree": by_updates("kdtree", "always"),
     "refill or build, kdtree": by_updates("kdtree", "auto"),
+    "lazy kdtree": by_updates(KdTree(builder="lazy"), "always"),
     "two levels": by_two_levels,
     "groups": by_groups("bvh"),
     "groups, kdtree": by_groups("kdtree"),
@@ -266,10 +267,12 @@ def follow(show: Show, camera: PinholeCamera, expected: list[Answer], figures: W
         figures.compare(got, wanted)
 
 
-def follow_behind(stage: Stage, camera: PinholeCamera, expected: list[Answer], rounds: int) -> WayFigures:
+def follow_behind(
+    stage: Stage, camera: PinholeCamera, expected: list[Answer], rounds: int, accelerator: str = "bvh"
+) -> WayFigures:
     """Builds the tree of each frame while the one before is traced."""
     start = perf_counter()
-    scene = Scene(stage.meshes(0), device="cpu")
+    scene = Scene(stage.meshes(0), accelerator, device="cpu")
     figures, frames = WayFigures("building while tracing", perf_counter() - start), stage.animation.frames
     for _ in range(rounds):
         scene.update(1, vertices=frames[0], rebuild="always")
