@@ -79,6 +79,7 @@ class Traversal:
         orders: those of `ORDERS` in which it can trace rays.
         two_level: for each tree kind, the queries that it answers through instances.
         two_level_on_cuda: whether it does so on CUDA too.
+        node_orders: whether it can walk the nodes of a kd-tree in another order (`wrt.KdTree(layout=...)`).
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
         least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs
             more than it balances.
@@ -99,6 +100,7 @@ class Traversal:
     orders: tuple[str, ...] = (AS_GIVEN, CELLS)
     two_level: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     two_level_on_cuda: bool = False
+    node_orders: bool = False
     own_spaces: bool = False
     least_rays_per_item: int | None = None
     score: Score | None = None
@@ -160,6 +162,7 @@ TRAVERSALS: dict[str, Traversal] = {
             queries={"kdtree": QUERIES, "bvh": QUERIES},
             two_level={"kdtree": QUERIES, "bvh": QUERIES},
             two_level_on_cuda=True,
+            node_orders=True,
             own_spaces=True,
             score=score_single,
         ),

@@ -176,7 +176,7 @@ def test_bad_arguments(device):
             scene.intersect(origins, directions, **arguments)
     with pytest.raises(ValueError, match=r"the scene has 2; pass the wrt\.Hits"):
         twins.occluded(origins, directions, skip=3)
-    with pytest.raises(ValueError, match=r"hits\.spawn\(directions\) instead, or use wrt\.Scene\(scene\.flattened"):
+    with pytest.raises(ValueError, match="skip holds hits of another scene; pass hits of this scene"):
         wrt.Scene(wrt.Instance(TEAPOT), device=device).count(origins, directions, skip=hits)
     with pytest.raises(ValueError, match=r"a scene with one tree; .* use wrt\.Scene\(scene\.meshes\)"):
         wrt.FuzzyScene(TEAPOT.vertices[None], TEAPOT.faces, device=device).occluded(origins, directions, skip=hits)

@@ -167,3 +167,20 @@ def test_scenes_of_other_kinds_have_plans_of_their_own():
     assert hits[0].plan is hits[2].plan
     for other in hits[1:]:
         np.testing.assert_array_equal(other.primitive_id, hits[0].primitive_id)
+
+
+def test_a_query_in_a_cycle_of_garbage_does_not_come_back():
+    """The collector gave its memory for rays to another query first; two threads then wrote to the same rays."""
+    from wrt.execution import prepared
+
+    for _ in range(3):
+        scene = wrt.Scene(wrt.scenes.build("teapot", level=1), device="cpu")
+        scene.intersect([9.0, 9.0, 9.0], [-1.0, -1.0, -0.9])
+        cycle = [scene]
+        cycle.append(cycle)
+        del scene, cycle
+        gc.collect()
+    retired = [query._staging for queries in prepared._retired.values() for query in queries]
+    free = [staging for stagings in prepared._free.values() for staging in stagings]
+    together = [*map(id, retired), *map(id, free)]
+    assert len(set(together)) == len(together), "no memory is in two places"

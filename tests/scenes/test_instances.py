@@ -308,7 +308,6 @@ BAD = {
     "member": (lambda: wrt.Scene([wrt.Instance(BOX), 7]), TypeError, "mesh must be"),
     "no masks": (lambda: wrt.Scene(BOX).intersect([0, 0, 9], [0, 0, -1.0], mask=1), ValueError, r"mask=\.\.\."),
     "no places": (lambda: wrt.Scene(BOX).update(0, transform=np.eye(4)), ValueError, r"make it from wrt\.Instance"),
-    "kernels": (lambda: wrt.Scene([wrt.Instance(BOX)]).handle(), ValueError, r"flattened\(\)\)\.handle"),
     "statistics": (lambda: wrt.Scene([wrt.Instance(BOX)]).statistics(), ValueError, r"wrt\.Scene\(scene\.meshes"),
 }
 QUERIES = {
@@ -317,7 +316,6 @@ QUERIES = {
     "one origin": ({"triangle_test": "komatsu"}, "needs one origin"),
     "mask shape": ({"mask": [1, 2, 3]}, "does not broadcast"),
     "mask range": ({"mask": -1}, "from 0 to"),
-    "precise": ({"precise": True}, r"use wrt\.Scene\(scene\.flattened"),
     "counters": ({"traversal": "stream", "counters": True}, "pass traversal='single'"),
 }
 

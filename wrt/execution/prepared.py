@@ -66,7 +66,8 @@ class PreparedQuery:
         self._staging = None
         self._relative = layout == STAGED if isinstance(layout, str) else not layout.centered
         if layout in (STAGED, STAGED_CENTERED):
-            self._staging = borrow_staging(self, kind, device, scene.center if layout == STAGED else np.zeros(3))
+            center = scene.center if layout == STAGED else np.zeros(3)
+            self._staging, self._lease = borrow_staging(self, kind, device, center)
         rays = new_batch(layout, scene.center) if self._staging is None else self._staging.rays
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
@@ -103,8 +104,12 @@ class PreparedQuery:
         self._mesh = scene.device_mesh
 
     def retire(self) -> None:
-        """Leaves this to the scenes to come, if there are others of its kind; the last one is gone."""
-        if self._of is not None:
+        """Leaves this to the scenes to come, if there are others of its kind; the last one is gone.
+
+        The garbage collector gives back the staging of a query in a cycle before it deletes the plan that calls this; such a
+        query must not come back, as another one may have its staging by then.
+        """
+        if self._of is not None and self._lease.alive:
             self._mesh = self._used = None
             self._launch.forget(())
             _retired.setdefault(self._of, deque(maxlen=MAX_FREE)).append(self)
@@ -198,13 +203,12 @@ MAX_FREE = 16
 _free: dict[tuple[str, str], deque[Staging]] = {}
 
 
-def borrow_staging(owner: PreparedQuery, kind: str, device: wp.Device, center: np.ndarray) -> Staging:
-    """A staging for a kind of query, free again when its owner is gone; safe to call from several threads."""
+def borrow_staging(owner: PreparedQuery, kind: str, device: wp.Device, center: np.ndarray) -> tuple[Staging, finalize]:
+    """A staging for a kind of query, and what makes it free again when its owner is gone; safe to call from several threads."""
     free = _free.setdefault((kind, device.alias), deque(maxlen=MAX_FREE))
     try:
         staging = free.pop()
     except IndexError:
         staging = Staging(kind, device)
     staging.rays.center = wp.vec3d(*map(float, center))
-    finalize(owner, free.append, staging)
-    return staging
+    return staging, finalize(owner, free.append, staging)

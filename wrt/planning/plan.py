@@ -144,7 +144,7 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
 
 def config_for_layout(config: TraversalConfig, plan: Plan, scene: SceneState) -> TraversalConfig:
     """The specialisation for the order of the tree's nodes: single rays walk pairs for their nearest hits, if there are any."""
-    alone = not (scene.instances or scene.only_single) and plan.accelerator == "kdtree" and plan.traversal == "single"
+    alone = not (scene.instances or scene.only_single) and plan.accelerator == "kdtree" and traversal_of(plan).node_orders
     if alone and config.query in NEAREST_QUERIES and scene.tree.pairs is not None:
         return replace(config, single=SingleConfig(pair_words=1))
     return config
