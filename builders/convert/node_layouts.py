@@ -191,3 +191,10 @@ def aligned(count: int) -> wp.array:
     room = wp.zeros(count + LINE // 8, dtype=wp.vec2i, device="cpu")
     begin = -room.ptr % LINE // 8
     return room[begin : begin + count]
+
+
+def aligned_copy(pairs: np.ndarray) -> np.ndarray:
+    """A copy of nodes in pairs that begins with a cache line, as orders in memory need it."""
+    copy = aligned(len(pairs)).numpy()
+    copy[:] = pairs
+    return copy

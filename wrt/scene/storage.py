@@ -212,7 +212,9 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     if "level_first" in values:
         values["level_first"] = tuple(values["level_first"].tolist())
     if "pairs" in values and values["pairs"].dtype == np.int32:
-        values["pairs"] = to_lines(values["pairs"])
+        from wrt.builders.convert.node_layouts import aligned_copy
+
+        values["pairs"] = aligned_copy(values["pairs"])
     for name, dtype in (
         ("nodes", wp.vec2i),
         ("pairs", wp.vec2i),
@@ -228,15 +230,6 @@ def unpack_tree(arrays: Mapping[str, np.ndarray], triangles: int) -> Bvh | KdTre
     tree = cls(**values)
     check_tree(tree, triangles)
     return tree
-
-
-def to_lines(pairs: np.ndarray) -> np.ndarray:
-    """A copy of nodes in pairs that begins with a cache line, as orders in memory need it."""
-    from wrt.builders.convert.node_layouts import aligned
-
-    copy = aligned(len(pairs)).numpy()
-    copy[:] = pairs
-    return copy
 
 
 def save_scene(scene: SceneState, path: str | Path) -> None:

@@ -122,8 +122,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
 def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf: wp.Function) -> wp.Function:
     """`wp.func(tree, first, cells, search, hits, i, best, work) -> best`: traverses what is below a cell, for ray number i.
 
-    first: a cell; its node as in `LinkedNodes`. cells: the ray in the space of the cells. search: of the leaves, in that of the
-    triangles.
+    first: a cell; its node as in `LinkedNodes`. cells: the ray in the cells' space. search: of leaves, in the triangles' space.
 
     Args:
         config: the specialisation.

@@ -16,7 +16,6 @@ import warp as wp
 
 from wrt.query.batches.block_outputs import ATTRIBUTES
 from wrt.query.batches.exact_sums import ExactSum, exact_sum
-from wrt.query.hits import Hits
 
 
 class Reduction(Protocol):
@@ -252,8 +251,3 @@ def as_block_reduction(reduce: Any, axis: Any, is_closest: bool) -> BlockReducti
 def as_array(values: Any) -> np.ndarray:
     """An answer as a NumPy array."""
     return values.numpy() if isinstance(values, wp.array) else np.asarray(values)
-
-
-def is_states(answer: Any) -> bool:
-    """Whether an answer of a block is a dict, and not hits or an array."""
-    return not isinstance(answer, (Hits, np.ndarray, wp.array))
