@@ -1,8 +1,8 @@
 """Flat arrays in host memory, as kernels read and write them.
 
-A query of a million rays on many cores takes one or two milliseconds, and its code and data have left the caches when the
-next one begins. Making a Warp array then takes 20 to 30 us, and a query needs seven. A `HostArray` has what a launch needs, an
-address and a length, and becomes a Warp array when one is asked for (notebooks/records/2026-11-23-large-calls.md).
+When a query of a million rays ends, the code and data of Python have left the caches, and making the Warp arrays of the next
+one takes a good part of its time on many cores. A `HostArray` has what a launch needs, an address and a length, and becomes a
+Warp array when one is asked for (notebooks/records/2026-11-23-large-calls.md).
 """
 
 from __future__ import annotations

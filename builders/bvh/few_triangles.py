@@ -1,6 +1,6 @@
 """The binned build of few triangles, from vertices to the finished tree, on the calling thread.
 
-**Problem.** A thousand triangles take the kernels of a build 0.1 ms, and Python several times that: to allocate arrays, to pack
+**Problem.** With a thousand triangles most of a build is not its kernels but Python: to allocate arrays, to pack
 the arguments of launches, and to describe every intermediate result (notebooks/records/2026-11-23-small-scenes.md).
 
 **Idea.** A `FewTriangles` has everything for up to `capacity` triangles: work arrays, and the kernels of all phases with packed

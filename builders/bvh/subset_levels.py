@@ -18,9 +18,9 @@ triangles, and the pair of its children is named by the first place of the right
 **Complexity.** O(depth) for each inserted triangle, in a tree that is smaller than the caches.
 
 **What we changed.** The paper builds on a GPU and clusters the other triangles around the leaves. Here they go where a build
-over all triangles with these planes would put them, so neither order nor threads show; going by the growth of boxes took three
-times as long and gave no better trees. One triangle is drawn from each run of equal length, which is uniform and follows the
-order of the mesh.
+over all triangles with these planes would put them, so neither order nor threads show; going by the growth of boxes took longer
+and gave no better trees (notebooks/records/2026-11-23-subsets-and-area-kdtrees.md). One triangle is drawn from each run of
+equal length, which is uniform and follows the order of the mesh.
 
 **Limits.** The descent ends early where the subtrees might become too deep. The draw has a fixed seed: a tree can be built
 again. Meshes of fewer than 2 * MIN_SUBSET triangles are built whole.

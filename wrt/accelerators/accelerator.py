@@ -28,7 +28,8 @@ def resolve_accelerator(accelerator: str | Accelerator) -> Accelerator:
     if not isinstance(accelerator, str):
         kind = type(accelerator).__name__
         names = ", ".join(f"wrt.{entry.__name__}" for entry in get_args(Accelerator))
-        raise TypeError(f"accelerator must be a name or one of {names}, not {kind}")
+        hint = "; pass vertices and faces as one mesh, wrt.TriangleMesh(vertices, faces)" if kind == "ndarray" else ""
+        raise TypeError(f"accelerator must be a name or one of {names}, not {kind}{hint}")
     return _described(accelerator)
 
 

@@ -1,8 +1,7 @@
 """Ambient rays of a tile of a picture: how many of each point's rays leave the scene.
 
 The rays of a point follow one another, and only points that were hit have any. So the rays of a stream start close together and
-visit the same part of the tree, and pixels of the background cost nothing: a picture of the bunny took 0.7 times as long
-(notebooks/records/2026-11-23-warm-start.md).
+visit the same part of the tree, and pixels of the background cost nothing (notebooks/records/2026-11-23-warm-start.md).
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from wrt.kernels.traversal.two_level.instance_moves import EXTREMES, BoxTree, Mo
 from wrt.meshes.instance import Instance
 
 MOST_AT_ONCE = 32
-"""Instances up to which one thread moves them, one after the other: each takes some 10 us."""
+"""Instances up to which one thread moves them, one after the other (notebooks/records/2026-11-23-instances.md)."""
 
 MAX_FREE = 4
 
