@@ -177,24 +177,57 @@ def empty(count: int, dtype: type, device: wp.Device) -> wp.array:
     return keep_alive(wp.array(ptr=pointer, dtype=dtype, shape=count, capacity=size, device=device), lease)
 
 
-def empty_together(kinds: Mapping[str, type], count: int, device: wp.Device) -> dict[str, wp.array]:
-    """Flat arrays of `count` elements, with undefined contents; `kinds`: the type of each.
+class ArraysOfBlock:
+    """Flat arrays of one length, cut from one allocation, each at a multiple of `ALIGNED` bytes; undefined at first.
+
+    An array is made when it is asked for, by its name: a kernel only needs addresses.
+
+    Args:
+        kinds: type of each array.
+        count: their length.
+        device: where they are.
+    """
+
+    def __init__(self, kinds: Mapping[str, type], count: int, device: wp.Device) -> None:
+        self._kinds, self._count, self._begins, size = kinds, count, {}, 0
+        for name, dtype in kinds.items():
+            self._begins[name], size = size, size + -(-count * wp.types.type_size_in_bytes(dtype) // ALIGNED) * ALIGNED
+        self._block = wp.empty(size, dtype=wp.uint8, device=device)
+
+    def __getitem__(self, name: str) -> wp.array:
+        """The array of a name."""
+        device, begin = self._block.device, (self._block.ptr or 0) + self._begins[name]
+        return keep_alive(wp.array(ptr=begin, dtype=self._kinds[name], shape=self._count, device=device), self._block)
+
+    def write_to(self, struct: Any) -> None:
+        """Writes all addresses into the packed form of a struct that has these arrays, and keeps this object alive with it."""
+        packed, first = struct.__ctype__(), self._block.ptr or 0
+        for name, dtype in self._kinds.items():
+            field = getattr(packed, name)
+            field.data, field.ndim, field.shape[0] = first + self._begins[name], 1, self._count
+            field.strides[0] = wp.types.type_size_in_bytes(dtype)
+        struct.__dict__["owner"] = self
+
+
+def outputs_of(struct: Any, kinds: Mapping[str, type], count: int, device: wp.Device) -> Mapping[str, wp.array] | ArraysOfBlock:
+    """New flat arrays of `count` elements, with undefined contents, which are written into a struct of the kernels.
 
     On CUDA they are cut from one allocation: the device then waits for Python once and not for each.
+
+    Args:
+        struct: has fields of these names.
+        kinds: type of each.
+        count: of elements.
+        device: of the arrays.
     """
-    if not device.is_cuda:
-        return {name: empty(count, dtype, device) for name, dtype in kinds.items()}
-    return cut_together(kinds, count, device)
-
-
-def cut_together(kinds: Mapping[str, type], count: int, device: wp.Device) -> dict[str, wp.array]:
-    """The arrays of `empty_together` from one allocation, each at a multiple of `ALIGNED` bytes."""
-    sizes = [-(-count * wp.types.type_size_in_bytes(dtype) // ALIGNED) * ALIGNED for dtype in kinds.values()]
-    block, found, begin = wp.empty(sum(sizes), dtype=wp.uint8, device=device), {}, 0
-    for (name, dtype), size in zip(kinds.items(), sizes, strict=True):
-        part = wp.array(ptr=(block.ptr or 0) + begin, dtype=dtype, shape=count, device=device)
-        found[name], begin = keep_alive(part, block), begin + size
-    return found
+    if device.is_cuda:
+        arrays = ArraysOfBlock(kinds, count, device)
+        arrays.write_to(struct)
+        return arrays
+    arrays = {name: empty(count, dtype, device) for name, dtype in kinds.items()}
+    for name, array in arrays.items():
+        setattr(struct, name, array)
+    return arrays
 
 
 def keep_alive(array: wp.array, used: Any) -> wp.array:

@@ -13,7 +13,7 @@ by node and level by level, all of them in the same array operations. Environmen
 shared instances, get a tree by the surface area heuristic, as good as that of a scene without environments.
 
 **Update.** Nodes are numbered by their height, greatest first. New boxes go into the lanes of the leaves and upwards level by
-level (`InstanceForest.bounds`); the nodes stay as they are.
+level (`InstanceForest.bounds`); the nodes stay as they are, until `InstanceForest.cost` says that others would be better.
 
 References:
     I. Kamel, C. Faloutsos: On packing R-trees. CIKM 1993 (sorted along a space-filling curve, packed level by level).
@@ -38,6 +38,8 @@ MAX_PACKED = 256
 
 MORTON_CELLS = 1 << 10
 """Cells per axis of the curve."""
+
+TINY = float(np.finfo(np.float64).tiny)
 
 TreeOfBoxes = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """A builder: from (n, 3) lowest and highest corners to (nodes, W) child words, whose leaves have one box each, and the
@@ -104,6 +106,15 @@ class InstanceForest:
         """Largest number of inner nodes on a path."""
         return len(self.level_first) - 1
 
+    def cost(self, bounds: np.ndarray) -> float:
+        """The surface of the boxes of all nodes but roots, in relation to that of the boxes of instances.
+
+        Rays visit nodes and instances in this ratio, by the surface area heuristic. 0 if all trees have one node.
+        `bounds` are as that method gives them.
+        """
+        nodes, instances = (surface(bounds[where[0], :, where[1]]) for where in (self._above, self._leaves))
+        return nodes / max(instances, TINY)
+
     def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """(nodes, 6, W) float32 boxes of all children, of the boxes of instances; low, high: (N, 3) float32."""
         nodes, lanes, instances = self._leaves
@@ -133,6 +144,12 @@ class InstanceForest:
             bounds[nodes, :3, lanes] = bounds[children, :3].min(axis=2)
             bounds[nodes, 3:, lanes] = bounds[children, 3:].max(axis=2)
         return bounds
+
+
+def surface(boxes: np.ndarray) -> float:
+    """Half the surface of all boxes together; (n, 6)."""
+    x, y, z = (boxes[:, 3:] - boxes[:, :3]).astype(np.float64).T
+    return float(x @ y + y @ z + z @ x)
 
 
 def entries(first: np.ndarray, rows: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import ctypes
 from collections.abc import Container, Sequence
+from copy import copy
 from functools import cache
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -30,12 +31,8 @@ class Compiled:
         self.code, self.forward = launch.module_exec, launch.hooks.forward
         self.bounds = bytes(launch.params[0])
         self.bounds_type = type(launch.params[0])
-        packed = tuple(map(type, launch.params[1:]))
-        self.arguments = arguments_type(packed)
-        declared = [argument.type for argument in kernel.adj.args]
-        self.packers = [
-            (kind, getattr(kind, "instance_type", None), packing) for kind, packing in zip(declared, packed, strict=True)
-        ]
+        self.arguments = arguments_type(tuple(map(type, launch.params[1:])))
+        self.packers = packers_of(kernel, launch)
 
     def pack(self, inputs: Sequence[Any]) -> ctypes.Structure | None:
         """Packed arguments; None if a value does not have exactly its parameter's type, and Warp must convert or reject it."""
@@ -47,6 +44,15 @@ class Compiled:
 
 Packer = tuple[Any, type | None, type]
 """A parameter's declared type, the class of its values if it is a struct, and its packed type."""
+
+
+def packers_of(kernel: wp.Kernel, launch: wp.Launch) -> list[Packer]:
+    """Those of all parameters of a kernel, of which a launch was recorded."""
+    declared = [argument.type for argument in kernel.adj.args]
+    return [
+        (kind, getattr(kind, "instance_type", None), type(packed))
+        for kind, packed in zip(declared, launch.params[1:], strict=True)
+    ]
 
 
 def pack_argument(value: Any, packer: Packer) -> Any:
@@ -61,6 +67,14 @@ def pack_argument(value: Any, packer: Packer) -> Any:
     if (type(value) is int and kind in INTEGERS) or (type(value) is float and kind is ctypes.c_float):
         return kind(value)
     return value if type(value) is kind else None
+
+
+def copied(struct: Any) -> Any:
+    """A struct with the same values and arrays, which may be given others: in a tenth of the time that filling one takes."""
+    other = copy(struct)
+    packed = struct.__ctype__()
+    other.__dict__["_ctype"] = type(packed).from_buffer_copy(packed)
+    return other
 
 
 INTEGERS = (ctypes.c_int32, ctypes.c_int64)

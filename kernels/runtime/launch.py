@@ -35,6 +35,7 @@ from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.kernel_cache import init_warp
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.cuda_commands import launch_again
 from wrt.kernels.runtime.schedules import DEFAULT_SCHEDULE, SCHEDULES
 
 Config = TypeVar("Config")
@@ -143,7 +144,7 @@ def launch(
         return
     load([kernel], device)
     if device.is_cuda:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, block_dim=CUDA_BLOCK, record_tape=False)
+        launch_again(kernel, count, [0, *inputs], device, CUDA_BLOCK)
         return
     if device.is_capturing:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], device=device, record_tape=False)

@@ -18,14 +18,17 @@ SMALL = wp.constant(wp.float64(1e-14))
 
 @wp.struct
 class PosePath:
-    """Key poses in float64, ordered by time; or, with one time, the poses of S sensors at rest."""
+    """Key poses in float64, ordered by time; or, with one time, the poses of S sensors at rest; or, without times, one pose."""
 
     times: wp.array(dtype=wp.float64)
-    """(K,) ascending, in seconds."""
+    """(K,) ascending, in seconds; (0,) for one pose."""
     positions: wp.array(dtype=wp.vec3d)
     """(K,) or (S,) in the world."""
     rotations: wp.array(dtype=wp.quatd)
     """(K,) or (S,) unit quaternions from the moving frame to the world; neighbours have a scalar product >= 0."""
+    position: wp.vec3d
+    """Of the one pose, which needs no memory on the device."""
+    rotation: wp.quatd
 
 
 @wp.struct
@@ -46,7 +49,10 @@ def pose_at(path: PosePath, time: wp.float64):
     pose = Pose()
     low = int(0)
     high = path.times.shape[0] - 1
-    if high == 0 or time < path.times[0] or time > path.times[high]:
+    if high < 0:
+        pose.position = path.position
+        pose.rotation = path.rotation
+    elif high == 0 or time < path.times[0] or time > path.times[high]:
         at = wp.where(time > path.times[high], high, 0)
         pose.position = path.positions[at]
         pose.rotation = path.rotations[at]

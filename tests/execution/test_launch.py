@@ -15,7 +15,9 @@ import warp as wp
 
 import wrt
 from wrt.kernels.runtime import launch as launching
-from wrt.kernels.runtime.launch import MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
+from wrt.kernels.runtime.argument_packing import copied
+from wrt.kernels.runtime.cuda_commands import launch_again
+from wrt.kernels.runtime.launch import CUDA_BLOCK, MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
 from wrt.kernels.runtime.launch_loop import Step, launch_loop
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 
@@ -292,3 +294,22 @@ def test_another_struct_in_a_prepared_launch(make, device):
         gc.collect()
         launch.run(count, Chunks())
         np.testing.assert_array_equal(out.numpy(), factor * np.arange(count, dtype=np.float32))
+
+
+def test_a_launch_is_repeated_with_other_arguments(device):
+    """Also with those that Warp converts, of other sizes, and a struct whose values were changed after it was copied."""
+    device = wp.get_device(device)
+    first = Scaled()
+    first.values, first.factor = wp.array(np.arange(100), dtype=float, device=device), 2.0
+    other = copied(first)
+    other.factor, first.factor = 5.0, 3.0
+    assert other.values is first.values
+    block = CUDA_BLOCK if device.is_cuda else 1
+    for count, scaled, factor in [(100, first, 3.0), (7, other, 5.0), (100, first, 3.0), (64, other, 5.0)]:
+        out = wp.zeros(count, dtype=float, device=device)
+        for number in (0, np.int32(0)):  # Warp's own launch takes the second one
+            out.zero_()
+            launch_again(write_scaled, count, [number, scaled, out], device, block)
+            np.testing.assert_array_equal(out.numpy(), factor * np.arange(count, dtype=np.float32))
+    with pytest.raises(RuntimeError):
+        launch_again(write_scaled, 7, [0, first, wp.zeros(7, dtype=int, device=device)], device, block)

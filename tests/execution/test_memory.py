@@ -182,18 +182,32 @@ def test_layouts_worked_out_once():
     assert again.tobytes() == nodes.tobytes()
 
 
+@wp.struct
+class Cut:
+    """As kernels see the arrays of `test_arrays_of_one_allocation`."""
+
+    a: wp.array(dtype=wp.vec3)
+    b: wp.array(dtype=wp.float64)
+    c: wp.array(dtype=wp.int32)
+
+
 def test_arrays_of_one_allocation():
     """Aligned, apart, and alive as long as one of them."""
     kinds, device = {"a": wp.vec3, "b": wp.float64, "c": wp.int32}, wp.get_device("cpu")
-    found = memory.cut_together(kinds, 1000, device)
+    block = memory.ArraysOfBlock(kinds, 1000, device)
+    found = {name: block[name] for name in kinds}
+    struct = Cut()
+    block.write_to(struct)
     for number, (name, array) in enumerate(found.items()):
+        field = getattr(struct.__ctype__(), name)
+        assert (field.data, field.ndim, field.shape[0], field.strides[0]) == (array.ptr, 1, 1000, array.strides[0])
         assert (array.dtype, array.shape) == (kinds[name], (1000,))
         array.fill_(number + 1)
     last = found.pop("c")
     np.testing.assert_array_equal(found["a"].numpy(), 1.0)
     np.testing.assert_array_equal(found["b"].numpy(), 2.0)
     assert (found["b"].ptr - found["a"].ptr) % memory.ALIGNED == 0
-    del found, array
+    del found, array, block, struct
     gc.collect()
     np.testing.assert_array_equal(last.reshape((10, 100)).numpy(), 3)
-    assert len(memory.cut_together(kinds, 0, device)["a"]) == 0
+    assert len(memory.ArraysOfBlock(kinds, 0, device)["a"]) == 0

@@ -50,6 +50,32 @@ def test_moving_instances(accelerator):
     np.testing.assert_array_equal(moving.bounds, expected.bounds)
 
 
+@pytest.mark.parametrize("at_once", [20, 80])
+def test_the_upper_level_is_built_again_only_when_it_is_worn(at_once):
+    """It was once built again whenever half of the instances had moved: ten of eleven figures took 1.8 ms a frame, not 0.4."""
+    count, rng = 80, np.random.default_rng(4)
+    places = np.array([move(3.0 * (number % 9), 3.0 * (number // 9)) for number in range(count)])
+    scene = wrt.Scene([wrt.Instance(BOX, matrix) for matrix in places], "bvh", device="cpu")
+    built = scene.state.tree.forest
+
+    def update(matrices: np.ndarray) -> None:
+        for first in range(0, count, at_once):
+            rows = range(first, first + at_once)
+            scene.update(rows, transform=matrices[rows])
+
+    for step in range(4):
+        update(places @ move(0.1 * step, 0.1))
+    assert scene.state.tree.forest is built
+    shuffled = places[rng.permutation(count)]
+    update(shuffled)
+    update(shuffled)  # some were on their old places when it was built again
+    assert scene.state.tree.forest is not built
+    assert not scene.state.tree.is_outworn
+    rays = mixed_rays(scene.flattened(), 3000)
+    fresh = wrt.Scene([wrt.Instance(BOX, matrix) for matrix in shuffled], "bvh", device="cpu")
+    assert_same_hits(scene.intersect(*rays), fresh.intersect(*rays))
+
+
 UPDATES = {
     "nothing": (lambda s: s.update(0), TypeError, "nothing to update"),
     "no such instance": (lambda s: s.update(99, transform=np.eye(4)), ValueError, "instance indices go from 0 to 24"),

@@ -37,6 +37,9 @@ CELLS = 8
 FEW_MOVED = 16
 """The boxes above single instances are computed again if at most one of so many has moved."""
 
+MAX_COST = 1.3
+"""The upper level is built again when its cost has grown by this, as the trees of meshes are (`wrt.UpdatePolicy`)."""
+
 CENTER_STEPS = 16
 """The centre of a scene is a multiple of its size, rounded down to a power of two, divided by this: most motions leave it."""
 
@@ -147,6 +150,7 @@ class UpperTree(common.Bvh):
         environments, roots: on the device, as in the forest.
         corners: the boxes of the instances, (N, 3) float32 each.
         host: (nodes, 6, W) `bounds` on the host.
+        built_cost: of the forest (`InstanceForest.cost`) when it was built.
     """
 
     parts_depth: int = 0
@@ -155,6 +159,12 @@ class UpperTree(common.Bvh):
     roots: wp.array | None = None
     corners: tuple[np.ndarray, np.ndarray] | None = None
     host: np.ndarray | None = None
+    built_cost: float = 0.0
+
+    @property
+    def is_outworn(self) -> bool:
+        """Whether instances have moved so that other nodes would be much better."""
+        return self.forest.cost(self.host) > MAX_COST * self.built_cost
 
     @property
     def depth(self) -> int:
@@ -184,10 +194,13 @@ class UpperTree(common.Bvh):
 
 def on_device(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     """A flat array of what a NumPy array holds, whose memory it shares on the CPU; `wp.array` takes 50 us for structs."""
-    if not device.is_cpu:
-        return wp.array(values.reshape(-1), dtype=dtype, device=device)
-    count = values.nbytes // wp.types.type_size_in_bytes(dtype)
-    return keep_alive(wp.array(ptr=address_of(values), dtype=dtype, shape=count, capacity=values.nbytes, device=device), values)
+    count, cpu = values.nbytes // wp.types.type_size_in_bytes(dtype), wp.get_device("cpu")
+    shared = wp.array(ptr=address_of(values), dtype=dtype, shape=count, capacity=values.nbytes, device=cpu)
+    if device.is_cpu:
+        return keep_alive(shared, values)
+    made = wp.empty(count, dtype=dtype, device=device)
+    wp.copy(made, shared)  # has read all of it when it returns, as the memory is not pinned
+    return made
 
 
 def address_of(values: np.ndarray) -> int:
@@ -225,7 +238,9 @@ def build_upper(
     zero = wp.vec3()
     tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), None, parts_depth)
     tree.forest, tree.environments, tree.roots = forest, numbers, roots
-    return tree.with_boxes(*corners)
+    tree = tree.with_boxes(*corners)
+    tree.built_cost = forest.cost(tree.host)
+    return tree
 
 
 @dataclass(frozen=True)

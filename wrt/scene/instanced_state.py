@@ -4,9 +4,9 @@
 relative to its own centre. An instance takes 184 bytes for its maps, some 300 of the host's, and some 100 of the upper level:
 wide BVHs over the boxes of the instances (`wrt.builders.bvh.instance_forest`).
 
-**Updates.** Moving instances gives their boxes to the nodes above them. Where trees of instances have several nodes, they are
-built again once half of those instances have moved. Adding and removing instances builds the upper level again, which takes
-microseconds an instance; trees of meshes stay.
+**Updates.** Moving instances gives their boxes to the nodes above them. Where trees of instances have several nodes, their
+cost is measured whenever half of those instances have moved, and they are built again if it has grown. Adding and removing
+instances builds the upper level again, which takes microseconds an instance; trees of meshes stay.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class InstancedState(SceneState):
         boxes: the maps of the instances, and their boxes.
         table: (N,) `Placement` on the host.
         given: the mesh of each of `mesh_states` as the caller gave it.
-        moved: instances that moved since the upper level was built, of those in trees of several nodes.
+        moved: instances that moved since the upper level was built or its cost measured, of those in trees of several nodes.
         last_update: of the tree of the mesh whose vertices the last update moved; None if it moved none.
         graph: the nodes on which instances hang; None if the scene was made without a graph.
     """
@@ -201,10 +201,17 @@ class InstancedState(SceneState):
 
     def _moved(self, instances: tuple[Instance, ...], rows: np.ndarray) -> InstancedState:
         """The state after some instances have moved: the nodes above them get new boxes."""
-        layered = self.tree.forest.layered
-        moved = self.moved + int(np.count_nonzero(layered[rows]))
-        keeps = 2 * moved <= self.tree.forest.layered_count
-        if keeps and len(rows) <= MOST_AT_ONCE:
+        forest = self.tree.forest
+        moved = self.moved + int(np.count_nonzero(forest.layered[rows]))
+        is_due = 2 * moved > forest.layered_count
+        state = self._kept(instances, rows, 0 if is_due else moved)
+        if is_due and state.tree.is_outworn:
+            return place(self, instances, state.boxes, state.table, None, 0)
+        return state
+
+    def _kept(self, instances: tuple[Instance, ...], rows: np.ndarray, moved: int) -> InstancedState:
+        """The state after some instances have moved, with the nodes of this one."""
+        if len(rows) <= MOST_AT_ONCE:
             found = move_few(self, instances, rows)
             if found is not None:
                 return assemble(self, instances, *found, moved)
@@ -216,7 +223,7 @@ class InstancedState(SceneState):
         table = self.table.copy()
         write_maps(table, rows, transforms)
         table["mask"][rows] = [instances[row].mask for row in rows]
-        return place(self, instances, boxes, table, self.tree if keeps else None, moved if keeps else 0, rows)
+        return place(self, instances, boxes, table, self.tree, moved, rows)
 
     def with_instances(self, instances: tuple[Instance, ...], graph: NodeGraph | None) -> InstancedState:
         """The state of other instances, on these nodes. Meshes that are here already keep their trees.

@@ -12,7 +12,7 @@ class HitOutputs:
     """The base of `wrt.sensors.LidarScan` and `wrt.sensors.CameraImages`, which say what the arrays hold.
 
     Args:
-        outputs: a Warp struct with an array, flat, for each output.
+        outputs: a flat array for each output, by its name.
         shape: leading shape of the results.
         to_warp: whether results are Warp arrays on the device, else NumPy arrays.
     """
@@ -44,7 +44,7 @@ class HitOutputs:
         return self._out("primitive")
 
     def _out(self, name: str) -> Any:
-        return self._shaped(getattr(self._outputs, name))
+        return self._shaped(self._outputs[name])
 
     def _shaped(self, values: wp.array | None) -> Any:
         """A flat array in the form of results; None stays None."""

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
-from wrt.memory import empty, empty_together
+from wrt.memory import ArraysOfBlock, empty, outputs_of
 from wrt.sensors.checks import check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
@@ -141,8 +141,8 @@ class Camera:
         motions = as_motions(motions, scene, begin, end)
         cameras, device = getattr(path, "shape", ()), scene.device
         times = np.broadcast_to(rows, (*cameras, *rows.shape))
-        order, parts = cut_slices(times, time, slices if motions else 1)
-        beams, images = self.beams(device, order, time), _new_images(times.size, device)
+        order, parts = cut_slices(times, (0.0, float(rows[-1, 0])), time, slices if motions else 1)
+        beams, (images, arrays) = self.beams(device, order, time), _new_images(times.size, device)
         each = for_each_ray({"mask": mask, "environment": environment}, cameras, rows.size, 1, order, device)
         labels = wp.array(as_labels(labels, scene), dtype=int, device=device)
         extra = {}
@@ -159,7 +159,7 @@ class Camera:
                 for layer in extra.values():
                     layer.fill(beams, images, found)
         values = {name: layer.values for name, layer in extra.items()}
-        return CameraImages(self, images, path, time, to_warp, slice_error(motions, scene, parts), values)
+        return CameraImages(self, arrays, path, time, to_warp, slice_error(motions, scene, parts), values)
 
     def render(
         self,
@@ -240,7 +240,7 @@ class CameraImages(HitOutputs):
     def __init__(
         self,
         camera: Camera,
-        images: Images,
+        images: Mapping[str, wp.array] | ArraysOfBlock,
         trajectory: Trajectory | StillPoses,
         start: float,
         to_warp: bool,
@@ -294,13 +294,12 @@ def _optical_rays(camera: Camera, device: str) -> tuple[wp.array, wp.array, wp.a
     return directions, offsets, times
 
 
-def _new_images(count: int, device: wp.Device) -> Images:
+def _new_images(count: int, device: wp.Device) -> tuple[Images, Mapping[str, wp.array] | ArraysOfBlock]:
+    """Memory for images: as kernels see it, and the arrays."""
     from wrt.kernels.sensors.camera_images import Images
 
     images = Images()
-    for name, array in empty_together(IMAGES, count, device).items():
-        setattr(images, name, array)
-    return images
+    return images, outputs_of(images, IMAGES, count, device)
 
 
 def _fire(

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
-from wrt.memory import empty_together
+from wrt.memory import outputs_of
 from wrt.sensors.checks import check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
@@ -34,6 +34,7 @@ from wrt.tables import lookup
 if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
     from wrt.kernels.sensors.lidar_returns import Detector, Noise, Returns
+    from wrt.memory import ArraysOfBlock
     from wrt.query.api import Queries
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
@@ -174,13 +175,14 @@ class Lidar:
         """
         path = as_poses(pose)
         time = float(check_real("time", time, ()))
-        begin, end = time + float(self.pattern.times.min()), time + float(self.pattern.times.max())
+        span = self.pattern.span
+        begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
         work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
         times = np.broadcast_to(self.pattern.times, (*sensors, *self.pattern.shape))
-        order, parts = cut_slices(times, time, slices if motions else 1)
+        order, parts = cut_slices(times, span, time, slices if motions else 1)
         given = {"mask": mask, "environment": environment}
         each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
         with use_threads(scene.num_threads):
@@ -188,15 +190,22 @@ class Lidar:
             rays = SensorRays(work.origins, work.directions, self.bundle, times.shape, self.max_range, traversal, each)
             for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
                 work.describe(found)
-        return LidarScan(self.pattern, work.returns, self.returns, path, time, slice_error(motions, scene, parts))
+        return LidarScan(self.pattern, work.arrays, self.returns, path, time, slice_error(motions, scene, parts))
 
     def device_beams(self, device: wp.Device, order: np.ndarray | None, time: float) -> Beams:
         """The beams for kernels, traced in this order."""
+        from wrt.kernels.runtime.argument_packing import copied
         from wrt.kernels.sensors.lidar_beams import Beams
 
-        beams = Beams()
-        beams.directions, beams.offsets, beams.times = self.pattern.arrays_on(device)
-        beams.order = no_order(device.alias) if order is None else wp.array(order, dtype=int, device=device)
+        known = self.pattern.structs
+        if device.alias not in known:
+            beams = Beams()
+            beams.directions, beams.offsets, beams.times = self.pattern.arrays_on(device)
+            beams.order = no_order(device.alias)
+            known[device.alias] = beams
+        beams = copied(known[device.alias])
+        if order is not None:
+            beams.order = wp.array(order, dtype=int, device=device)
         beams.spread = spread_on(self.bundle, self.divergence if self.bundle > 1 else 0.0, device.alias)
         beams.start = wp.float64(time)
         return beams
@@ -244,7 +253,7 @@ class _Work:
         self.scene, self.device = copy(scene), scene.device
         self.detector = lidar.detector(self.device, reflectance)
         self.beam_count = len(lidar.pattern) * (len(path) if isinstance(path, StillPoses) else 1)
-        self.returns = new_returns(self.beam_count * lidar.returns, self.device)
+        self.returns, self.arrays = new_returns(self.beam_count * lidar.returns, self.device)
 
     def fire(self, order: np.ndarray | None) -> None:
         """Makes the rays of all beams, in the order in which they are traced."""
@@ -289,14 +298,12 @@ RETURNS = {
 """Arrays of `wrt.kernels.sensors.lidar_returns.Returns`."""
 
 
-def new_returns(count: int, device: wp.Device) -> Returns:
-    """Memory for returns."""
+def new_returns(count: int, device: wp.Device) -> tuple[Returns, Mapping[str, wp.array] | ArraysOfBlock]:
+    """Memory for returns: as kernels see it, and the arrays."""
     from wrt.kernels.sensors.lidar_returns import Returns
 
     returns = Returns()
-    for name, array in empty_together(RETURNS, count, device).items():
-        setattr(returns, name, array)
-    return returns
+    return returns, outputs_of(returns, RETURNS, count, device)
 
 
 def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from wrt.sensors.checks import check_at_least, check_real
+
+if TYPE_CHECKING:
+    from wrt.kernels.sensors.lidar_beams import Beams
 
 UNIT_TOLERANCE = 1e-3
 
@@ -57,6 +60,7 @@ class LidarPattern:
                 raise ValueError(
                     f"directions must be unit vectors, but have lengths from {lengths.min():g} to {lengths.max():g}"
                 )
+        self.structs: dict[str, Beams] = {}  # by device
         self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
 
     def __repr__(self) -> str:
@@ -67,9 +71,14 @@ class LidarPattern:
         return int(np.prod(self.shape))
 
     @cached_property
+    def span(self) -> tuple[float, float]:
+        """Firing times of the first and the last beam, in seconds."""
+        return float(self.times.min()), float(self.times.max())
+
+    @property
     def duration(self) -> float:
         """Time from the first to the last beam, in seconds."""
-        return float(np.ptp(self.times))
+        return self.span[1] - self.span[0]
 
     @classmethod
     def spinning(

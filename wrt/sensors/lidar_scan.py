@@ -11,7 +11,11 @@ from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.trajectory import StillPoses, Trajectory, deskew
 
 if TYPE_CHECKING:
-    from wrt.kernels.sensors.lidar_returns import Returns
+    from collections.abc import Mapping
+
+    import warp as wp
+
+    from wrt.memory import ArraysOfBlock
     from wrt.sensors.lidar_pattern import LidarPattern
 
 POINT_TYPE = np.dtype(
@@ -59,7 +63,7 @@ class LidarScan(HitOutputs):
     def __init__(
         self,
         pattern: LidarPattern,
-        returns: Returns,
+        returns: Mapping[str, wp.array] | ArraysOfBlock,
         kept: int,
         trajectory: Trajectory | StillPoses,
         start: float,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,9 @@ from wrt.sensors.checks import check_matrix, check_real
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.pose_paths import PosePath
+
+IDENTITY = np.eye(3)
+IDENTITY.setflags(write=False)
 
 SAME_STRETCH = 1e-6
 """Relative difference up to which two matrices count as having the same scale and shear."""
@@ -95,10 +99,20 @@ class Trajectory:
         rigid = len(matrices) == 0 or np.abs(stretches[0] - np.eye(3)).max() <= SAME_STRETCH
         return cls(times, matrices[:, :3, 3], quaternions(turns), stretch=None if rigid else stretches[0])
 
+    @classmethod
+    def at_rest(cls, matrix: np.ndarray, rows: list[list[float]]) -> Trajectory:
+        """The trajectory at rest at a pose, which was checked (`is_rigid`); rows: the numbers of the matrix (4, 4)."""
+        path = object.__new__(cls)
+        path.times, path.positions, path.rotations = np.zeros(1), matrix[None, :3, 3].copy(), np.array([quaternion(rows)])
+        path.stretch, path._paths = IDENTITY, {}
+        for array in (path.times, path.positions, path.rotations):
+            array.setflags(write=False)
+        return path
+
     @property
     def is_rigid(self) -> bool:
         """Whether poses only move and turn."""
-        return bool((self.stretch == np.eye(3)).all())
+        return self.stretch is IDENTITY or bool((self.stretch == IDENTITY).all())
 
     @property
     def is_still(self) -> bool:
@@ -164,7 +178,14 @@ class Trajectory:
     def path(self, device: wp.Device) -> PosePath:
         """The poses for kernels on a device; copied once."""
         if device.alias not in self._paths:
-            self._paths[device.alias] = pose_path(self.times, self.positions, self.rotations, device)
+            if self.is_still:
+                from wrt.kernels.sensors.pose_paths import PosePath
+
+                path = PosePath()
+                path.position, path.rotation = wp.vec3d(*self.positions[0].tolist()), wp.quatd(*self.rotations[0].tolist())
+            else:
+                path = pose_path(self.times, self.positions, self.rotations, device)
+            self._paths[device.alias] = path
         return self._paths[device.alias]
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -262,10 +283,9 @@ def as_trajectory(pose: Any, name: str = "pose") -> Trajectory:
     """
     if not isinstance(pose, Trajectory):
         matrix = check_real(name, pose, (4, 4))
-        turn = matrix[:3, :3]
-        orthogonal = np.abs(turn @ turn.T - np.eye(3)).max() <= SAME_STRETCH
-        if orthogonal and np.linalg.det(turn) > 0.0 and np.array_equal(matrix[3], (0.0, 0.0, 0.0, 1.0)):
-            return Trajectory([0.0], matrix[None, :3, 3], quaternions(turn[None]))
+        rows = matrix.tolist()
+        if is_rigid(rows):
+            return Trajectory.at_rest(matrix, rows)
         pose = Trajectory.from_matrices([0.0], matrix[None])
     if not pose.is_rigid:
         raise ValueError(f"{name} must move and turn the sensor only, without scale, shear or mirroring")
@@ -307,6 +327,33 @@ def deskew(points: Any, times: Any, trajectory: Trajectory, time: float) -> Any:
     out = wp.empty_like(flat)
     launch(points_to_frame, len(flat), [path, wp.float64(time), moved, out], device=device)
     return out.reshape(shape) if is_warp else out.numpy().reshape(*shape, 3)
+
+
+def is_rigid(rows: list[list[float]]) -> bool:
+    """Whether a (4, 4) matrix moves and turns only. In plain numbers, because NumPy takes longer for so few."""
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = rows
+    products = a * d + b * e + c * f, a * g + b * h + c * i, d * g + e * h + f * i
+    lengths = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + i * i
+    worst = max(*map(abs, products), *(abs(length - 1.0) for length in lengths))
+    turns = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) > 0.0
+    return worst <= SAME_STRETCH and turns and last == [0.0, 0.0, 0.0, 1.0]
+
+
+def quaternion(rows: list[list[float]]) -> list[float]:
+    """One of `quaternions`, the same numbers, of a matrix whose linear part is a rotation."""
+    trace = rows[0][0] + rows[1][1] + rows[2][2]
+    squares = [rows[0][0], rows[1][1], rows[2][2], trace]
+    largest = squares.index(max(squares))
+    if largest == 3:
+        found = [rows[2][1] - rows[1][2], rows[0][2] - rows[2][0], rows[1][0] - rows[0][1], 1.0 + trace]
+    else:
+        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
+        found = [0.0, 0.0, 0.0, rows[k][j] - rows[j][k]]
+        found[i] = 1.0 + rows[i][i] - rows[j][j] - rows[k][k]
+        found[j], found[k] = rows[j][i] + rows[i][j], rows[k][i] + rows[i][k]
+    x, y, z, w = found
+    length = sqrt(x * x + y * y + z * z + w * w)
+    return [x / length, y / length, z / length, w / length]
 
 
 def quaternions(rotations: np.ndarray) -> np.ndarray:
