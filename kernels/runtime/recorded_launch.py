@@ -50,6 +50,8 @@ class RecordedLaunch:
         """Replaces an argument that is a struct; `index` as of `argument`."""
         self._inputs[index] = struct  # keeps the arrays alive
         self._launch.set_param_at_index_from_ctype(index, struct.__ctype__())
+        if index in self._structs:
+            self._structs[index] = struct.__ctype__()
 
     def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
         """Runs the kernel for the items 0 .. count - 1, on the device's current stream; arguments as of `PreparedLaunch`."""

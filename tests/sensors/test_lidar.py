@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 import warp as wp
@@ -317,6 +319,14 @@ def test_warp_arrays(device):
         assert str(values.device) == str(scene.device)
         np.testing.assert_array_equal(values.numpy(), getattr(expected, name))
     np.testing.assert_array_equal(own.to_structured(), expected.to_structured())
+
+
+def test_a_lidar_that_has_scanned_is_pickled(head_on):
+    """For workers of a cluster; what is kept for a device stays behind."""
+    lidar = Lidar(pattern=head_on["pattern"])
+    before = lidar.scan(head_on["scene"], np.eye(4)).range
+    again = pickle.loads(pickle.dumps(lidar))
+    np.testing.assert_array_equal(again.scan(head_on["scene"], np.eye(4)).range, before)
 
 
 def test_mask():

@@ -61,6 +61,7 @@ class PreparedQuery:
         self._walks_single_rays = traversal_of(plan).walks_single_rays
         self._config = config_for_layout(traversal_config(self._plan, scene, kind, False), self._plan, scene)
         device = scene.device
+        self._forest = scene.tree.forest if scene.instances else None
         self._used: Any = None  # keeps the arrays of the scene alive that this was made to fit
         self._of = kind_of_scene(scene, plan, kind, layout)
         self._staging = None
@@ -74,7 +75,7 @@ class PreparedQuery:
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
         is_cpu = device.is_cpu
         self._launch = (
-            PreparedLaunch(kernel, inputs, device) if is_cpu else RecordedLaunch(kernel, inputs, device, (RAYS, HITS))
+            PreparedLaunch(kernel, inputs, device) if is_cpu else RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
         )
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
         if self._staging is None:
@@ -87,7 +88,7 @@ class PreparedQuery:
         if scene.device_mesh is self._mesh:
             return
         if scene.instances:
-            self._launch.replace(TREE, scene.upper())
+            self._fit_instances(scene)
         else:
             tree, blocks = scene.tree, records_of(scene, self._plan, None)
             nodes, records = self._launch.argument(TREE), self._launch.argument(RECORDS)
@@ -102,6 +103,18 @@ class PreparedQuery:
             if self._staging is not None:
                 self._staging.rays.center = wp.vec3d(*map(float, scene.center))
         self._mesh = scene.device_mesh
+
+    def _fit_instances(self, scene: SceneState) -> None:
+        """As `fit`, for instances: where only boxes and placements are others, their addresses are all that is written."""
+        if self._forest is scene.tree.forest:
+            upper = self._launch.argument(TREE)
+            point_at(upper.tree.bounds, scene.tree.bounds)
+            upper.tree.low[:], upper.tree.high[:] = scene.tree.low[:], scene.tree.high[:]
+            point_at(upper.placements, scene.device_mesh.placements)
+            upper.stretch, self._used = scene.boxes.stretch, (scene.tree, scene.device_mesh)
+        else:
+            self._launch.replace(TREE, scene.upper())
+            self._forest = scene.tree.forest
 
     def retire(self) -> None:
         """Leaves this to the scenes to come, if there are others of its kind; the last one is gone.

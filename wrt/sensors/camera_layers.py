@@ -71,7 +71,7 @@ class Albedo:
         from wrt.kernels.sensors.surface_images import fill_albedo
 
         self._lit.shaded.mesh = found.mesh
-        inputs = [beams, found.traced, found.uv, self._lit, self.values]
+        inputs = [beams, found.traced, found.uvs(), self._lit, self.values]
         launch(fill_albedo, found.part.end - found.part.begin, inputs, device=self.values.device, chunk=1024)
 
 

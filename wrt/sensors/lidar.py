@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
+
+MAX_KEPT = 64
+"""Detectors of different reflectances that are kept."""
 
 MAX_BUNDLE = 256
 MAX_RETURNS = 16
@@ -129,6 +132,10 @@ class Lidar:
         """
         return cls(**lookup(LIDARS, name, "name").attributes(**options))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles leave out what is kept for a device."""
+        return {name: value for name, value in vars(self).items() if name != "_detectors"}
+
     def replace(self, **changes: Any) -> Lidar:
         """This lidar with other values of some attributes.
 
@@ -214,16 +221,27 @@ class Lidar:
         """What the receiver detects, for kernels."""
         from wrt.kernels.sensors.lidar_returns import Detector
 
+        alone = float(reflectance[0]) if len(reflectance) == 1 else None
+        if (known := self._detectors.get((device.alias, alone))) is not None:
+            return known
         detector = Detector()
         detector.min_range, detector.max_range = self.min_range, self.max_range
         detector.resolution, detector.exponent = self.range_resolution, self.range_exponent
         detector.reference_range, detector.extinction = self.reference_range, self.extinction
         detector.threshold, detector.returns, detector.keep = self.threshold, self.returns, KEEP[self.keep]
-        if len(reflectance) == 1:
-            detector.reflectance = one_reflectance(float(reflectance[0]), device.alias)
-        else:
+        if alone is None:
             detector.reflectance = wp.array(reflectance, dtype=float, device=device)
+        else:
+            detector.reflectance = one_reflectance(alone, device.alias)
+            if len(self._detectors) >= MAX_KEPT:
+                self._detectors.clear()
+            self._detectors[device.alias, alone] = detector
         return detector
+
+    @cached_property
+    def _detectors(self) -> dict[tuple[str, float], Detector]:
+        """Those of surfaces that are all alike, by device and reflectance; kernels only read them."""
+        return {}
 
 
 @lru_cache(maxsize=64)
@@ -324,6 +342,14 @@ def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:
     return values
 
 
+@cache
+def no_noise() -> Noise:
+    """The noise of an ideal sensor."""
+    from wrt.kernels.sensors.lidar_returns import Noise
+
+    return Noise()
+
+
 def as_noise(lidar: Lidar, seed: int | None) -> Noise:
     """The noise for kernels; none without a seed.
 
@@ -333,13 +359,13 @@ def as_noise(lidar: Lidar, seed: int | None) -> Noise:
     """
     from wrt.kernels.sensors.lidar_returns import Noise
 
-    noise = Noise()
     if seed is None:
-        return noise
+        return no_noise()
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)):
         raise TypeError(f"seed must be a whole number or None, not {type(seed).__name__}")
     if not 0 <= seed < 1 << 64:
         raise ValueError(f"seed is {seed}; it must be from 0 to 2**64 - 1")
+    noise = Noise()
     noise.range, noise.angle, noise.dropout = lidar.range_noise, lidar.angle_noise, lidar.dropout
     noise.key = wp.vec2ui(int(seed) & 0xFFFFFFFF, int(seed) >> 32)
     return noise

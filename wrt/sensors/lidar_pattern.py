@@ -63,6 +63,10 @@ class LidarPattern:
         self.structs: dict[str, Beams] = {}  # by device
         self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickles leave out what is kept for a device."""
+        return vars(self) | {"structs": {}, "_on_device": {}}
+
     def __repr__(self) -> str:
         return f"LidarPattern(shape={self.shape}, {1e3 * self.duration:g} ms)"
 

@@ -13,9 +13,9 @@ It is 0 for instances at rest.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -75,14 +75,12 @@ class Bodies:
         """The velocities of all instances in a slice."""
         from wrt.kernels.sensors.lidar_returns import Motions
 
-        motions = Motions()
-        if self.chosen:
-            state = np.zeros((3, instances, 3))
-            state[0, self.chosen] = self.transforms[number][:, :3, 3]
-            state[1:, self.chosen] = self._velocities[number]
-            motions.pivot, motions.velocity, motions.spin = (
-                wp.array(values, dtype=wp.vec3d, device=device) for values in state
-            )
+        if not self.chosen:
+            return no_motions()
+        motions, state = Motions(), np.zeros((3, instances, 3))
+        state[0, self.chosen] = self.transforms[number][:, :3, 3]
+        state[1:, self.chosen] = self._velocities[number]
+        motions.pivot, motions.velocity, motions.spin = (wp.array(values, dtype=wp.vec3d, device=device) for values in state)
         return motions
 
 
@@ -128,7 +126,7 @@ class TracedSlice(NamedTuple):
     Attributes:
         part: the slice.
         traced: the hits.
-        uv: weights of the second and third vertex of the triangles that were hit.
+        uvs: makes the weights of the second and third vertex of the triangles that were hit; only some sensors need them.
         origins: of the rays, (1,) if all share it.
         mesh: the triangles as they were for these beams.
         motions: velocities of instances.
@@ -136,7 +134,7 @@ class TracedSlice(NamedTuple):
 
     part: Slice
     traced: Traced
-    uv: wp.array
+    uvs: Callable[[], wp.array]
     origins: wp.array
     mesh: SceneMesh
     motions: Motions
@@ -173,17 +171,31 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
     for number, part in enumerate(parts):
         own = part.begin * rays.bundle, part.end * rays.bundle
         if together:
-            t, primitive, uv = (part_of(values, *own) for values in (found.t, found.primitive, found.uv))
-            mesh = slice_mesh(scene.state, number)
+            hits, within, mesh = found, own, slice_mesh(scene.state, number)
         else:
             if bodies.chosen:
                 scene.update(bodies.chosen, transform=bodies.transforms[number])
             hits = rays.hits(scene, part.begin, part.end, part.shape or rays.shape)
-            t, primitive, uv, mesh = hits.t, hits.primitive, hits.uv, scene.state.device_mesh
+            within, mesh = (0, hits.count), scene.state.device_mesh
         traced = Traced()
-        traced.place, traced.directions, traced.t, traced.primitive = part.begin, part_of(rays.directions, *own), t, primitive
+        traced.place, traced.directions = part.begin, part_of(rays.directions, *own)
+        traced.t, traced.primitive = part_of(hits.t, *within), part_of(hits.primitive, *within)
         origins = rays.origins if rays.origins.size == 1 else part_of(rays.origins, *own)
-        yield TracedSlice(part, traced, uv, origins, mesh, bodies.motions(number, count, device))
+        uvs = partial(uvs_of, hits, *within)
+        yield TracedSlice(part, traced, uvs, origins, mesh, bodies.motions(number, count, device))
+
+
+def uvs_of(hits: DeviceHits, begin: int, end: int) -> wp.array:
+    """Weights of the second and third vertex, of a part of the hits."""
+    return part_of(hits.uv, begin, end)
+
+
+@cache
+def no_motions() -> Motions:
+    """Of instances that are all at rest."""
+    from wrt.kernels.sensors.lidar_returns import Motions
+
+    return Motions()
 
 
 @lru_cache
