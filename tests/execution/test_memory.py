@@ -211,3 +211,49 @@ def test_arrays_of_one_allocation():
     gc.collect()
     np.testing.assert_array_equal(last.reshape((10, 100)).numpy(), 3)
     assert len(memory.ArraysOfBlock(kinds, 0, device)["a"]) == 0
+
+
+class Pools:
+    """In the place of Warp's functions for memory pools: thresholds by device."""
+
+    def __init__(self, monkeypatch, **thresholds: int) -> None:
+        self.thresholds, self.log = thresholds, []
+        monkeypatch.setattr(wp, "get_mempool_release_threshold", lambda device: self.thresholds[str(device)])
+        monkeypatch.setattr(wp, "set_mempool_release_threshold", lambda device, size: self._set(str(device), size))
+        monkeypatch.setattr(wp, "synchronize_device", lambda device: self.log.append(("wait", str(device))))
+        monkeypatch.setattr(memory, "_keeping", set())
+
+    def _set(self, name: str, size: int) -> None:
+        self.thresholds[name] = size
+        self.log.append((name, size))
+
+
+class PooledDevice:
+    """A CUDA device with a memory pool."""
+
+    is_cuda = is_mempool_enabled = True
+    total_memory = 64 << 30
+
+    def __init__(self, alias: str) -> None:
+        self.alias = alias
+
+    def __str__(self) -> str:
+        return self.alias
+
+
+def test_a_device_keeps_freed_memory(monkeypatch):
+    """Unless its owner has said how much; `release` gives it back to the system."""
+    pools = Pools(monkeypatch, first=0, second=123)
+    for name in ("first", "second", "first"):
+        memory.keep_on_device(PooledDevice(name))
+    assert pools.thresholds == {"first": 1 << 30, "second": 123}
+    pools.log.clear()
+    memory.release()
+    assert pools.log == [("first", 0), ("wait", "first"), ("first", 1 << 30)]
+    memory.keep_on_device(wp.get_device("cpu"))
+
+
+def test_scenes_on_a_device_keep_its_memory(device):
+    scene = wrt.Scene(wrt.scenes.build("teapot"), device=device)
+    if scene.device.is_cuda and scene.device.is_mempool_enabled:
+        assert wp.get_mempool_release_threshold(scene.device) > 0
