@@ -140,12 +140,6 @@ def machine_bytes() -> int:
         return 0
 
 
-DEVICE_SHARE = 64
-"""A CUDA device keeps one part in so many of its memory for later arrays."""
-
-_keeping: set[str] = set()
-"""Devices that were told so."""
-
 _pool = BlockPool(offered_bytes=machine_bytes() // OFFERED_SHARE)
 
 
@@ -271,23 +265,7 @@ def memory_for(what: str, size: int) -> Iterator[None]:
         ) from error
 
 
-def keep_on_device(device: wp.Device) -> None:
-    """Lets a CUDA device keep some freed memory for later arrays; a threshold that somebody has set is left alone.
-
-    By default CUDA gives all of it back to the system whenever somebody waits for the device, so in a loop that reads its
-    results each allocation would map memory anew.
-    """
-    if device.is_cuda and device.is_mempool_enabled and wp.get_mempool_release_threshold(device) == 0:
-        wp.set_mempool_release_threshold(device, device.total_memory // DEVICE_SHARE)
-        _keeping.add(device.alias)
-
-
 def release() -> None:
     """Frees the memory that is kept for later results, records and builds."""
     _pool.release()
     workspace.release()
-    for name in _keeping:
-        threshold = wp.get_mempool_release_threshold(name)
-        wp.set_mempool_release_threshold(name, 0)
-        wp.synchronize_device(name)
-        wp.set_mempool_release_threshold(name, threshold)

@@ -8,7 +8,6 @@ import warp as wp
 
 from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
 from wrt.kernels.runtime.launch import as_device, check_num_threads
-from wrt.memory import keep_on_device
 from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
@@ -38,12 +37,10 @@ def as_settings(
     # enter it from two ends at a time fail.
     import wrt.kernels.traversal  # noqa: F401
 
-    on = as_device(device)
-    keep_on_device(on)
     return Settings(
         accelerator=resolve_accelerator(accelerator),
         triangle_test=_as_test(triangle_test),
-        device=on,
+        device=as_device(device),
         num_threads=None if num_threads is None else check_num_threads(num_threads, "num_threads"),
     )
 
