@@ -63,6 +63,11 @@ def as_array(values: wp.array | HostArray) -> wp.array:
     return values.array if type(values) is HostArray else values
 
 
+def write_flat(field: Any, address: int, count: int, dtype: type) -> None:
+    """Makes the packed form of an array, whatever it was, that of a contiguous flat one."""
+    field.data, field.ndim, field.shape[0], field.strides[0] = address, 1, count, wp.types.type_size_in_bytes(dtype)
+
+
 def point_at(field: Any, values: wp.array | HostArray) -> None:
     """Makes the packed form of a contiguous flat array refer to another array of the same element type."""
     field.data = values.ptr or 0

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.host_arrays import HostArray
+from wrt.host_arrays import HostArray, write_flat
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import workspace
 
@@ -203,9 +203,7 @@ class ArraysOfBlock:
         """Writes all addresses into the packed form of a struct that has these arrays, and keeps this object alive with it."""
         packed, first = struct.__ctype__(), self._block.ptr or 0
         for name, dtype in self._kinds.items():
-            field = getattr(packed, name)
-            field.data, field.ndim, field.shape[0] = first + self._begins[name], 1, self._count
-            field.strides[0] = wp.types.type_size_in_bytes(dtype)
+            write_flat(getattr(packed, name), first + self._begins[name], self._count, dtype)
         struct.__dict__["owner"] = self
 
 

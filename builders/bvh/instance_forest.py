@@ -113,7 +113,7 @@ class InstanceForest:
         `bounds` are as that method gives them.
         """
         nodes, instances = (surface(bounds[where[0], :, where[1]]) for where in (self._above, self._leaves))
-        return nodes / max(instances, TINY)
+        return cost_of(nodes, instances)
 
     def bounds(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """(nodes, 6, W) float32 boxes of all children, of the boxes of instances; low, high: (N, 3) float32."""
@@ -146,9 +146,14 @@ class InstanceForest:
         return bounds
 
 
+def cost_of(nodes: float, instances: float) -> float:
+    """`InstanceForest.cost` of the surfaces of the boxes of nodes and of instances."""
+    return nodes / max(instances, TINY)
+
+
 def surface(boxes: np.ndarray) -> float:
     """Half the surface of all boxes together; (n, 6)."""
-    x, y, z = (boxes[:, 3:] - boxes[:, :3]).astype(np.float64).T
+    x, y, z = (boxes[:, 3:].astype(np.float64) - boxes[:, :3]).T
     return float(x @ y + y @ z + z @ x)
 
 

@@ -8,6 +8,7 @@ from conftest import assert_same_hits, mixed_rays
 from test_instances import BALL, BOX, FLAT, move, random_instances
 
 import wrt
+from wrt.instances.few_moves import MOST_AT_ONCE
 
 
 @pytest.mark.parametrize("accelerator", ["bvh", "kdtree"])
@@ -65,7 +66,10 @@ def test_the_upper_level_is_built_again_only_when_it_is_worn(at_once):
 
     for step in range(4):
         update(places @ move(0.1 * step, 0.1))
-    assert scene.state.tree.forest is built
+    tree = scene.state.tree
+    assert tree.forest is built
+    assert (tree.cost is not None) == (at_once <= MOST_AT_ONCE)
+    np.testing.assert_allclose(tree.cost or built.cost(tree.host), built.cost(tree.host), rtol=1e-12)
     shuffled = places[rng.permutation(count)]
     update(shuffled)
     update(shuffled)  # some were on their old places when it was built again

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.builders.bvh.instance_forest import cost_of
 from wrt.instances.instance_boxes import InstanceBoxes, UpperTree, address_of
 from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
@@ -107,7 +108,7 @@ def move_few(
         "inverses": np.linalg.inv(transforms[:, :3, :3]),
         "masks": np.array([instances[row].mask for row in rows], dtype=np.uint32),
     }
-    boxes, table, tree, extremes = state.boxes.copied(), state.table.copy(), state.tree, np.empty(EXTREMES)
+    boxes, table, tree, extremes = state.boxes.copied(), state.table.copy(), state.tree, np.empty(EXTREMES + 2)
     low, high, bounds = tree.corners[0].copy(), tree.corners[1].copy(), tree.host.copy()
     try:
         mover = _free.pop()
@@ -115,7 +116,8 @@ def move_few(
         mover = Mover()
     mover.run(state, moves, boxes, [table, low, high, bounds, extremes])
     _free.append(mover)
-    boxes.__dict__["extremes"] = extremes.tolist()
+    *extremes, nodes, of_instances = extremes.tolist()
+    boxes.__dict__["extremes"] = extremes
     if not boxes.are_resolved or boxes.frame != state.boxes.frame:
         return None
-    return boxes, table, tree.around(low, high, bounds)
+    return boxes, table, tree.around(low, high, bounds, cost_of(nodes, of_instances))

@@ -151,6 +151,7 @@ class UpperTree(common.Bvh):
         corners: the boxes of the instances, (N, 3) float32 each.
         host: (nodes, 6, W) `bounds` on the host.
         built_cost: of the forest (`InstanceForest.cost`) when it was built.
+        cost: the same now; None if it was not computed.
     """
 
     parts_depth: int = 0
@@ -160,11 +161,13 @@ class UpperTree(common.Bvh):
     corners: tuple[np.ndarray, np.ndarray] | None = None
     host: np.ndarray | None = None
     built_cost: float = 0.0
+    cost: float | None = None
 
     @property
     def is_outworn(self) -> bool:
         """Whether instances have moved so that other nodes would be much better."""
-        return self.forest.cost(self.host) > MAX_COST * self.built_cost
+        cost = self.forest.cost(self.host) if self.cost is None else self.cost
+        return cost > MAX_COST * self.built_cost
 
     @property
     def depth(self) -> int:
@@ -182,11 +185,12 @@ class UpperTree(common.Bvh):
         host = self.forest.moved(self.host, low, high, rows) if few else self.forest.bounds(low, high)
         return self.around(low, high, host)
 
-    def around(self, low: np.ndarray, high: np.ndarray, host: np.ndarray) -> UpperTree:
-        """The same nodes around other boxes; low, high: as of `with_boxes`; host: as the attribute."""
+    def around(self, low: np.ndarray, high: np.ndarray, host: np.ndarray, cost: float | None = None) -> UpperTree:
+        """The same nodes around other boxes; low, high: as of `with_boxes`; host, cost: as the attributes."""
         root = host[self.forest.root]
         other = copy(self)
         other.__dict__.pop("_struct", None)
+        other.cost = cost
         other.corners, other.host, other.bounds = (low, high), host, on_device(host, wp.float32, self.child.device)
         other.low, other.high = wp.vec3(*root[:3].min(axis=1).tolist()), wp.vec3(*root[3:].max(axis=1).tolist())
         return other

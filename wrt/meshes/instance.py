@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from math import sqrt
+from math import isfinite, sqrt
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,11 @@ MAX_CONDITION = 1e12
 
 MAX_SCALE = 2.0**100
 """Largest factor by which a map may enlarge or shrink, so that ray directions in the mesh's space stay within float32."""
+
+FEW = 16
+"""Matrices up to which Python is faster than NumPy."""
+
+LAST_ROW = [0.0, 0.0, 0.0, 1.0]
 
 TINY = float(np.finfo(np.float64).tiny)
 
@@ -149,6 +154,12 @@ def check_transforms(transforms: Any, count: int) -> np.ndarray:
         for matrix in matrices:
             check_transform(matrix)
     matrices = matrices.astype(np.float64)
+    if count <= FEW:
+        for number, row in enumerate(matrices.reshape(-1, 16).tolist()):
+            if not (is_surely_regular(*row[:11]) and row[12:] == LAST_ROW and all(map(isfinite, row[3:12:4]))):
+                check_transform(matrices[number])
+        matrices.flags.writeable = False
+        return matrices
     linear = matrices[:, :3, :3]
     with np.errstate(all="ignore"):  # a NaN is not below any bound
         largest = np.sqrt(np.square(linear).sum(axis=(1, 2)))  # at least the largest singular value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,15 @@ def check_real(name: str, values: Any, shape: tuple[int | None, ...] | None = No
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds NaN or infinite numbers; all must be finite")
     return array
+
+
+def as_time(time: Any) -> float:
+    """A finite number of seconds.
+
+    Raises:
+        TypeError, ValueError: as `check_real`.
+    """
+    return time if type(time) is float and isfinite(time) else float(check_real("time", time, ()))
 
 
 def check_at_least(name: str, value: Any, least: float, below: float = np.inf) -> float:

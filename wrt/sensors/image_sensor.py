@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.memory import ArraysOfBlock, empty, outputs_of
-from wrt.sensors.checks import check_at_least, check_matrix, check_real
+from wrt.sensors.checks import as_time, check_at_least, check_matrix, check_real
 from wrt.sensors.hit_outputs import HitOutputs
 from wrt.sensors.lens_models import LensModel
 from wrt.sensors.lidar import spread_on
@@ -134,7 +134,7 @@ class Camera:
 
         if materials is not None and not albedo:
             raise ValueError("materials are those of the colours; pass albedo=True, or leave materials out")
-        path, time = as_poses(pose), float(check_real("time", time, ()))
+        path, time = as_poses(pose), as_time(time)
         rows = np.repeat(self.line_delay * np.arange(self.height), self.width).reshape(self.height, self.width)
         begin, end = time, time + float(rows[-1, 0])
         path.check_covers(begin, end, "the times of the image")
@@ -194,7 +194,7 @@ class Camera:
         """
         from wrt.sensors.camera_layers import render
 
-        path, time = as_trajectory(pose), float(check_real("time", time, ()))
+        path, time = as_trajectory(pose), as_time(time)
         end = time + self.line_delay * (self.height - 1)
         path.check_covers(time, end, "the times of the image")
         motions = as_motions(motions, scene, time, end)

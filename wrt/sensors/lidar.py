@@ -13,7 +13,7 @@ import warp as wp
 
 from wrt.kernels.runtime.launch import as_device, kept, launch, use_threads
 from wrt.memory import outputs_of
-from wrt.sensors.checks import check_at_least, check_real
+from wrt.sensors.checks import as_time, check_at_least, check_real
 from wrt.sensors.lidar_pattern import LidarPattern
 from wrt.sensors.lidar_presets import LIDARS
 from wrt.sensors.lidar_scan import LidarScan
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 KEEP = {"strongest": 0, "first": 1, "last": 2}
 """Which returns of a beam are kept, and their numbers in `wrt.kernels.sensors.lidar_returns`."""
+
+WHITE = np.ones(1)
+"""The reflectance of surfaces that absorb nothing."""
 
 MAX_KEPT = 64
 """Detectors of different reflectances that are kept."""
@@ -181,7 +184,7 @@ class Lidar:
                 instances, or arrays on another device.
         """
         path = as_poses(pose)
-        time = float(check_real("time", time, ()))
+        time = as_time(time)
         span = self.pattern.span
         begin, end = time + span[0], time + span[1]
         path.check_covers(begin, end, "the times of the scan")
@@ -331,6 +334,8 @@ def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:
         TypeError: not real numbers.
         ValueError: another length, or a negative value.
     """
+    if reflectance == 1.0 and type(reflectance) is float:  # the default, and every scan asks
+        return WHITE
     values = np.atleast_1d(check_real("reflectance", reflectance))
     count = len(scene.instances) or len(scene.meshes)
     if values.shape not in ((1,), (count,)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,7 +73,7 @@ class LidarPattern:
 
     def __len__(self) -> int:
         """Number of beams."""
-        return int(np.prod(self.shape))
+        return prod(self.shape)
 
     @cached_property
     def span(self) -> tuple[float, float]:

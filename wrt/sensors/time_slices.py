@@ -23,6 +23,7 @@ import warp as wp
 
 from wrt.meshes.placement import check_index
 from wrt.sensors.trajectory import Trajectory
+from wrt.state.query_kinds import AUTO
 
 if TYPE_CHECKING:
     from wrt.kernels.query.hit_attributes import SceneMesh
@@ -111,8 +112,10 @@ class SensorRays:
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
         own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in (self.each | each).items()}
+        if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
+            own["traversal"] = self.traversal
         directions = part_of(self.directions, *rays).reshape(shape)
-        return scene.intersect(origins, directions, 0.0, self.t_max, traversal=self.traversal, **own).batch
+        return scene.intersect(origins, directions, 0.0, self.t_max, **own).batch
 
 
 def part_of(values: wp.array, begin: int, end: int) -> wp.array:
@@ -179,7 +182,10 @@ def trace_slices(scene: Queries, rays: SensorRays, bodies: Bodies, parts: Sequen
             within, mesh = (0, hits.count), scene.state.device_mesh
         traced = Traced()
         traced.place, traced.directions = part.begin, part_of(rays.directions, *own)
-        traced.t, traced.primitive = part_of(hits.t, *within), part_of(hits.primitive, *within)
+        if within == (0, hits.count):
+            hits.point_to(traced, ("t", "primitive"))
+        else:
+            traced.t, traced.primitive = part_of(hits.t, *within), part_of(hits.primitive, *within)
         origins = rays.origins if rays.origins.size == 1 else part_of(rays.origins, *own)
         uvs = partial(uvs_of, hits, *within)
         yield TracedSlice(part, traced, uvs, origins, mesh, bodies.motions(number, count, device))
@@ -211,7 +217,7 @@ LIMITS = {"mask": (0, (1 << 32) - 1, wp.uint32), "environment": (-1, (1 << 31) -
 def for_each_ray(
     given: Mapping[str, Any], sensors: tuple[int, ...], beams: int, bundle: int, order: np.ndarray | None, device: wp.Device
 ) -> dict[str, Any]:
-    """What callers gave for each sensor, for each ray: a number, a Warp array, or None.
+    """What callers gave for each sensor, for each ray: a number or a Warp array; what is None is left out.
 
     Args:
         given: by the name of the argument: None, a number, or integers that broadcast to the shape of the sensors.
@@ -227,7 +233,9 @@ def for_each_ray(
     """
     found: dict[str, Any] = {}
     for name, values in given.items():
-        array, (least, most, dtype) = np.asarray(0 if values is None else values), LIMITS[name]
+        if values is None:
+            continue
+        array, (least, most, dtype) = np.asarray(values), LIMITS[name]
         if array.dtype.kind not in "iu":
             raise TypeError(f"{name} must hold integers, not {array.dtype}")
         if array.size and (array.min() < least or array.max() > most):

@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from wrt.host_arrays import HostArray
+from wrt.host_arrays import HostArray, write_flat
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.memory import empty, empty_host, keep_alive
 from wrt.state.query_kinds import ALL, ANY, CLOSEST, COUNT, FEW_RAYS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from wrt.rays.rays import ResultForm
 
 DTYPES = {"t": wp.float32, "primitive": wp.int32, "uv": wp.vec2, "occluded": wp.bool, "counts": wp.int32}
@@ -122,6 +124,14 @@ class DeviceHits:
             field = getattr(arguments, name)
             field.data = self._address(name)
             field.shape[0] = self.count
+
+    def point_to(self, struct: Any, names: Sequence[str]) -> None:
+        """Writes the addresses of some arrays into the packed form of a struct that has such fields, and keeps them alive with
+        it."""
+        packed = struct.__ctype__()
+        for name in names:
+            write_flat(getattr(packed, name), self._address(name), self.count, DTYPES[name])
+        struct.__dict__["owner"] = self
 
     def _address(self, name: str) -> int:
         if self._block is not None:

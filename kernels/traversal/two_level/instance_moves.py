@@ -15,6 +15,12 @@ exact_module(__name__)
 EXTREMES = 8
 """Numbers that say where all boxes are: lowest x, y, z, highest x, y, z, the greatest norm, the least size."""
 
+NODES = wp.constant(8)
+"""Place of the surface of the boxes of nodes, after those numbers."""
+
+INSTANCES = wp.constant(9)
+"""Place of the surface of the boxes of instances."""
+
 
 @wp.struct
 class Moves:
@@ -89,6 +95,21 @@ def refit(tree: BoxTree):
                 tree.touched[above] = wp.uint8(1)
 
 
+@wp.func
+def surface(tree: BoxTree, places: wp.array(dtype=int)):
+    """Half the surface of the boxes of some lanes together."""
+    total = wp.float64(0.0)
+    for k in range(places.shape[0]):
+        node = places[k] / tree.width
+        begin = node * 6 * tree.width + places[k] % tree.width
+        size = wp.vec3d()
+        for axis in range(3):
+            low = wp.float64(tree.bounds[begin + axis * tree.width])
+            size[axis] = wp.float64(tree.bounds[begin + (axis + 3) * tree.width]) - low
+        total += size[0] * size[1] + size[1] * size[2] + size[2] * size[0]
+    return total
+
+
 @wp.kernel
 def move_instances(
     first: int,
@@ -104,7 +125,7 @@ def move_instances(
     """Writes what changes when instances move. Item: all of them, in turn.
 
     bounded, table, low, high, tree.bounds: copies of the old arrays. low, high: (N,) boxes as float32, rounded outwards.
-    extremes: (`EXTREMES`,) of all boxes.
+    extremes: (`EXTREMES` + 2,) of all boxes, and their surfaces.
     """
     count = table.shape[0]
     for k in range(moves.rows.shape[0]):
@@ -150,3 +171,5 @@ def move_instances(
         least = wp.min(least, size)
     extremes[6] = worst
     extremes[7] = least
+    extremes[NODES] = surface(tree, tree.above_places)
+    extremes[INSTANCES] = surface(tree, tree.leaf_places)
