@@ -62,9 +62,15 @@ def fire_beams(
     beams: Beams,
     path: PosePath,
     origins: wp.array(dtype=wp.vec3d),
+    center: wp.vec3d,
+    relative: wp.array(dtype=wp.vec3),
     directions: wp.array(dtype=wp.vec3),
 ):
-    """Writes a ray in the world. Item: a ray; R neighbours belong to a beam. `origins` is (1,) if all rays share it."""
+    """Writes a ray in the world. Item: a ray; R neighbours belong to a beam.
+
+    origins: (N,); (1,) if all rays share it; (0,) if it is not needed in float64. relative: the same minus `center`; (0,) if
+    that is not needed.
+    """
     i = first + wp.tid()
     rays = beams.spread.shape[0]
     number = beam_at(beams, i / rays)
@@ -77,7 +83,8 @@ def fire_beams(
         tangents = wp.vec2d(beams.spread[ray])
         axis = wp.normalize(axis + tangents[0] * side + tangents[1] * wp.cross(axis, side))
     directions[i] = wp.vec3(wp.quat_rotate(pose.rotation, axis))
-    if origins.shape[0] > 1:
-        origins[i] = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
-    elif i == 0:
-        origins[0] = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
+    origin = pose.position + wp.quat_rotate(pose.rotation, beam_offset(beams, beam))
+    if i < origins.shape[0]:
+        origins[i] = origin
+    if i < relative.shape[0]:
+        relative[i] = wp.vec3(origin - center)

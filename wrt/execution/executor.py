@@ -16,13 +16,14 @@ from wrt.execution.batch import trace_batch
 from wrt.execution.prepared import prepare
 from wrt.kernels.runtime.launch import use_threads
 from wrt.planning.planner import chosen_plan, find_plan
-from wrt.rays.ray_buffers import RayBuffers, set_environment, set_mask, to_device
+from wrt.rays.ray_buffers import RayBuffers, buffers_of, set_environment, set_mask, to_device
 from wrt.rays.staged_rays import STAGED, STAGED_CENTERED
-from wrt.state.query_kinds import ANY, AUTO, CLOSEST, Query
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, QUERIES, Query
 
 if TYPE_CHECKING:
     from wrt.execution.given_areas import GivenAreas
     from wrt.planning.plan import ChosenPlan, Plan
+    from wrt.rays.ray_arrays import RayArrays
     from wrt.rays.rays import Rays, ResultForm
     from wrt.state.device_hits import DeviceHits
     from wrt.state.scene_state import SceneState
@@ -66,6 +67,13 @@ def _answer(scene: SceneState, rays: Rays, query: Query) -> Answer:
     chosen = find_plan(scene, buffers, query)
     hits, work = trace_chosen(scene, chosen, buffers, query.kind, query.counters, given)
     return Answer(hits, buffers.form, chosen.plan, work)
+
+
+def closest_of_relative(scene: SceneState, arrays: RayArrays) -> DeviceHits:
+    """Closest hits, by a plan of "auto", of rays that are on the device, relative to the scene's centre."""
+    with use_threads(scene.num_threads):
+        buffers = buffers_of(arrays, scene.device)
+        return trace_chosen(scene, find_plan(scene, buffers, QUERIES[CLOSEST]), buffers, CLOSEST, False)[0]
 
 
 def may_stage(scene: SceneState, query: Query) -> bool:

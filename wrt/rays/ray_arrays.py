@@ -125,6 +125,26 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
 
 
+def relative_rays(
+    origins: wp.array, directions: wp.array, t_max: float, shape: tuple[int, ...], device: wp.Device, center: np.ndarray
+) -> RayArrays:
+    """The arrays of rays that kernels of this package made on the device, relative to the scene's centre; t_min is 0.
+
+    Args:
+        origins: (N,) or (1,) vec3.
+        directions: (N,) vec3.
+        t_max: of all rays.
+        shape: leading shape, of N elements.
+        device: where they are.
+        center: (3,) float64, the scene's.
+    """
+    count = len(directions)
+    each = int(count == 1)
+    layout = Layout(each if len(origins) == 1 else 1, 1, each, each, True)
+    low, high = (_scalars(value, shape, device)[0] for value in (0.0, t_max))
+    return RayArrays(origins, directions, low, high, layout, count, center, shape, True, np.float64, (origins, directions))
+
+
 def _in_place(
     origins: np.ndarray, directions: Any, t_min: Any, t_max: Any, device: wp.Device, center: np.ndarray
 ) -> RayArrays | None:

@@ -24,6 +24,7 @@ from wrt.sensors.time_slices import (
     cut_slices,
     for_each_ray,
     no_order,
+    no_vectors,
     slice_error,
     trace_slices,
 )
@@ -311,7 +312,13 @@ def _fire(
     shared = path.is_still and camera.lens.one_centre and count == camera.width * camera.height
     origins = empty(1 if shared else count, wp.vec3d, device)
     directions = empty(count, wp.vec3, device)
-    launch(fire_beams, count, [beams, path.path(device), origins, directions], device=device, chunk=2048)
+    launch(
+        fire_beams,
+        count,
+        [beams, path.path(device), origins, wp.vec3d(), no_vectors(device.alias), directions],
+        device=device,
+        chunk=2048,
+    )
     return origins, directions
 
 

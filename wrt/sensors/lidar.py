@@ -25,10 +25,12 @@ from wrt.sensors.time_slices import (
     cut_slices,
     for_each_ray,
     no_order,
+    no_vectors,
     slice_error,
     trace_slices,
 )
 from wrt.sensors.trajectory import StillPoses, Trajectory, as_poses
+from wrt.state.query_kinds import AUTO
 from wrt.tables import lookup
 
 if TYPE_CHECKING:
@@ -183,6 +185,8 @@ class Lidar:
             ValueError: an argument out of range, a trajectory that does not cover the scan, motions in a scene without
                 instances, or arrays on another device.
         """
+        from wrt.query.api import Queries
+
         path = as_poses(pose)
         time = as_time(time)
         span = self.pattern.span
@@ -196,8 +200,10 @@ class Lidar:
         given = {"mask": mask, "environment": environment}
         each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
         with use_threads(scene.num_threads):
-            work.fire(order)
-            rays = SensorRays(work.origins, work.directions, self.bundle, times.shape, self.max_range, traversal, each)
+            relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
+            work.fire(order, relative)
+            given = work.origins, work.directions, self.bundle, times.shape, self.max_range, traversal, each
+            rays = SensorRays(*given, relative)
             for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
                 work.describe(found)
         return LidarScan(self.pattern, work.arrays, self.returns, path, time, slice_error(motions, scene, parts))
@@ -276,8 +282,8 @@ class _Work:
         self.beam_count = len(lidar.pattern) * (len(path) if isinstance(path, StillPoses) else 1)
         self.returns, self.arrays = new_returns(self.beam_count * lidar.returns, self.device)
 
-    def fire(self, order: np.ndarray | None) -> None:
-        """Makes the rays of all beams, in the order in which they are traced."""
+    def fire(self, order: np.ndarray | None, relative: bool) -> None:
+        """Makes the rays of all beams, in the order in which they are traced; relative: to the scene's centre."""
         from wrt.kernels.sensors.lidar_beams import fire_beams
 
         lidar = self.lidar
@@ -285,9 +291,13 @@ class _Work:
         self.poses = self.path.path(self.device)
         count = self.beam_count * lidar.bundle
         shared = self.path.is_still and lidar.pattern.offsets is None and self.beam_count == len(lidar.pattern)
-        self.origins = wp.empty(1 if shared else count, dtype=wp.vec3d, device=self.device)
+        self.origins = wp.empty(1 if shared else count, dtype=wp.vec3 if relative else wp.vec3d, device=self.device)
         self.directions = wp.empty(count, dtype=wp.vec3, device=self.device)
-        inputs = [self.beams, self.poses, self.origins, self.directions]
+        if relative:
+            places = no_vectors(self.device.alias, wp.vec3d), wp.vec3d(*self.scene.state.center.tolist()), self.origins
+        else:
+            places = self.origins, wp.vec3d(), no_vectors(self.device.alias)
+        inputs = [self.beams, self.poses, *places, self.directions]
         launch(fire_beams, count, inputs, device=self.device, chunk=2048)
 
     def describe(self, found: TracedSlice) -> None:

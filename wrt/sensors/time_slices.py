@@ -21,7 +21,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import warp as wp
 
+from wrt.execution.executor import closest_of_relative
 from wrt.meshes.placement import check_index
+from wrt.rays.ray_arrays import relative_rays
 from wrt.sensors.trajectory import Trajectory
 from wrt.state.query_kinds import AUTO
 
@@ -97,6 +99,8 @@ class SensorRays:
         t_max: end of their range.
         traversal: as of `wrt.Scene.intersect`.
         each: masks and environments: a number, or a Warp array (N,).
+        is_relative: whether origins are vec3, relative to the scene's centre. Then "auto" traces all rays at once, and
+            `each` is empty.
     """
 
     origins: wp.array
@@ -106,10 +110,15 @@ class SensorRays:
     t_max: float
     traversal: Any
     each: Mapping[str, Any]
+    is_relative: bool = False
 
     def hits(self, scene: Queries, begin: int, end: int, shape: tuple[int, ...], **each: Any) -> DeviceHits:
         """The closest hits of the rays of some beams in a leading shape."""
         shape, rays = (*shape, *((self.bundle,) if self.bundle > 1 else ())), (begin * self.bundle, end * self.bundle)
+        if self.is_relative:
+            state = scene.state
+            given = self.origins, self.directions, self.t_max, shape, state.device, state.center
+            return closest_of_relative(state, relative_rays(*given))
         origins = self.origins if self.origins.size == 1 else part_of(self.origins, *rays).reshape(shape)
         own = {n: part_of(v, *rays).reshape(shape) if isinstance(v, wp.array) else v for n, v in (self.each | each).items()}
         if not (isinstance(self.traversal, str) and self.traversal == AUTO):  # few options are checked in less time
@@ -202,6 +211,12 @@ def no_motions() -> Motions:
     from wrt.kernels.sensors.lidar_returns import Motions
 
     return Motions()
+
+
+@lru_cache
+def no_vectors(device: str, dtype: type = wp.vec3) -> wp.array:
+    """(0,) vectors."""
+    return wp.empty(0, dtype=dtype, device=device)
 
 
 @lru_cache
