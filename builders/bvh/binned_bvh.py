@@ -53,6 +53,9 @@ from wrt.kernels.runtime.workspace import Workspace, kept_workspace, read_ints, 
 TASKS_PER_THREAD = 4
 """Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
+MIN_TASKS = 16
+"""Tasks of a build with few threads: with only 8, two threads end 5 % apart."""
+
 MIN_LARGE = 4096
 """Triangles below which a single thread builds a node: the fixed cost of the launches of a level would exceed the gain."""
 
@@ -97,7 +100,7 @@ def kernels(config: BvhConfig, triangles: int, heuristic: Heuristic = SURFACE) -
 def largest_task(triangles: int) -> int:
     """Most triangles of a node that one thread makes a subtree of; larger nodes are split by all threads."""
     threads = get_num_threads()
-    return max(MIN_LARGE, triangles // (TASKS_PER_THREAD * threads)) if threads > 1 else triangles
+    return max(MIN_LARGE, triangles // max(TASKS_PER_THREAD * threads, MIN_TASKS)) if threads > 1 else triangles
 
 
 class BinnedBuilder:

@@ -24,7 +24,7 @@ UP_NAMES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 class Vector(click.ParamType):
     """A vector x,y,z."""
 
-    name = """A vector x,y,z."""
+    name = "x,y,z"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):

@@ -6,7 +6,7 @@ that is not used, or one more wait.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,7 +18,7 @@ from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.layout.ray_batch import center_float64_points
 from wrt.kernels.query.ordering.coherence_detection import measure_coherence
 from wrt.kernels.runtime import board
-from wrt.kernels.runtime.launch import get_num_threads, specialise
+from wrt.kernels.runtime.launch import expect, get_num_threads, specialise
 from wrt.kernels.simd.lanes import native_width
 from wrt.planning.packet_sample import sample_kernel
 from wrt.planning.plan import config_for_layout, kernel_factory, plan_for_query, traversal_config
@@ -28,6 +28,9 @@ from wrt.state.query_kinds import ANY, AUTO, CLOSEST, FEW_RAYS_OF_MANY
 if TYPE_CHECKING:
     from wrt.accelerators.accelerator import Accelerator
     from wrt.state.scene_state import SceneState
+
+MAX_EXPECTED = 256
+"""Builds that are remembered."""
 
 MANY_TRIANGLES = 4096
 """Triangles from which a build is divided among threads."""
@@ -90,6 +93,20 @@ def build_kernels(accelerator: Accelerator, device: wp.Device, dtype: type, tria
     shift = specialise(make_shift, wp.vec3 if dtype == np.float32 else wp.vec3d)
     helpers = [board.serve] if triangles >= MANY_TRIANGLES and get_num_threads() > 1 else []
     return [shift, compute_boxes, *helpers, *accelerator.kernels(triangles, native_width(device))]
+
+
+def expect_build(accelerator: Accelerator, device: wp.Device, dtype: type, triangles: int) -> None:
+    """Begins to compile the kernels of a build (`build_kernels`); at once if the same was expected before."""
+    key = accelerator, device.alias, dtype, triangles, get_num_threads()
+    if key not in _expected:
+        expect(build_kernels(accelerator, device, dtype, triangles), wp.get_device("cpu"))
+        if len(_expected) >= MAX_EXPECTED:
+            _expected.clear()
+        _expected.add(key)
+
+
+_expected: set[Hashable] = set()
+"""Builds whose kernels were expected: to list them takes longer than to build a few thousand triangles."""
 
 
 def query_kernels(

@@ -7,14 +7,13 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import warp as wp
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.accelerators.tree_descriptions import Bvh
 from wrt.builders.bvh import few_triangles
 from wrt.builders.triangle_boxes import triangle_boxes
-from wrt.execution.expected_kernels import build_kernels
-from wrt.kernels.runtime.launch import expect, use_threads
+from wrt.execution.expected_kernels import expect_build
+from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
@@ -102,7 +101,7 @@ def build_state(
         return build_few_state(meshes, settings)
     if cache is None:
         triangles = sum(mesh.triangle_count for mesh in meshes)
-        expect(build_kernels(settings.accelerator, settings.device, meshes[0].vertices.dtype, triangles), wp.get_device("cpu"))
+        expect_build(settings.accelerator, settings.device, meshes[0].vertices.dtype.type, triangles)
     with memory_for_tree(meshes):
         placed = place_meshes(meshes, settings.device)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
