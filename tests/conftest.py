@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import os
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,12 @@ wp.init()
 
 import wrt  # noqa: E402
 from wrt import scenes  # noqa: E402
+from wrt.kernels.compilation.cores import available_cores  # noqa: E402
+
+if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", 0)):
+    os.environ.setdefault("WRT_COMPILE_JOBS", str(max(available_cores() // workers, 1)))
+"""Processes that run tests side by side keep the cores busy, and every thread that compiles parses Warp's header (2 s).
+Those that tests start inherit this."""
 
 MODELS = Path(__file__).resolve().parents[2] / "shared" / "models"
 ENGINE_TESTS = ("woop", "moeller_trumbore", "komatsu")
@@ -29,6 +37,14 @@ OTHER_WAYS_TO_PACKETS = ("repacked_packet", "mlrta", "aepsa", "omnidirectional",
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 
 DEVICES = ["cpu", *(str(device) for device in wp.get_cuda_devices())]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def frozen() -> None:
+    """What earlier files left, kernels above all, is not scanned again at every garbage collection. Studies collect before each
+    round, which took longer than what they measure in tests."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(params=DEVICES)

@@ -33,13 +33,55 @@ from wrt.kernels.runtime.options import exact_module, specialised_kernel
 exact_module(__name__, gradients=True)
 
 
+def result_types(double: bool) -> tuple[type, type, type]:
+    """Types of t, of uv, and of positions and normals; `double`: whether the results are float64."""
+    return (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
+
+
+@cache
+def store_hit(double: bool) -> wp.Function:
+    """`wp.func(i, origin, direction, a, edge1, edge2, winding, t, uv, positions, normals)`.
+
+    Stores where ray i meets the plane of a triangle; nothing for a ray in that plane. winding: 1, or -1 to turn the normal.
+    """
+    Scalar, Pair, Vector = result_types(double)
+
+    @wp.func
+    def store(
+        i: int,
+        origin: wp.vec3d,
+        direction: wp.vec3d,
+        a: wp.vec3d,
+        edge1: wp.vec3d,
+        edge2: wp.vec3d,
+        winding: wp.float64,
+        t: wp.array(dtype=Scalar),
+        uv: wp.array(dtype=Pair),
+        positions: wp.array(dtype=Vector),
+        normals: wp.array(dtype=Vector),
+    ):
+        across = wp.cross(direction, edge2)
+        det = wp.dot(edge1, across)
+        if det != wp.float64(0.0):
+            s = origin - a
+            q = wp.cross(s, edge1)
+            at = wp.dot(edge2, q) / det
+            t[i] = Scalar(at)
+            uv[i] = Pair(Scalar(wp.dot(s, across) / det), Scalar(wp.dot(direction, q) / det))
+            positions[i] = Vector(origin + at * direction)
+            normals[i] = Vector(winding * wp.normalize(wp.cross(edge1, edge2)))
+
+    return store
+
+
 @cache
 def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp.Kernel:
     """The kernel for arrays of these types, each vec3 or vec3d; `double`: whether the results are float64.
 
     A stride of 0 shares element 0 among all rays. The kernel does not write the results of rays that hit nothing.
     """
-    Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
+    Scalar, Pair, Vector = result_types(double)
+    store = store_hit(double)
 
     def intersect_triangles(
         origins: wp.array(dtype=Origin),
@@ -62,15 +104,6 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, double: bool) -> wp
             edge2 = wp.vec3d(vertices[face[2]]) - a
             origin = wp.vec3d(origins[i * origin_stride])
             direction = wp.vec3d(directions[i * direction_stride])
-            across = wp.cross(direction, edge2)
-            det = wp.dot(edge1, across)
-            if det != wp.float64(0.0):
-                s = origin - a
-                q = wp.cross(s, edge1)
-                at = wp.dot(edge2, q) / det
-                t[i] = Scalar(at)
-                uv[i] = Pair(Scalar(wp.dot(s, across) / det), Scalar(wp.dot(direction, q) / det))
-                positions[i] = Vector(origin + at * direction)
-                normals[i] = Vector(wp.normalize(wp.cross(edge1, edge2)))
+            store(i, origin, direction, a, edge1, edge2, wp.float64(1.0), t, uv, positions, normals)
 
     return specialised_kernel(intersect_triangles, gradients=True)

@@ -10,6 +10,7 @@ from typing import Any
 
 import warp as wp
 
+from wrt.kernels.query.hit_gradients import result_types, store_hit
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 
 exact_module(__name__, gradients=True)
@@ -48,7 +49,8 @@ def place_pose(transform: Any, point: wp.vec3d):
 @cache
 def make_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, double: bool) -> wp.Kernel:
     """The kernel for arrays of these types; Transform: mat44, mat44d, transform or transformd; otherwise as on one level."""
-    Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
+    Scalar, Pair, Vector = result_types(double)
+    store = store_hit(double)
     to_scene = place_pose if Transform in (wp.transformf, wp.transformd) else place
 
     def intersect_placed_triangles(
@@ -76,15 +78,6 @@ def make_kernel(Origin: type, Direction: type, Vertex: type, Transform: type, do
             edge2 = to_scene(transforms[own], wp.vec3d(vertices[face[2]])) - a
             origin = wp.vec3d(origins[i * origin_stride])
             direction = wp.vec3d(directions[i * direction_stride])
-            across = wp.cross(direction, edge2)
-            det = wp.dot(edge1, across)
-            if det != wp.float64(0.0):
-                s = origin - a
-                q = wp.cross(s, edge1)
-                at = wp.dot(edge2, q) / det
-                t[i] = Scalar(at)
-                uv[i] = Pair(Scalar(wp.dot(s, across) / det), Scalar(wp.dot(direction, q) / det))
-                positions[i] = Vector(origin + at * direction)
-                normals[i] = Vector(winding[own] * wp.normalize(wp.cross(edge1, edge2)))
+            store(i, origin, direction, a, edge1, edge2, winding[own], t, uv, positions, normals)
 
     return specialised_kernel(intersect_placed_triangles, gradients=True)

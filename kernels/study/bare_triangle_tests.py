@@ -97,9 +97,12 @@ def make_frusta(test: TestForm, rays: int, width: int) -> wp.Kernel:
 
 
 @cache
-def make_blocks(test: TestForm, width: int) -> wp.Kernel:
-    """Closest hits of single rays against blocks of `width` triangles. One item is a ray. Arguments as in `make_frusta`."""
-    prepare, block_test = test.prepare, test.block_test(width)
+def make_blocks(test: TestForm, width: int, in_range: wp.Function | None = None) -> wp.Kernel:
+    """Closest hits of single rays against blocks of `width` triangles. One item is a ray. Arguments as in `make_frusta`.
+
+    in_range: checks t in all lanes at once (`wrt.kernels.study.distance_checks.in_range`); None: where a test hits, one by one.
+    """
+    prepare, block_test, at_once = test.prepare, test.block_test(width), in_range is not None
     Lanes = lanes(width)
 
     def blocks(
@@ -121,10 +124,12 @@ def make_blocks(test: TestForm, width: int) -> wp.Kernel:
             u = Lanes()
             v = Lanes()
             mask = block_test(records, block, state, t, u, v)
+            if wp.static(at_once):
+                mask = in_range(t, mask, best)
             while mask != wp.uint32(0):
                 lane = lowest_bit(mask)
                 mask = mask & (mask - wp.uint32(1))
-                if t[lane] > 0.0 and t[lane] < best:
+                if (wp.static(at_once) or t[lane] > 0.0) and t[lane] < best:
                     best = t[lane]
                     found = block * wp.static(width) + lane
         out_t[i] = best

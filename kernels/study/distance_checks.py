@@ -1,5 +1,7 @@
 """The range of t checked by floats or by one integer, for W triangles at once: for measurements.
 
+The functions made here take the place of the check in `wrt.kernels.study.bare_triangle_tests.make_blocks`.
+
 **Idea** (Waechter 2004). Floats of the same sign are ordered as their bits are. As unsigned integers, negative floats and NaN
 are larger than infinity. So one comparison of integers, bits(t) - 1 < bits(t_max) - 1, replaces 0 < t and t < t_max. It
 excludes 0, which wraps around, everything negative, NaN, and what lies at t_max or beyond.
@@ -12,9 +14,8 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes, lowest_bit
-from wrt.kernels.triangle.support.triangle_contract import TestForm
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.lanes import FOR_LANES, lane_bits, lanes
 
 exact_module(__name__)
 
@@ -37,43 +38,3 @@ def in_range(width: int, integers: bool) -> wp.Function:
     def check(t: wp.ref[Lanes], mask: wp.uint32, best: float) -> wp.uint32: ...
 
     return check
-
-
-@cache
-def make_kernel(test: TestForm, width: int, integers: bool) -> wp.Kernel:
-    """Closest hits of single rays against blocks of triangles, as of `wrt.kernels.study.bare_triangle_tests.make_blocks`; t is
-    checked lane by lane, by floats or by integers.
-    """
-    prepare, block_test, check = test.prepare, test.block_test(width), in_range(width, integers)
-    Lanes = lanes(width)
-
-    def distances(
-        first: int,
-        records: wp.array(dtype=float),
-        triangles: int,
-        origins: wp.array(dtype=wp.vec3),
-        origin_stride: int,
-        directions: wp.array(dtype=wp.vec3),
-        out_t: wp.array(dtype=float),
-        out_id: wp.array(dtype=int),
-    ):
-        i = first + wp.tid()
-        state = prepare(origins[i * origin_stride], directions[i])
-        best = float(wp.inf)
-        found = int(-1)
-        for block in range((triangles + wp.static(width - 1)) / wp.static(width)):
-            t = Lanes()
-            u = Lanes()
-            v = Lanes()
-            met = block_test(records, block, state, t, u, v)
-            mask = check(t, met, best)
-            while mask != wp.uint32(0):
-                lane = lowest_bit(mask)
-                mask = mask & (mask - wp.uint32(1))
-                if t[lane] < best:
-                    best = t[lane]
-                    found = block * wp.static(width) + lane
-        out_t[i] = best
-        out_id[i] = found
-
-    return specialised_kernel(distances)

@@ -64,12 +64,8 @@ def derive(corners: Corners, origin: wp.vec3):
 
 
 @wp.func
-def intersect(ray: PlainRay, flat: FlatTriangle):
-    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
-    o = turned(ray.origin, int(flat[0]))
-    d = turned(ray.direction, int(flat[0]))
-    det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
-    ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
+def weigh(flat: FlatTriangle, o: wp.vec3, d: wp.vec3, det: float, ahead: float):
+    """(t, u, v) of a turned ray, with t = ahead / det; t is NaN if the line passes beside the triangle or is parallel to it."""
     x = ahead * d[1] - det * (flat[4] - o[1])
     y = ahead * d[2] - det * (flat[5] - o[2])
     u = flat[9] * x - flat[8] * y
@@ -84,6 +80,22 @@ def intersect(ray: PlainRay, flat: FlatTriangle):
     return wp.vec3(t, u * scale, v * scale)
 
 
+@wp.func
+def intersect(ray: PlainRay, flat: FlatTriangle):
+    """One ray, one triangle: (t, u, v); t is NaN if the ray's line misses. u and v weigh the vertices b and c."""
+    o = turned(ray.origin, int(flat[0]))
+    d = turned(ray.direction, int(flat[0]))
+    det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
+    ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
+    return weigh(flat, o, d, det, ahead)
+
+
+WEIGHTS = """
+    const float x = ahead * dp - det * (ap - op), y = ahead * dq - det * (aq - oq);
+    const float du = cq * x - cp * y, dv = bp * y - bq * x, dw = det - (du + dv);
+"""
+"""The first steps of `weigh` in C++."""
+
 LANES = LaneForm(
     ray=(*ORIGIN, *DIRECTION),
     triangle=("axis", "np", "nq", "n0", "ap", "aq", "bp", "bq", "cp", "cq"),
@@ -93,8 +105,7 @@ LANES = LaneForm(
             code=f"""
                 {turned_lanes("o")}{turned_lanes("d")}
                 const float det = (dk + np * dp) + nq * dq, ahead = n0 - ((ok + np * op) + nq * oq);
-                const float x = ahead * dp - det * (ap - op), y = ahead * dq - det * (aq - oq);
-                const float du = cq * x - cp * y, dv = bp * y - bq * x, dw = det - (du + dv);
+                {WEIGHTS}
             """,
             passes="((du >= 0.0f) & (dv >= 0.0f) & (dw >= 0.0f) & (det > 0.0f))"
             " | ((du <= 0.0f) & (dv <= 0.0f) & (dw <= 0.0f) & (det < 0.0f))",

@@ -67,6 +67,7 @@ def snippets():
     device_modules()
     kept = make_all_kernels(), ray_boxes(WIDTH), [in_range(WIDTH, integers) for integers in (False, True)]
     found: dict[tuple[str, str], list[wp.Function]] = {}
+    gc.unfreeze()
     for function in gc.get_objects():
         if isinstance(function, wp.Function) and function.native_snippet is not None:
             code = inspect.unwrap(function.func).__code__

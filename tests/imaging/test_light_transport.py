@@ -255,7 +255,7 @@ def test_nested_dielectrics_by_priority():
     glass = wrt.Material("dielectric", color=1.0, index=1.6, absorption=0.4, priority=2)
     water = wrt.Material("dielectric", color=1.0, index=1.33, absorption=0.9, priority=1)
     scene = wrt.Scene([boxes((-5, -5, 0), (5, 5, 1)), boxes((-5, -5, 0.8), (5, 5, 2))])
-    options = {"lights": [wrt.Sky(1.0)], "materials": [glass, water], "depth": 40}
+    options = {"lights": [wrt.Sky(1.0)], "materials": [glass, water], "depth": 24}  # more changes no digit
     found = linear(scene, from_above(1.0), integrator="whitted", threshold=0.0, **options)
     expected = stack_radiance([1.33, 1.6], [1.0, 1.0], [0.9, 0.4])
     np.testing.assert_allclose(found, expected, rtol=2e-4)

@@ -89,7 +89,7 @@ def differentiable_hits(
     places = _transforms(scene, transforms, device) if scene.instances else None
     given = (start, toward, *(() if vertices is None else (points,)), *(() if transforms is None else (places,)))
     double = any(values.dtype in (wp.vec3d, wp.mat44d, wp.transformd) for values in given)
-    Scalar, Pair, Vector = (wp.float64, wp.vec2d, wp.vec3d) if double else (wp.float32, wp.vec2, wp.vec3)
+    Scalar, Pair, Vector = hit_gradients.result_types(double)
     outputs = [
         wp.full(count, value, dtype=dtype, device=device, requires_grad=True)
         for value, dtype in ((np.inf, Scalar), (0.0, Pair), (np.nan, Vector), (0.0, Vector))

@@ -24,10 +24,10 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.triangle import shevtsov
-from wrt.kernels.triangle.shevtsov import FlatTriangle
+from wrt.kernels.triangle.shevtsov import FlatTriangle, weigh
 from wrt.kernels.triangle.support.axis_projection import turned, turned_lanes
 from wrt.kernels.triangle.support.lane_form import LaneForm
-from wrt.kernels.triangle.support.vectors import PlainRay, miss
+from wrt.kernels.triangle.support.vectors import PlainRay
 
 exact_module(__name__)
 
@@ -42,18 +42,7 @@ def intersect(ray: PlainRay, flat: FlatTriangle):
     if flat[1] != 0.0 or flat[2] != 0.0:
         det = (d[0] + flat[1] * d[1]) + flat[2] * d[2]
         ahead = flat[3] - ((o[0] + flat[1] * o[1]) + flat[2] * o[2])
-    x = ahead * d[1] - det * (flat[4] - o[1])
-    y = ahead * d[2] - det * (flat[5] - o[2])
-    u = flat[9] * x - flat[8] * y
-    v = flat[6] * y - flat[7] * x
-    w = det - (u + v)
-    if not ((u >= 0.0 and v >= 0.0 and w >= 0.0 and det > 0.0) or (u <= 0.0 and v <= 0.0 and w <= 0.0 and det < 0.0)):
-        return miss()
-    scale = 1.0 / det
-    t = ahead * scale
-    if t - t != 0.0:
-        return miss()
-    return wp.vec3(t, u * scale, v * scale)
+    return weigh(flat, o, d, det, ahead)
 
 
 @dataclass(frozen=True)
@@ -79,8 +68,7 @@ _ALIGNED = replace(
     code=f"""
         {turned_lanes("o")}{turned_lanes("d")}
         const float det = dk, ahead = n0 - ok;
-        const float x = ahead * dp - det * (ap - op), y = ahead * dq - det * (aq - oq);
-        const float du = cq * x - cp * y, dv = bp * y - bq * x, dw = det - (du + dv);
+        {shevtsov.WEIGHTS}
     """,
 )
 ALIGNED = replace(shevtsov.LANES, steps=(_ALIGNED, _DIVISION))

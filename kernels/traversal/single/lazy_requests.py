@@ -16,11 +16,10 @@ import warp as wp
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
-from wrt.kernels.layout.unchecked import load_float, load_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
+from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import enter
-from wrt.kernels.traversal.single.single_kdtree import Cell, step_guessing
+from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cell, step_guessing
 
 exact_module(__name__)
 
@@ -57,11 +56,8 @@ def mark_unbuilt_cells(skeleton: KdNodes, ray: Ray, bound: float, max_cells: int
     searching = cell.entry <= cell.leave
     while searching:
         node = kdtree.load_node(skeleton.nodes, cell.node)
-        axis = kdtree.split_axis(node)
-        if axis != LEAF:
-            crossing = cross_plane(slabs, axis, kdtree.split_position(node))
-            crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
-            crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+        if kdtree.split_axis(node) != LEAF:
+            crossing = split_cell(slabs, node, cell)
             right = kdtree.right_child(node)
             step_guessing(crossing, cell.node + 1, right, cell, stack_node, stack_entry, stack_leave, size)
         else:
@@ -70,10 +66,7 @@ def mark_unbuilt_cells(skeleton: KdNodes, ray: Ray, bound: float, max_cells: int
                 found += 1
             searching = size > 0 and found < max_cells
             if searching:
-                size -= 1
-                cell.node = load_int(stack_node, size)
-                cell.entry = load_float(stack_entry, size)
-                cell.leave = load_float(stack_leave, size)
+                pop_cell(cell, stack_node, stack_entry, stack_leave, size)
     return found
 
 

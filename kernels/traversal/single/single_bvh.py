@@ -84,11 +84,49 @@ def begin_search(triangle_test: str) -> wp.Function:
 
 
 @cache
+def make_leaf_loop(config: TraversalConfig, Tree: type) -> wp.Function:
+    """`wp.func(tree, leaf, within, block, count, cells, search, hits, i, best, work) -> best`: tests the triangles of a leaf.
+
+    leaf: its node, or the child word that leads to it. within: closed interval of t in which ray i is in it. block, count: its
+    first block and number of triangles. cells: the ray in the space of the tree. search: of the triangles, in theirs.
+    """
+    LeafSearch, custom_leaf_step, Results = leaf_search(config.triangle_test), config.custom_leaf_step, results_of(config)
+    test_block = make_custom_leaf_step(config, Tree) if custom_leaf_step else block_step(config)
+    width, counting = config.width, config.counters
+
+    @wp.func
+    def test_blocks(
+        tree: Tree,
+        leaf: int,
+        within: wp.vec2,
+        block: int,
+        count: int,
+        cells: wp.ref[RaySlabs],
+        search: wp.ref[LeafSearch],
+        hits: wp.ref[Results],
+        i: int,
+        best: Candidate,
+        work: wp.ref[Counters],
+    ):
+        if wp.static(counting):
+            work.leaves += 1
+            work.triangles += count
+        while count > 0:
+            if wp.static(custom_leaf_step):
+                best = test_block(tree, leaf, within, search.triangles, block, search.state, search.slabs, cells, hits, i, best)
+            else:
+                best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
+            block += 1
+            count -= wp.static(width)
+        return best
+
+    return test_blocks
+
+
+@cache
 def make_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: tests the triangles of a leaf."""
-    LeafSearch, custom_leaf_step, Results = leaf_search(config.triangle_test), config.custom_leaf_step, results_of(config)
-    test_block = make_custom_leaf_step(config, WideNodes) if custom_leaf_step else block_step(config)
-    width, counting = config.width, config.counters
+    LeafSearch, Results, test_blocks = leaf_search(config.triangle_test), results_of(config), make_leaf_loop(config, WideNodes)
 
     @wp.func
     def test_leaf(
@@ -100,22 +138,10 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         best: Candidate,
         work: wp.ref[Counters],
     ):
-        count = bvh.leaf_triangles(child)
+        within = wp.vec2(search.t_min, best.t)
         block = bvh.first_block(child)
-        if wp.static(counting):
-            work.leaves += 1
-            work.triangles += count
-        while count > 0:
-            if wp.static(custom_leaf_step):
-                within = wp.vec2(search.t_min, best.t)
-                best = test_block(
-                    tree, child, within, search.triangles, block, search.state, search.slabs, search.slabs, hits, i, best
-                )
-            else:
-                best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
-            block += 1
-            count -= wp.static(width)
-        return best
+        count = bvh.leaf_triangles(child)
+        return test_blocks(tree, child, within, block, count, search.slabs, search, hits, i, best, work)
 
     return test_leaf
 

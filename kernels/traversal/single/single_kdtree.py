@@ -37,7 +37,7 @@ from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import Ray
 from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import cross_plane, ray_slabs, reach
+from wrt.kernels.simd.boxes import RaySlabs, cross_plane, ray_slabs, reach
 from wrt.kernels.traversal.leaf import Counters, block_step, enter, start
 from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
@@ -63,6 +63,15 @@ class Cell:
 
 
 @wp.func
+def split_cell(slabs: wp.ref[RaySlabs], node: wp.vec2i, cell: wp.ref[Cell]):
+    """Where a ray crosses the plane of an inner node: see `cross_plane`, clipped to the interval of the cell."""
+    crossing = cross_plane(slabs, kdtree.split_axis(node), kdtree.split_position(node))
+    crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
+    crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+    return crossing
+
+
+@wp.func
 def step_guessing(
     crossing: wp.vec3,
     left: int,
@@ -73,7 +82,7 @@ def step_guessing(
     stack_leave: wp.array(dtype=float),
     size: wp.ref[int],
 ):
-    """One step through an inner node, with branches. crossing: see `cross_plane`, clipped to the cell's interval."""
+    """One step through an inner node, with branches. crossing: of `split_cell`."""
     near = int(left)
     far = int(right)
     if crossing[0] < 0.0:
@@ -117,6 +126,21 @@ def step_selecting(
     cell.leave = wp.where(visit_near, crossing[1], cell.leave)
 
 
+@wp.func
+def pop_cell(
+    cell: wp.ref[Cell],
+    stack_node: wp.array(dtype=int),
+    stack_entry: wp.array(dtype=float),
+    stack_leave: wp.array(dtype=float),
+    size: wp.ref[int],
+):
+    """Takes the cell that was pushed last."""
+    size -= 1
+    cell.node = load_int(stack_node, size)
+    cell.entry = load_float(stack_entry, size)
+    cell.leave = load_float(stack_leave, size)
+
+
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
@@ -147,11 +171,8 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         searching = cell.entry <= cell.leave
         while searching:
             node = kdtree.load_node(tree.nodes, cell.node)
-            axis = kdtree.split_axis(node)
-            if axis != LEAF:
-                crossing = cross_plane(slabs, axis, kdtree.split_position(node))
-                crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
-                crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+            if kdtree.split_axis(node) != LEAF:
+                crossing = split_cell(slabs, node, cell)
                 children = children_of(cell.node, node)
                 step(crossing, children[0], children[1], cell, stack_node, stack_entry, stack_leave, size)
                 if wp.static(counting):
@@ -181,10 +202,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
                 if wp.static(any_hit):
                     size = wp.where(best.primitive < 0, size, 0)
                 while size > 0 and not searching:
-                    size -= 1
-                    cell.node = load_int(stack_node, size)
-                    cell.entry = load_float(stack_entry, size)
-                    cell.leave = load_float(stack_leave, size)
+                    pop_cell(cell, stack_node, stack_entry, stack_leave, size)
                     searching = cell.entry <= best.t
         return best
 

@@ -38,7 +38,7 @@ from wrt.kernels.layout.kdtree_nodes import MAX_TREE_DEPTH
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
 from wrt.kernels.layout.unchecked import load_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach
+from wrt.kernels.simd.boxes import ray_slabs, reach
 from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
 from wrt.kernels.traversal.single.key_walk import make_key_walk
 from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf
@@ -68,31 +68,27 @@ class Cluster:
     high: wp.vec3
 
 
-@wp.struct
-class FuzzyNodes:
-    """The trees of a frame."""
-
-    top: WideNodes
-    """Boxes of the clusters relative to the scene's centre; one cluster per leaf."""
-    order: wp.array(dtype=int)
-    """(leaves * width,) cluster of each leaf, at the first element of its block."""
-    clusters: wp.array(dtype=Cluster)
-    parts: WideNodes
-    """Trees of all clusters, each in its own space."""
+PARTS = {"bvh": WideNodes, "kdtree": LinkedNodes}
+"""Struct of the clusters' trees for each kind."""
 
 
-@wp.struct
-class FuzzyKdNodes:
-    """The trees of a frame, if those of clusters are kd-trees."""
+def fuzzy_nodes(kind: str) -> type:
+    """The struct of the trees of a frame; kind: of the clusters' trees, key of `PARTS`."""
 
-    top: WideNodes
-    """`top`, `order` and `clusters` as in `FuzzyNodes`."""
-    order: wp.array(dtype=int)
-    clusters: wp.array(dtype=Cluster)
-    parts: LinkedNodes
+    class FuzzyNodes:
+        top: WideNodes
+        """Boxes of the clusters relative to the scene's centre; one cluster per leaf."""
+        order: wp.array(dtype=int)
+        """(leaves * width,) cluster of each leaf, at the first element of its block."""
+        clusters: wp.array(dtype=Cluster)
+        parts: PARTS[kind]
+        """Trees of all clusters, each in its own space."""
+
+    FuzzyNodes.__qualname__ = f"FuzzyNodes_{kind}"
+    return wp.struct(FuzzyNodes)
 
 
-TREES = {"bvh": FuzzyNodes, "kdtree": FuzzyKdNodes}
+TREES = {kind: fuzzy_nodes(kind) for kind in PARTS}
 """Struct of the trees of a frame for each kind of the clusters' trees."""
 
 
@@ -119,60 +115,14 @@ def fuzzy_search(triangle_test: str, kind: str) -> type:
 
 
 @cache
-def make_bvh_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(cluster, slabs, search, hits, i, best, work) -> best`: searches the BVH of a cluster; slabs: in its space."""
-    FuzzySearch = fuzzy_search(config.triangle_test, "bvh")
-    walk_keys = make_key_walk(config, config.stack.levels, leaf_search(config.triangle_test), make_leaf(config))
-
-    @wp.func
-    def visit(
-        cluster: Cluster,
-        slabs: RaySlabs,
-        search: wp.ref[FuzzySearch],
-        hits: wp.ref[HitBatch],
-        i: int,
-        best: Candidate,
-        work: wp.ref[Counters],
-    ):
-        return walk_keys(search.tree.parts, cluster.root, slabs, search.ray.t_min, search.leaf, hits, i, best, work)
-
-    return visit
-
-
-@cache
-def make_kdtree_visit(config: TraversalConfig) -> wp.Function:
-    """The same for kd-trees."""
-    FuzzySearch, LeafSearch = fuzzy_search(config.triangle_test, "kdtree"), leaf_search(config.triangle_test)
-    walk_cells = make_cell_walk(config, MAX_TREE_DEPTH, LeafSearch, linked_kdtrees.make_leaf(config))
-
-    @wp.func
-    def visit(
-        cluster: Cluster,
-        slabs: RaySlabs,
-        search: wp.ref[FuzzySearch],
-        hits: wp.ref[HitBatch],
-        i: int,
-        best: Candidate,
-        work: wp.ref[Counters],
-    ):
-        interval = enter(slabs, cluster.low, cluster.high, search.ray.t_min, best.t)
-        first = Cell()
-        first.node = cluster.root
-        first.entry = interval[0]
-        first.leave = interval[1]
-        return walk_cells(search.tree.parts, first, slabs, search.leaf, hits, i, best, work)
-
-    return visit
-
-
-CLUSTER_VISITS = {"bvh": make_bvh_visit, "kdtree": make_kdtree_visit}
-
-
-@cache
 def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     """`wp.func(tree, child, search, hits, i, best, work) -> best`: visits a leaf of the upper tree, for `make_key_walk`."""
-    FuzzySearch, width = fuzzy_search(config.triangle_test, kind), max(config.width, 2)
-    visit_cluster = CLUSTER_VISITS[kind](config)
+    FuzzySearch, LeafSearch = fuzzy_search(config.triangle_test, kind), leaf_search(config.triangle_test)
+    width, in_boxes = max(config.width, 2), kind == "bvh"
+    if in_boxes:
+        walk_below = make_key_walk(config, config.stack.levels, LeafSearch, make_leaf(config))
+    else:
+        walk_below = make_cell_walk(config, MAX_TREE_DEPTH, LeafSearch, linked_kdtrees.make_leaf(config))
 
     @wp.func
     def visit(
@@ -186,7 +136,17 @@ def make_visit(config: TraversalConfig, kind: str) -> wp.Function:
     ):
         cluster = search.tree.clusters[load_int(search.tree.order, bvh.first_block(child) * wp.static(width))]
         slabs = cluster_slabs(cluster, search.ray, search.far)
-        return visit_cluster(cluster, slabs, search, hits, i, best, work)
+        if wp.static(in_boxes):
+            t_min = search.ray.t_min
+            best = walk_below(search.tree.parts, cluster.root, slabs, t_min, search.leaf, hits, i, best, work)
+        else:
+            interval = enter(slabs, cluster.low, cluster.high, search.ray.t_min, best.t)
+            first = Cell()
+            first.node = cluster.root
+            first.entry = interval[0]
+            first.leave = interval[1]
+            best = walk_below(search.tree.parts, first, slabs, search.leaf, hits, i, best, work)
+        return best
 
     return visit
 

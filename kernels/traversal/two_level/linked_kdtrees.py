@@ -32,13 +32,12 @@ import warp as wp
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch, Ray
-from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
+from wrt.kernels.layout.unchecked import store_float, store_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.boxes import RaySlabs, cross_plane, ray_slabs, reach, slab_interval
-from wrt.kernels.traversal.leaf import Candidate, Counters, block_step, enter, start
-from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
-from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search
-from wrt.kernels.traversal.single.single_kdtree import Cell, step_guessing, step_selecting
+from wrt.kernels.simd.boxes import RaySlabs, ray_slabs, reach, slab_interval
+from wrt.kernels.traversal.leaf import Candidate, Counters, enter, start
+from wrt.kernels.traversal.single.single_bvh import begin_search, leaf_search, make_leaf_loop
+from wrt.kernels.traversal.single.single_kdtree import Cell, pop_cell, split_cell, step_guessing, step_selecting
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -82,9 +81,7 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
 
     tree: the `KdNodes` that the leaf belongs to. node: the leaf's words. cells: the ray in the space of the cells.
     """
-    LeafSearch, custom_leaf_step = leaf_search(config.triangle_test), config.custom_leaf_step
-    test_block = make_custom_leaf_step(config, KdNodes) if custom_leaf_step else block_step(config)
-    width, counting = config.width, config.counters
+    LeafSearch, test_blocks = leaf_search(config.triangle_test), make_leaf_loop(config, KdNodes)
 
     @wp.func
     def test_leaf(
@@ -98,22 +95,10 @@ def make_leaf(config: TraversalConfig) -> wp.Function:
         best: Candidate,
         work: wp.ref[Counters],
     ):
-        count = kdtree.leaf_triangles(node)
+        within = wp.vec2(cell.entry, cell.leave)
         block = kdtree.first_block(node)
-        if wp.static(counting):
-            work.leaves += 1
-            work.triangles += count
-        while count > 0:
-            if wp.static(custom_leaf_step):
-                within = wp.vec2(cell.entry, cell.leave)
-                best = test_block(
-                    tree, cell.node, within, search.triangles, block, search.state, search.slabs, cells, hits, i, best
-                )
-            else:
-                best = test_block(search.triangles, block, search.state, search.slabs, search.t_min, best)
-            block += 1
-            count -= wp.static(width)
-        return best
+        count = kdtree.leaf_triangles(node)
+        return test_blocks(tree, cell.node, within, block, count, cells, search, hits, i, best, work)
 
     return test_leaf
 
@@ -174,11 +159,8 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
                     work.boxes += 1
             else:
                 node = kdtree.load_node(tree.nodes, cell.node)
-                axis = kdtree.split_axis(node)
-                if axis != LEAF:
-                    crossing = cross_plane(cells, axis, kdtree.split_position(node))
-                    crossing[1] = wp.where(crossing[1] < cell.leave, crossing[1], cell.leave)
-                    crossing[2] = wp.where(crossing[2] > cell.entry, crossing[2], cell.entry)
+                if kdtree.split_axis(node) != LEAF:
+                    crossing = split_cell(cells, node, cell)
                     left = cell.node + 1
                     step(crossing, left, kdtree.right_child(node), cell, stack_node, stack_entry, stack_leave, size)
                     if wp.static(counting):
@@ -191,10 +173,7 @@ def make_cell_walk(config: TraversalConfig, levels: int, Search: type, test_leaf
                         size = wp.where(best.primitive < 0, size, 0)
                     searching = bool(False)
             while size > 0 and not searching:
-                size -= 1
-                cell.node = load_int(stack_node, size)
-                cell.entry = load_float(stack_entry, size)
-                cell.leave = load_float(stack_leave, size)
+                pop_cell(cell, stack_node, stack_entry, stack_leave, size)
                 searching = cell.entry <= best.t
         return best
 

@@ -141,12 +141,16 @@ def closest(test: TestForm | ScalarTest, soup: Soup, rays: Beams, *, frustum: in
     if frustum and (frustum % width or rays.count % frustum or rays.stride):
         raise ValueError(f"{rays.count} rays do not make frusta of {frustum} in lanes of {width} from one origin")
     kernel = make_frusta(test, frustum, width) if frustum else make_blocks(test, width) if width else make_scalar(test)
-    records, device = soup.records(test.record, max(width, 1)), wp.get_device(CPU)
+    return traced(kernel, soup.records(test.record, max(width, 1)), len(soup), rays, max(frustum, 1))
+
+
+def traced(kernel: wp.Kernel, records: wp.array, triangles: int, rays: Beams, group: int = 1) -> Run:
+    """What launches a kernel of `wrt.kernels.study.bare_triangle_tests` that finds closest hits; group: rays of an item."""
     t, found = wp.empty(rays.count, dtype=float, device=CPU), wp.empty(rays.count, dtype=int, device=CPU)
-    inputs = [records, len(soup), rays.origins, rays.stride, rays.directions, t, found]
+    inputs = [records, triangles, rays.origins, rays.stride, rays.directions, t, found]
 
     def run() -> tuple[np.ndarray, np.ndarray]:
-        launch(kernel, rays.count // max(frustum, 1), inputs, device=device, chunk=1)
+        launch(kernel, rays.count // group, inputs, device=wp.get_device(CPU), chunk=1)
         return t.numpy(), found.numpy()
 
     return run

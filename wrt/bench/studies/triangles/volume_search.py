@@ -23,12 +23,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from wrt.bench.core.single_thread_timing import ratios, timed
-from wrt.bench.studies.triangles.isolated_tests import Beams, Run, Soup, closest
-from wrt.kernels.runtime.launch import launch
-from wrt.kernels.study.distance_checks import make_kernel as make_distances
+from wrt.bench.studies.triangles.isolated_tests import Beams, Run, Soup, closest, traced
+from wrt.kernels.study.bare_triangle_tests import make_blocks
+from wrt.kernels.study.distance_checks import in_range
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.lane_form import DIRECTION, ORIGIN, LaneForm, Step
 from wrt.kernels.triangle.support.triangle_contract import TestForm
@@ -161,12 +160,5 @@ def random_soup(triangles: int, rays: int) -> tuple[Soup, Beams]:
 def distances(soup: Soup, rays: Beams, integers: bool, width: int) -> Run:
     """What tests all rays against all triangles by Wald's test, t compared by floats or by integers."""
     test = TRIANGLE_TESTS["wald"]
-    kernel, records = make_distances(test, width, integers), soup.records(test.record, width)
-    t, found = wp.empty(rays.count, dtype=float, device="cpu"), wp.empty(rays.count, dtype=int, device="cpu")
-    inputs = [records, len(soup), rays.origins, rays.stride, rays.directions, t, found]
-
-    def run() -> tuple[np.ndarray, np.ndarray]:
-        launch(kernel, rays.count, inputs, device=wp.get_device("cpu"), chunk=1)
-        return t.numpy(), found.numpy()
-
-    return run
+    kernel = make_blocks(test, width, in_range(width, integers))
+    return traced(kernel, soup.records(test.record, width), len(soup), rays)
