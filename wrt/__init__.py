@@ -88,6 +88,7 @@ _HOME = {
     "differentiable_hits": "wrt.query.gradients",
     "directional_shadow_rays": "wrt.known_rays.ray_casters",
     "get_num_threads": "wrt.kernels.runtime.launch",
+    "nested_meshes": "wrt.meshes.node_graph",
     "point_shadow_rays": "wrt.known_rays.ray_casters",
     "render": "wrt.imaging.integrators.rendering_call",
     "save_image": "wrt.imaging.image_files",

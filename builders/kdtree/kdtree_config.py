@@ -35,11 +35,12 @@ EMPTY_SPACE = {
 }
 """How empty space is cut off, by name. All but the first are in addition to it."""
 
-GRID, MESHES, PREVIOUS = "grid", "meshes", "previous"
+GRID, MESHES, PREVIOUS, GROUPS = "grid", "meshes", "previous", "groups"
 HIERARCHIES = {
     GRID: "triangles are sorted into the cells of a grid",
     MESHES: "the meshes of the scene and their boxes, as long as these divide it; else as grid",
     PREVIOUS: "the clusters of the previous frame, as long as they have not grown too much; in the first frame as grid",
+    GROUPS: "groups of groups of meshes and their boxes, opened where rays go, as long as these divide the scene; else as grid",
 }
 """The hierarchy of boxes from which a lazy tree is built, by name."""
 

@@ -33,6 +33,7 @@ from wrt.kernels.study.pichler_2018 import STUDIED
 from wrt.kernels.study.pruning_counts import make_kernel as make_counting_kernel
 from wrt.kernels.study.replayed_tests import make_kernel as make_replay_kernel
 from wrt.kernels.study.replayed_tests import make_lists
+from wrt.kernels.study.variants.watertight_pruning import PRUNED
 from wrt.kernels.study.walk_orders import make_kernel as make_walk_kernel
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.fan_brute_force import NORMALS, VERTICES
@@ -232,13 +233,14 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_exit_kernel(PUBLISHED["moeller"]),
         lambda: make_exit_kernel(PUBLISHED["projection"]),
         lambda: make_scalar(DAMMERTZ_KELLER),
+        lambda: make_blocks(PRUNED, 2),
         lambda: make_replay_kernel(STUDIED["sphere_parametric"], True),
         lambda: make_lists(9),
         lambda: make_walk_kernel("sorted", 2, TRIANGLE_TESTS["woop"], True),
     ],
     ids=[
         *("fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"),
-        *("subdivision", "replay", "lists", "walk"),
+        *("subdivision", "pruned_blocks", "replay", "lists", "walk"),
     ],
 )
 def test_for_measurements(make, tmp_path):

@@ -8,6 +8,7 @@ every one must be in a leaf.
 from __future__ import annotations
 
 import dataclasses
+from functools import reduce
 
 import numpy as np
 import warp as wp
@@ -129,15 +130,18 @@ def run_case(case: Case) -> str:
 
 
 def build(accelerator: Accelerator, boxes: TriangleBoxes) -> Bvh | KdTree:
-    """The tree; a lazy one from a hierarchy if it is to have one: three ranges of triangles as meshes, or its own clusters."""
+    """The tree; a lazy one from a hierarchy if it is to have one: ranges of triangles as meshes, one of them in a group of its
+    own and the rest below it, and so on; or its own clusters."""
     hierarchy = getattr(accelerator, "hierarchy", "grid")
     if hierarchy == "grid":
         return accelerator.build(boxes, 8)
     meshes = previous = None
-    if hierarchy == "meshes":
-        first = np.unique(np.linspace(0, boxes.count, 4).astype(int))
+    if hierarchy in ("meshes", "groups"):
+        first = np.unique(np.linspace(0, boxes.count, 4 if hierarchy == "meshes" else 8).astype(int))
         corners = (boxes.boxes.low.numpy(), np.minimum), (boxes.boxes.high.numpy(), np.maximum)
-        meshes = MeshBoxes(first, *(extreme.reduceat(corner, first[:-1], axis=1).T for corner, extreme in corners))
+        nested = reduce(lambda below, number: (below, number), range(1, len(first) - 1), 0)
+        low, high = (extreme.reduceat(corner, first[:-1], axis=1).T for corner, extreme in corners)
+        meshes = MeshBoxes(first, low, high, nested)
     else:
         previous = accelerator.start(boxes, 8, wp.get_device("cpu"))
     return accelerator.start(boxes, 8, wp.get_device("cpu"), meshes, previous).finish()

@@ -14,7 +14,7 @@ import wrt
 from wrt.builders.convert.kdtree_links import link_kdtrees
 from wrt.kernels.traversal.traversal_config import StackConfig, TraversalConfig
 from wrt.kernels.traversal.two_level.linked_kdtrees import make_kernel
-from wrt.scene.moving.group_trees import hierarchy_of, nested
+from wrt.meshes.placement import hierarchy_of, nested
 
 BALL = wrt.TriangleMesh.from_trimesh(trimesh.creation.icosphere(2))
 FEW = wrt.TriangleMesh(np.eye(3), [[0, 1, 2]])

@@ -133,3 +133,19 @@ def test_scenes_without_a_graph():
             scene.move({"arm": np.eye(4)})
         with pytest.raises(ValueError, match="no graph"):
             scene.node_transform("arm")
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_a_mesh_on_the_base_frame(below):
+    """It hangs on no node that could move. It was once a KeyError."""
+    graph = trimesh.Scene()
+    if below:
+        graph.add_geometry(trimesh.creation.icosphere(1), node_name="ball", transform=turn(0.3, (0, 1, 0), (5, 0, 0)))
+    graph.geometry["block"] = trimesh.creation.box((1, 1, 1))
+    graph.graph.transforms.node_data[graph.graph.base_frame]["geometry"] = "block"
+    scene = wrt.Scene(graph, device="cpu")
+    assert scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0]).t == 8.5
+    assert [mesh.triangle_count for mesh in wrt.nested_meshes(graph)] == ([12, 80] if below else [12])
+    if below:
+        scene.move({"ball": np.eye(4)})
+        assert scene.intersect([0.0, 0.0, 9.0], [0.0, 0.0, -1.0]).t < 8.5

@@ -55,9 +55,9 @@ class KdTree:
             `naive`, `adaptive_sampling` and the builders of medians support "early" and "both".
         layout: key in `wrt.builders.convert.node_layouts.LAYOUTS`: the order of nodes in memory that the traversal "single"
             walks for closest and any hits, in a copy beside the builder's own, which is depth first. Saved with a scene.
-        hierarchy: "grid", "meshes" or "previous": from what the builder `lazy` starts: from triangles sorted into a grid, from
-            the boxes of the scene's meshes, or, in updates, from the clusters of the previous frame. The other builders take
-            "grid" only.
+        hierarchy: "grid", "meshes", "previous" or "groups": from what the builder `lazy` starts: from triangles sorted into a
+            grid, from the boxes of the scene's meshes, in updates from the clusters of the previous frame, or from the boxes of
+            nested sequences of meshes (`wrt.nested_meshes`), opened where rays go. The other builders take "grid" only.
 
     Raises:
         ValueError: an unknown builder, axis or other name, a value out of its range, or a builder that does not support an
@@ -159,6 +159,11 @@ class KdTree:
         config = self.config_for(triangles, width)
         tree = finish(KDTREE_BUILDERS[self.builder].build(triangles, config), triangles, config)
         return with_layout(tree, self.layout)
+
+    @property
+    def takes_groups(self) -> bool:
+        """Whether the tree is built from how meshes are nested (`hierarchy`)."""
+        return self.hierarchy == "groups"
 
     @property
     def is_lazy(self) -> bool:

@@ -44,7 +44,7 @@ PAPERS: dict[str, dict[str, str]] = {
     "hierarchies of lazy trees": {
         "grid": "after Shevtsov, Soupikov, Kapustin (2007)",
         **dict.fromkeys(
-            ("meshes", "previous"),
+            ("meshes", "previous", "groups"),
             "Hunt, Mark, Fussell: Fast and lazy build of acceleration structures from scene hierarchies (2007)",
         ),
     },
@@ -142,6 +142,7 @@ OTHERS: dict[str, dict[str, str]] = {
         "wald_table": "Wald (2004): axes by a table",
         "wald_modulo": "Wald (2004): axes by division",
         "wald_shifts": "Wächter: Realtime ray tracing (2004): axes by shifts",
+        "watertight_prune3": "after Ferko and Ferko: Pichler (2018); Woop, Benthin, Wald (2013)",
         "coupled_trees": "Cadet, Lécussan: Coupled use of BSP and BVH trees in order to exploit ray bundle performance (2007)",
     },
     "around a hit": {

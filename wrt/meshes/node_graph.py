@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from wrt.meshes.instance import check_transform
 from wrt.meshes.placement import members_of
+
+if TYPE_CHECKING:
+    import trimesh
 
 NOWHERE = -1
 """Parent of a node that stands in the scene itself, and node of an instance that hangs on none."""
@@ -52,7 +55,7 @@ class NodeGraph:
             place = {name: len(names) + number for number, name in enumerate(own.names)}
             names += own.names
             local += list(own.local)
-            node_of += [place[node] for node in graph_nodes(member)]
+            node_of += [place.get(node, NOWHERE) for node in graph_nodes(member)]  # a mesh may hang on the base frame itself
         if not names:
             return None
         return cls(tuple(names), np.array(parents), np.array(local), np.array(node_of))
@@ -129,3 +132,42 @@ class NodeGraph:
     def for_instances(self, kept: Sequence[int], added: int = 0) -> NodeGraph:
         """The same nodes for other instances: some of those that were there, then so many that hang on no node."""
         return replace(self, node_of=np.concatenate([self.node_of[list(kept)], np.full(added, NOWHERE)]))
+
+
+def nested_meshes(scene: trimesh.Scene) -> list[Any]:
+    """The meshes of a trimesh.Scene in the scene's space, nested as its graph: a list for each node that holds several.
+
+        scene = wrt.Scene(wrt.nested_meshes(trimesh.load("town.glb")), wrt.KdTree(builder="lazy", hierarchy="groups"))
+
+    For scenes of one level, in which every mesh is a geometry of its own: `wrt.Scene`, `wrt.GroupedScene`. Passed as it is, a
+    trimesh.Scene is one of two levels, in which nodes move and meshes are shared.
+
+    Args:
+        scene: point clouds and paths in it are left out, and so are nodes that hold no mesh.
+
+    Returns:
+        `wrt.TriangleMesh`, with materials as of `from_trimesh`, and lists of such; a node's own mesh precedes what hangs on it.
+
+    Raises:
+        TypeError: it is no trimesh.Scene.
+        ValueError: no triangles, or bad geometry as in `wrt.TriangleMesh`.
+    """
+    from wrt.meshes.instance import graph_instances, is_graph
+    from wrt.meshes.mesh import TriangleMesh
+
+    if not is_graph(scene):
+        raise TypeError(f"scene must be a trimesh.Scene, not {type(scene).__name__}; pass meshes to wrt.Scene as they are")
+    graph, instances = NodeGraph.of_geometry(scene), graph_instances(scene)
+    known = {id(instance.mesh): TriangleMesh.from_trimesh(instance.mesh) for instance in instances}
+    top: list[Any] = []
+    held: list[list[Any]] = [] if graph is None else [[] for _ in graph.names]
+    nodes = [NOWHERE] * len(instances) if graph is None else graph.node_of.tolist()
+    for instance, node in zip(instances, nodes, strict=True):
+        (top if node == NOWHERE else held[node]).append(known[id(instance.mesh)].transformed(instance.transform))
+    own, of_base = [len(meshes) for meshes in held], len(top)
+    for node in reversed(range(len(held))):  # members before their groups
+        if held[node]:
+            parent = graph.parents[node]
+            above, place = (top, of_base) if parent == NOWHERE else (held[parent], own[parent])
+            above.insert(place, held[node][0] if len(held[node]) == 1 else held[node])
+    return top

@@ -176,6 +176,26 @@ def members_of(geometry: Any, above: tuple[int, ...] = ()) -> list[Any]:
     return [member for item in geometry for member in members_of(item, above)]
 
 
+def hierarchy_of(geometry: Any) -> Any:
+    """The nested sequences of a geometry with numbers in place of meshes. A sequence of one is its member."""
+    count = 0
+
+    def walk(item: Any) -> Any:
+        nonlocal count
+        if not isinstance(item, Sequence) or isinstance(item, (str, bytes)):
+            count += 1
+            return count - 1
+        below = tuple(part for part in map(walk, item) if part != ())
+        return below[0] if len(below) == 1 else below
+
+    return walk(geometry)
+
+
+def nested(hierarchy: Any, meshes: Sequence[Any]) -> Any:
+    """The geometry of a hierarchy: meshes in place of numbers."""
+    return [nested(part, meshes) for part in hierarchy] if isinstance(hierarchy, tuple) else meshes[hierarchy]
+
+
 def as_meshes(geometry: Any) -> tuple[TriangleMesh, ...]:
     """The meshes that a scene was given, in order.
 

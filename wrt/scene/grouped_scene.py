@@ -36,9 +36,9 @@ import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.launch import run_tasks, use_threads
-from wrt.meshes.placement import as_meshes, check_index, moved_mesh, place_meshes
+from wrt.meshes.placement import as_meshes, check_index, moved_mesh, nested, place_meshes
 from wrt.scene.mesh_state import MeshState
-from wrt.scene.moving.group_trees import TREE, GroupLayout, nested
+from wrt.scene.moving.group_trees import TREE, GroupLayout
 from wrt.scene.scene import Scene
 from wrt.scene.updates import MovedTriangles, UpdatePolicy, UpdateReport, as_policy, can_move, move_tree, typical_motion
 from wrt.state.query_kinds import AUTO

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
-from wrt.accelerators.tree_descriptions import Bvh
+from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.builders.bvh import few_triangles
 from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.execution.expected_kernels import expect_build
@@ -17,7 +17,7 @@ from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.simd.lanes import native_width
 from wrt.memory import memory_for
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import check_index, lay_out_few, moved_mesh, place_meshes
+from wrt.meshes.placement import as_meshes, check_index, hierarchy_of, lay_out_few, moved_mesh, nested, place_meshes
 from wrt.scene.storage import find_tree
 from wrt.scene.updates import MovedTriangles, TreeRecipe, UpdatePolicy, can_move, move_tree, typical_motion
 from wrt.state.query_cache import QueryCache
@@ -41,11 +41,18 @@ class MeshState(SceneState):
 
     Attributes:
         last_update: what the last update did to the tree; None if there was none, or trees of this kind are always built again.
+        hierarchy: how the meshes are nested (`wrt.meshes.placement.hierarchy_of`), if their tree is built from that; else None.
     """
 
     is_plain: ClassVar[bool] = True
 
     last_update: UpdateReport | None = None
+    hierarchy: Any = None
+
+    @property
+    def geometry(self) -> Any:
+        """What the scene was made of."""
+        return self.meshes if self.hierarchy is None else nested(self.hierarchy, self.meshes)
 
     def updated(
         self,
@@ -70,7 +77,8 @@ class MeshState(SceneState):
         meshes = tuple(changed.get(number, mesh) for number, mesh in enumerate(self.meshes))
         with use_threads(self.num_threads):
             if not can_move(self.accelerator):
-                return replace(build_state(meshes, self.settings, None, self.lazy_tree), mark=self.mark)
+                state = build_state(meshes, self.settings, None, self.lazy_tree, self.hierarchy)
+                return replace(state, mark=self.mark)
             with memory_for_tree(meshes):
                 placed = place_meshes(meshes, self.device)
                 shift = self.center - placed.center + typical_motion(self.meshes, meshes)
@@ -91,8 +99,11 @@ def build_state(
     settings: Settings,
     cache: str | Path | TreeSource | None,
     previous: LazyKdTree | None = None,
+    hierarchy: Any = None,
 ) -> MeshState:
-    """The state of a scene of meshes: their tree is found in `cache`, or built; previous: the lazy tree of the last frame.
+    """The state of a scene of meshes: their tree is found in `cache`, or built.
+
+    previous: the lazy tree of the last frame. hierarchy: as of `MeshState`.
 
     Raises:
         ValueError, MemoryError, OSError: as `wrt.Scene`.
@@ -106,7 +117,9 @@ def build_state(
         placed = place_meshes(meshes, settings.device)
         # Subtrees are built by one thread each, which suits cores: the tree is built on the CPU and copied.
         boxes = triangle_boxes(placed.vertices, placed.faces, placed.center, placed.bounds)
-        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache, boxes_of_meshes(meshes, placed), previous)
+        clusters = settings.accelerator.kind == "kdtree"  # a BVH needs none, and no module of kd-trees
+        own = boxes_of_meshes(meshes, placed, hierarchy) if clusters else None
+        tree, lazy_tree = find_tree(recipe_of(settings), boxes, placed, cache, own, previous)
     state = MeshState(
         settings=settings,
         meshes=meshes,
@@ -114,6 +127,7 @@ def build_state(
         built_tree=tree,
         device_mesh=placed.fill_in(tree.low, tree.high),
         lazy_tree=lazy_tree,
+        hierarchy=hierarchy,
     )
     if not isinstance(settings.accelerator, RayAwareBvh):
         return state
@@ -122,12 +136,19 @@ def build_state(
     return replace(state, area_trees=build_area_trees(state, boxes))
 
 
-def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes) -> MeshBoxes:
+def state_of_meshes(geometry: Any, settings: Settings, cache: str | Path | TreeSource | None) -> MeshState:
+    """The state of a scene of one level, of what `wrt.Scene` was given; arguments and errors as there."""
+    tree = settings.accelerator
+    nests = type(tree) is KdTree and tree.takes_groups
+    return build_state(as_meshes(geometry), settings, cache, hierarchy=hierarchy_of(geometry) if nests else None)
+
+
+def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes, hierarchy: Any) -> MeshBoxes:
     """The box of each mesh relative to the scene's centre, rounded as its vertices, which keeps their order."""
     from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes
 
     corners = (np.array([mesh.bounds for mesh in meshes]) - placed.center).astype(np.float32)
-    return MeshBoxes(placed.first, corners[:, 0], corners[:, 1])
+    return MeshBoxes(placed.first, corners[:, 0], corners[:, 1], hierarchy)
 
 
 def builds_few(meshes: tuple[TriangleMesh, ...], settings: Settings) -> bool:

@@ -15,10 +15,9 @@ from wrt.kernels.query.hit_attributes import SceneMesh
 from wrt.kernels.runtime.launch import check_num_threads, use_threads
 from wrt.meshes.instance import Instance, has_instances
 from wrt.meshes.mesh import TriangleMesh
-from wrt.meshes.placement import as_meshes
 from wrt.query.api import Queries
 from wrt.scene.instanced_state import build_instanced_state
-from wrt.scene.mesh_state import build_state
+from wrt.scene.mesh_state import state_of_meshes
 from wrt.scene.updates import UpdatePolicy, as_policy
 from wrt.state.query_kinds import AUTO
 from wrt.state.scene_settings import as_settings
@@ -82,7 +81,7 @@ class Scene(Queries, Members):
             if has_instances(geometry):
                 self.state = build_instanced_state(geometry, settings, cache)
             else:
-                self.state = build_state(as_meshes(geometry), settings, cache)
+                self.state = state_of_meshes(geometry, settings, cache)
 
     @classmethod
     def of_state(cls, state: SceneState) -> Scene:

@@ -383,7 +383,7 @@ def pack_scene(scene: SceneState) -> tuple[Any, ...]:
         "num_threads": scene.num_threads,
     }
     if scene.instances or not is_storable(scene.accelerator):
-        return scene.instances or scene.meshes, options, scene.mark, None, getattr(scene, "graph", None)
+        return scene.geometry, options, scene.mark, None, getattr(scene, "graph", None)
     return scene.meshes, options, scene.mark, PackedTree(key_of(scene), pack_tree(scene.tree))
 
 

@@ -96,6 +96,11 @@ class SceneState:
         return self.built_tree if self.lazy_tree is None else self.lazy_tree.current.tree
 
     @property
+    def geometry(self) -> Any:
+        """What the scene was made of."""
+        return self.instances or self.meshes
+
+    @property
     def triangle_count(self) -> int:
         """Number of triangles of all meshes."""
         return self.device_mesh.faces.shape[0]

@@ -11,6 +11,8 @@ import numpy as np
 import warp as wp
 
 from wrt.builders.kdtree.phases.kdtree_subtrees import Frame
+from wrt.builders.kdtree.scan.reference_chunks import LiveRange
+from wrt.builders.kdtree.scan.reference_levels import TopLevels
 from wrt.builders.kdtree.scan.reference_lists import HEAD
 from wrt.builders.triangle_boxes import Boxes
 from wrt.builders.triangle_references import ID_OFFSET
@@ -123,3 +125,27 @@ def list_triangles(boxes: Boxes, order: wp.array, pairs: np.ndarray) -> tuple[wp
     ids = wp.empty(int(numbers.sum()), dtype=int, device=device)
     launch(fill_pairs, count, [boxes, order, wp.array(pairs, dtype=Pair, device=device), ids], device=device, chunk=16)
     return ids, numbers
+
+
+def as_roots(boxes: Boxes, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
+    """Cells as roots of subtrees, with their references.
+
+    Args:
+        boxes: of all triangles.
+        cells: (cells,) `wrt.builders.kdtree.lazy.lazy_kdtree.CELL`.
+        ids: triangles, cell after cell.
+        first, sizes: (cells,) start and number of each cell's triangles.
+    """
+    roots = np.zeros(len(cells), dtype=LiveRange.numpy_dtype())
+    frame = roots["frame"]
+    for name in ("low", "high", "depth"):
+        frame[name] = cells[name]
+    frame["path"]["growth"] = cells["growth"]
+    frame["parent"] = -1
+    frame["triangles"] = frame["count"][:, 0] = sizes
+    frame["first"][:, 0] = first
+    references = wp.empty(8 * len(ids), dtype=float, device=ids.device)
+    frames = wp.array(frame, dtype=Frame, device=ids.device)
+    launch(list_references, len(cells), [boxes, ids, references, frames], device=ids.device, chunk=1)
+    roots["frame"] = frames.numpy()
+    return TopLevels([roots], references)

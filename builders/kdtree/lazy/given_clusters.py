@@ -2,8 +2,7 @@
 
 **Meshes.** The triangles of a mesh have consecutive ids, and its box is known, so the scene itself is a list of clusters. The
 top of the tree is built over the meshes' boxes in O(meshes), without reading a triangle. A mesh that a ray reaches is sorted
-then, unless it is small. The meshes may be the nodes of a scene graph. Its inner nodes are not needed: they would only save the
-sort of the boxes.
+then, unless it is small. The meshes may be in groups, which are then nodes of their own (`scene_groups`).
 
 **Previous frame.** Triangles that move keep most of their neighbours. The order of the last frame's clusters is kept, and one
 pass over the triangles computes their new boxes. When the clusters have grown too much, they are sorted anew
@@ -15,6 +14,7 @@ References:
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -38,11 +38,19 @@ class MeshBoxes:
     Attributes:
         first: (meshes + 1,) the first triangle of each mesh, and the number of all triangles.
         low, high: (meshes, 3) float32, the box of each mesh's triangles, relative to the same point as they are.
+        hierarchy: how they are nested: the number of a mesh, or a tuple of hierarchies, in the order of the meshes; None if
+            they are not, or if it does not matter.
     """
 
     first: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    hierarchy: Any = None
+
+
+def widened(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The next larger boxes in float32, which contain what is in the faces of the others."""
+    return np.nextafter(low, -np.float32(np.inf)), np.nextafter(high, np.float32(np.inf))
 
 
 def mesh_clusters(meshes: MeshBoxes, device: wp.Device) -> Clusters | None:
@@ -51,8 +59,7 @@ def mesh_clusters(meshes: MeshBoxes, device: wp.Device) -> Clusters | None:
     used = np.flatnonzero(sizes)
     if len(used) < 2:
         return None
-    low = np.nextafter(meshes.low[used], -np.float32(np.inf))
-    high = np.nextafter(meshes.high[used], np.float32(np.inf))
+    low, high = widened(meshes.low[used], meshes.high[used])
     count = int(meshes.first[-1])
     order = wp.array(np.arange(count, dtype=np.int32), dtype=int, device=device)
     first = np.append(np.asarray(meshes.first, dtype=np.int64)[used], count)
@@ -103,7 +110,7 @@ def moved_clusters(old: Clusters, triangles: TriangleBoxes) -> Clusters | None:
     starts = wp.array(old.first, dtype=int, device=device)
     launch(measure_clusters, len(old.low), [triangles.boxes, old.order, starts, corners], device=device, chunk=16)
     low, high, core_low, core_high = corners.numpy().reshape(-1, 4, 3).transpose(1, 0, 2)
-    low, high = np.nextafter(low, -np.float32(np.inf)), np.nextafter(-high, np.float32(np.inf))
+    low, high = widened(low, -high)
     sorted_area = old.sorted_area or relative_area(old.low, old.high)
     if not relative_area(low, high) <= MAX_GROWN_AREA * sorted_area:
         return None

@@ -10,6 +10,11 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
+EMPTY = (0, 3)
+"""An empty leaf."""
+
+EMPTY_LEAF = wp.constant(wp.vec2i(*EMPTY))
+
 
 @wp.kernel
 def move_nodes(first: int, nodes: wp.array(dtype=wp.vec2i), shift: wp.array(dtype=int), enlarged: wp.array(dtype=wp.vec2i)):
@@ -42,3 +47,29 @@ def insert_gaps(nodes: wp.array, leaves: np.ndarray, sizes: np.ndarray) -> tuple
     enlarged = wp.empty(count + int(growth.sum()), dtype=wp.vec2i, device=device)
     launch(move_nodes, count, [nodes, wp.array(shift, dtype=int, device=device), enlarged], device=device, chunk=4096)
     return enlarged, shift
+
+
+@wp.kernel
+def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
+    """One item. Turns parts of the skeleton that are completely built into empty leaves. Their nodes remain, unreachable."""
+    for i in range(skeleton.shape[0]):
+        index = skeleton.shape[0] - 1 - i  # children before their parents
+        node = skeleton[index]
+        if kdtree.split_axis(node) == kdtree.LEAF:
+            continue
+        if skeleton[index + 1] == EMPTY_LEAF and skeleton[kdtree.right_child(node)] == EMPTY_LEAF:
+            skeleton[index] = EMPTY_LEAF
+
+
+def unbuilt_leaves(numbers: np.ndarray) -> np.ndarray:
+    """Leaves of the skeleton for cells that are not built."""
+    return np.stack([numbers, np.full_like(numbers, 1 << 2 | kdtree.LEAF)], axis=1).astype(np.int32)
+
+
+def joined(a: wp.array, b: wp.array) -> wp.array:
+    """The concatenation of two arrays."""
+    result = wp.empty(len(a) + len(b), dtype=a.dtype, device=a.device)
+    for part, to in ((a, 0), (b, len(a))):
+        if len(part):
+            wp.copy(result, part, dest_offset=to)
+    return result

@@ -5,7 +5,8 @@ than tracing the rays.
 
 **Algorithm.** A scanning build can build a part of a tree without reading the rest. It need not start from triangles: the nodes
 of an existing hierarchy can represent them: the meshes of the scene, or the clusters of the previous frame (`given_clusters`,
-`KdTreeConfig.hierarchy`). Without one the presort is a grid (`triangle_clusters`), two passes over the triangles.
+`KdTreeConfig.hierarchy`), or groups of groups of meshes, which are opened one after the other (`scene_groups`). Without one the
+presort is a grid (`triangle_clusters`), two passes over the triangles.
 The binned builder (`binned`) builds the top of the tree from the clusters' boxes. It ends in *cells*: leaves with a list of
 clusters, which are not built yet. When rays request cells, their triangles are found among those of their clusters
 (`cell_lists`). The subtrees of all requested cells are built in one batch on all threads (`kdtree_subtrees`), and inserted into
@@ -16,8 +17,9 @@ a small detailed object in a large scene is one cell until a ray reaches it.
 (`wrt.kernels.traversal.single.lazy_requests`). The tree that is traced has the same planes and the subtrees built so far. Cells
 that are not built are empty leaves, so that every traversal works unchanged.
 
-**Complexity.** O(N) for the presort, once; with the meshes of a scene, O(meshes). Then O(v log v) for v triangles in cells that
-are reached. The boxes of all triangles, a pass of their own, are an input of every builder.
+**Complexity.** O(N) for the presort, once; with the meshes of a scene, O(meshes log meshes); with groups, O(nodes), for their
+boxes. Then O(v log v) for v triangles in cells that are reached. The boxes of all triangles, a pass of their own, are an input
+of every builder.
 
 **What we changed.** The paper's tracer stops at a node that is not built, builds it and resumes. Warp kernels cannot stop. Here
 rays are traced through the parts that are built, and record the cells that they reach before their hit. When these cells have
@@ -43,17 +45,17 @@ import warp as wp
 
 from wrt.builders.cost import SurfaceAreaCost
 from wrt.builders.kdtree import binned
-from wrt.builders.kdtree.kdtree_config import MESHES, PREVIOUS, KdTreeConfig
+from wrt.builders.kdtree.kdtree_config import GROUPS, MESHES, PREVIOUS, KdTreeConfig
 from wrt.builders.kdtree.kdtree_statistics import unpack
-from wrt.builders.kdtree.lazy.cell_lists import Pair, list_references, list_triangles
+from wrt.builders.kdtree.lazy.cell_lists import Pair, as_roots, list_references, list_triangles
 from wrt.builders.kdtree.lazy.given_clusters import MeshBoxes, mesh_clusters, moved_clusters
-from wrt.builders.kdtree.lazy.kdtree_grafting import insert_gaps, move_nodes
+from wrt.builders.kdtree.lazy.kdtree_grafting import EMPTY, close_finished, insert_gaps, joined, move_nodes, unbuilt_leaves
+from wrt.builders.kdtree.lazy.scene_groups import OPENED, SceneGroups
 from wrt.builders.kdtree.lazy.triangle_clusters import Clusters, count_cells, leaves_of, sort_into_clusters
 from wrt.builders.kdtree.phases.assembly import copy_subtrees
-from wrt.builders.kdtree.phases.kdtree_subtrees import Frame, build_tasks, make_build_subtrees
+from wrt.builders.kdtree.phases.kdtree_subtrees import build_tasks, make_build_subtrees
 from wrt.builders.kdtree.scan.exact_planes import values_for
-from wrt.builders.kdtree.scan.reference_chunks import LiveRange
-from wrt.builders.kdtree.scan.reference_levels import LevelRules, TopLevels
+from wrt.builders.kdtree.scan.reference_levels import LevelRules
 from wrt.builders.kdtree.scan.scanning import Scan, make_tasks
 from wrt.builders.tree import MAX_GROWTH, KdTree, Phases, StopLimits, StopRules
 from wrt.builders.triangle_boxes import Boxes, TriangleBoxes
@@ -104,11 +106,6 @@ CELL = np.dtype(
 """A cell: its box; its depth; the growth of references on its path (`PathState.growth`); the number of its clusters and their
 start in the list of all cells' clusters; its indices in the tree and in the skeleton."""
 
-EMPTY = (0, 3)
-"""An empty leaf."""
-
-EMPTY_LEAF = wp.constant(wp.vec2i(*EMPTY))
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -142,13 +139,24 @@ class LazyKdTree:
         config: cost model and stop rules.
         device: device on which the tree is traced.
         given: clusters of all triangles; None if they are to be sorted.
+        groups: the nodes of the scene, from which cells are divided first; None if there are none.
     """
 
     def __init__(
-        self, triangles: TriangleBoxes, config: KdTreeConfig, device: wp.Device, given: Clusters | None = None
+        self,
+        triangles: TriangleBoxes,
+        config: KdTreeConfig,
+        device: wp.Device,
+        given: Clusters | None = None,
+        groups: SceneGroups | None = None,
     ) -> None:
         self.presort = given
         """The clusters of the root, if it is divided."""
+        self.groups = groups
+        self.opened: set[int] = set()
+        """The groups that were opened."""
+        self.sorted_triangles = 0
+        """Length of all sorts together."""
         self.triangles, self.config, self.device = triangles, config, device
         self.build_device = triangles.boxes.low.device
         self.phase = Phases(self.build_device)
@@ -158,6 +166,8 @@ class LazyKdTree:
         """Triangle ids, cluster after cluster."""
         self.clusters = np.zeros((0, 2), dtype=np.int64)
         """Start and end of each cluster in `order`."""
+        self.nodes_of = np.zeros(0, dtype=np.int64)
+        """Node of the scene that each cluster is; -1 for none."""
         self.listed = np.zeros(0, dtype=np.int64)
         """Clusters of the cells, cell after cell."""
         self.cells = np.zeros(1, dtype=CELL)
@@ -176,17 +186,25 @@ class LazyKdTree:
             numbers = numbers[self.cells["unbuilt"][numbers]]
             if len(numbers) == 0:
                 return
-            with self.phase("lists"):
-                ids, first, sizes = self._list_triangles(numbers)
-            small = sizes <= max(LARGE, self.config.stop.leaf_triangles)
-            for i in np.flatnonzero(~small):
-                with self.phase("top levels"):
-                    small[i] = not self._divide(numbers[i], ids[int(first[i]) : int(first[i] + sizes[i])])
-            if small.any():
-                with self.phase("subtrees"):
-                    self._build(numbers[small], ids, first[small], sizes[small])
+            if self.groups is not None:
+                with self.phase("groups"):
+                    numbers = numbers[[not self._divide_by_groups(number) for number in numbers]]
+            if len(numbers):
+                self._build_triangles(numbers)
             launch(close_finished, 1, [self.skeleton], device=self.build_device)
             self.current = self._snapshot()
+
+    def _build_triangles(self, numbers: np.ndarray) -> None:
+        """Builds cells from their triangles, or divides large ones by these."""
+        with self.phase("lists"):
+            ids, first, sizes = self._list_triangles(numbers)
+        small = sizes <= max(LARGE, self.config.stop.leaf_triangles)
+        for i in np.flatnonzero(~small):
+            with self.phase("top levels"):
+                small[i] = not self._divide(numbers[i], ids[int(first[i]) : int(first[i] + sizes[i])])
+        if small.any():
+            with self.phase("subtrees"):
+                self._build(numbers[small], ids, first[small], sizes[small])
 
     def finish(self) -> KdTree:
         """Builds all remaining cells, and returns the whole tree."""
@@ -219,6 +237,25 @@ class LazyKdTree:
         sizes = np.bincount(owner, found, len(cells)).astype(np.int64)
         return ids, np.cumsum(sizes) - sizes, sizes
 
+    def _divide_by_groups(self, number: int) -> bool:
+        """Divides a cell by the members of its groups; False if it holds few triangles, or if these do not divide it."""
+        groups, cell = self.groups, self.cells[number].copy()
+        listed = self.listed[cell["clusters_first"] :][: cell["clusters"]]
+        nodes = self.nodes_of[listed] if number else np.array([groups.root])
+        if len(nodes) and nodes[0] < 0:
+            return False
+        few, clusters = max(LARGE, self.config.stop.leaf_triangles), None
+        while groups.count(nodes) > few and nodes[-1] >= groups.meshes:  # meshes come first
+            nodes, opened = groups.opened(nodes, cell["low"], cell["high"], max(OPENED, 2 * len(nodes)))
+            self.opened.update(opened)
+            clusters = groups.clusters(nodes, cell["low"], cell["high"])
+            if len(nodes) and self._divide_by(number, clusters, MESH_DUPLICATION):
+                return True
+        if number and clusters is not None:
+            self.cells["clusters"][number], self.cells["clusters_first"][number] = len(nodes), len(self.listed)
+            self._list_clusters(np.arange(len(nodes)), clusters, 0)
+        return False
+
     def _divide(self, number: int, ids: wp.array) -> bool:
         """Divides a cell into cells, the root by the given clusters if these suit; False if it cannot be divided."""
         given = self.presort if number == 0 else None
@@ -226,6 +263,7 @@ class LazyKdTree:
             return True
         parent = self.cells[number]
         clusters = sort_into_clusters(self.triangles.boxes, ids, parent["low"], parent["high"])
+        self.sorted_triangles += len(ids)
         divided = self._divide_by(number, clusters, MAX_DUPLICATION)
         if number == 0:
             self.presort = clusters if divided else None
@@ -241,7 +279,8 @@ class LazyKdTree:
         top = self._build_top(parent, clusters, least / size)
         flat = unpack(top)
         leaf, listed = leaves_of(clusters, top.nodes)
-        duplication = clusters.sizes[listed].sum() / len(clusters.order)
+        sizes = clusters.sizes
+        duplication = sizes[listed].sum() / sizes.sum()
         if len(flat.axis) == 1 or duplication > most:
             return False
         leaves, begins, numbers = np.unique(leaf, return_index=True, return_counts=True)
@@ -258,12 +297,18 @@ class LazyKdTree:
         planes[leaves] = unbuilt_leaves(len(self.cells) + np.arange(len(leaves)))
         cells["leaf"] = leaves + self._graft("leaf", number, planes)
         self.cells = np.concatenate([self.cells, cells])
-        self.listed = np.concatenate([self.listed, listed + len(self.clusters)])
-        bounds = np.stack([clusters.first[:-1], clusters.first[1:]], axis=1)
-        self.clusters = np.concatenate([self.clusters, bounds + (len(self.order) if number else 0)])
-        self.order = joined(self.order, clusters.order) if number else clusters.order
+        self._list_clusters(listed, clusters, len(self.order) if number and clusters.order is not None else 0)
+        if clusters.order is not None:
+            self.order = joined(self.order, clusters.order) if number else clusters.order
         self.cells["unbuilt"][number] = False
         return True
+
+    def _list_clusters(self, listed: np.ndarray, clusters: Clusters, base: int) -> None:
+        """Adds clusters, whose order will begin at `base` in that of the tree, and their numbers in cells."""
+        self.listed = np.concatenate([self.listed, listed + len(self.clusters)])
+        self.clusters = np.concatenate([self.clusters, clusters.bounds + base])
+        nodes = np.full(len(clusters.low), -1) if clusters.nodes is None else clusters.nodes
+        self.nodes_of = np.concatenate([self.nodes_of, nodes])
 
     def _build_top(self, parent: np.void, clusters: Clusters, least_size: float) -> KdTree:
         """The tree of a cell's clusters. least_size: `StopRules.least_size`, relative to the cell."""
@@ -296,7 +341,7 @@ class LazyKdTree:
     def _build(self, numbers: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> None:
         """Builds the subtrees of cells and inserts them into the tree."""
         device, width = self.build_device, self.config.cost.width
-        top = self._list_references(self.cells[numbers], ids, first, sizes)
+        top = as_roots(self.triangles.boxes, self.cells[numbers], ids, first, sizes)
         scan = Scan(binned.method(self.config), LevelRules(LARGE, binned.BINS, binned.SAMPLED), values_for(binned.BINS))
         tasks = partial(make_tasks, top, self.triangles, self.config, scan)
         reservation, _, results = build_tasks(scan.method, self.triangles, self.config, tasks, CELL_SPARE_MEMORY)
@@ -311,49 +356,6 @@ class LazyKdTree:
         self.skeleton = wp.clone(self.skeleton)  # the old one may be in use
         self.skeleton.numpy()[self.cells["leaf"][numbers]] = EMPTY
         self.cells["unbuilt"][numbers] = False
-
-    def _list_references(self, cells: np.ndarray, ids: wp.array, first: np.ndarray, sizes: np.ndarray) -> TopLevels:
-        """The cells as roots of subtrees, with their references."""
-        roots = np.zeros(len(cells), dtype=LiveRange.numpy_dtype())
-        frame = roots["frame"]
-        for name in ("low", "high", "depth"):
-            frame[name] = cells[name]
-        frame["path"]["growth"] = cells["growth"]
-        frame["parent"] = -1
-        frame["triangles"] = frame["count"][:, 0] = sizes
-        frame["first"][:, 0] = first
-        references = wp.empty(8 * len(ids), dtype=float, device=self.build_device)
-        frames = wp.array(frame, dtype=Frame, device=self.build_device)
-        inputs = [self.triangles.boxes, ids, references, frames]
-        launch(list_references, len(cells), inputs, device=self.build_device, chunk=1)
-        roots["frame"] = frames.numpy()
-        return TopLevels([roots], references)
-
-
-@wp.kernel
-def close_finished(first: int, skeleton: wp.array(dtype=wp.vec2i)):
-    """One item. Turns parts of the skeleton that are completely built into empty leaves. Their nodes remain, unreachable."""
-    for i in range(skeleton.shape[0]):
-        index = skeleton.shape[0] - 1 - i  # children before their parents
-        node = skeleton[index]
-        if kdtree.split_axis(node) == kdtree.LEAF:
-            continue
-        if skeleton[index + 1] == EMPTY_LEAF and skeleton[kdtree.right_child(node)] == EMPTY_LEAF:
-            skeleton[index] = EMPTY_LEAF
-
-
-def unbuilt_leaves(numbers: np.ndarray) -> np.ndarray:
-    """Leaves of the skeleton for cells that are not built."""
-    return np.stack([numbers, np.full_like(numbers, 1 << 2 | kdtree.LEAF)], axis=1).astype(np.int32)
-
-
-def joined(a: wp.array, b: wp.array) -> wp.array:
-    """The concatenation of two arrays."""
-    result = wp.empty(len(a) + len(b), dtype=a.dtype, device=a.device)
-    for part, to in ((a, 0), (b, len(a))):
-        if len(part):
-            wp.copy(result, part, dest_offset=to)
-    return result
 
 
 def build(triangles: TriangleBoxes, config: KdTreeConfig) -> KdTree:
@@ -372,16 +374,18 @@ def start(
 
     Args:
         triangles, config, device: as of `LazyKdTree`.
-        meshes: the meshes of the scene, for `config.hierarchy` "meshes"; None for one mesh.
+        meshes: the meshes of the scene, for `config.hierarchy` "meshes" and "groups"; None for one mesh.
         previous: the tree of the same triangles in the previous frame, for "previous"; None if there is none.
     """
     load(
         (count_cells, list_references, move_nodes, copy_subtrees, make_build_subtrees(binned.method(config))),
         triangles.boxes.low.device,
     )
-    given = None
+    given = groups = None
     if config.hierarchy == MESHES and meshes is not None:
         given = mesh_clusters(meshes, triangles.boxes.low.device)
+    elif config.hierarchy == GROUPS and meshes is not None:
+        groups = SceneGroups.of(meshes)
     elif config.hierarchy == PREVIOUS and previous is not None and previous.presort is not None:
         given = moved_clusters(previous.presort, triangles)
-    return LazyKdTree(triangles, config, device, given)
+    return LazyKdTree(triangles, config, device, given, groups)

@@ -49,16 +49,18 @@ class Clusters:
     """Triangles, cluster after cluster.
 
     Attributes:
-        order: (triangles,) ids.
+        order: (triangles,) ids; None for the order of all triangles that the tree has already.
         first: (clusters + 1,) start of each cluster in `order`, followed by the end of the last.
         low, high: (clusters, 3) float32, a box that strictly contains its triangles' boxes.
         core_low, core_high: (clusters, 3) float32, the part of that box in the cell of the grid. Cores do not overlap, so they
             give better candidate planes; the whole boxes decide which cells a cluster meets.
         are_meshes: whether the clusters are meshes, of any number of triangles.
         sorted_area: area of the boxes after the last sort, relative to that of the box around them; 0 if that was just now.
+        ends: (clusters,) end of each cluster, if clusters do not follow one another; `first` is then (clusters,).
+        nodes: (clusters,) the nodes of the scene that they are (`wrt.builders.kdtree.lazy.scene_groups`); None if none.
     """
 
-    order: wp.array
+    order: wp.array | None
     first: np.ndarray
     low: np.ndarray
     high: np.ndarray
@@ -66,11 +68,19 @@ class Clusters:
     core_high: np.ndarray
     are_meshes: bool = False
     sorted_area: float = 0.0
+    ends: np.ndarray | None = None
+    nodes: np.ndarray | None = None
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """(clusters, 2) start and end of each in `order`."""
+        begin, end = (self.first[:-1], self.first[1:]) if self.ends is None else (self.first, self.ends)
+        return np.stack([begin, end], axis=1)
 
     @property
     def sizes(self) -> np.ndarray:
         """(clusters,) number of triangles of each."""
-        return np.diff(self.first)
+        return np.diff(self.first) if self.ends is None else self.ends - self.first
 
 
 @wp.func_native(

@@ -27,6 +27,7 @@ PICHLER = {
     "subdivision": "3.1: Dammertz and Keller's test",
     "errors": "3.1: Havel and Herout's comparison by mean squared error",
     "leaks": "7.2: rays that pass at edges and vertices",
+    "watertight": "7.2: a pruning by which none passes; times to the same test without pruning",
 }
 """Tables of the thesis, and what it names without one."""
 
@@ -47,7 +48,7 @@ def pichler_rows(table: str, scenes: Sequence[str], size: int | None, rounds: in
     """The rows of a table of `PICHLER`; the size None for the table's own."""
     sized = {} if size is None else {"size": size}
     if table == "leaks":
-        return pichler_variants.leak_counts()
+        return pichler_variants.leak_counts((*pichler_variants.LEAKING, pichler_variants.PRUNED.name))
     if table == "6.4":
         return pichler_tables.errors(scenes or ("stadium", "wood"), **sized, rounds=rounds)
     untimed = {"6.1": pichler_tables.pruning_tests, "errors": pichler_variants.squared_errors}
@@ -57,6 +58,7 @@ def pichler_rows(table: str, scenes: Sequence[str], size: int | None, rounds: in
         "tried": pichler_variants.replays,
         "edge-planes": pichler_variants.edge_planes,
         "subdivision": pichler_variants.subdivision,
+        "watertight": pichler_variants.watertight_pruning,
     }
     run = untimed[table] if table in untimed else partial(timed[table], rounds=rounds)
     return run(scenes or tuple(pichler_tables.SCENES), **sized)

@@ -14,7 +14,7 @@ import warp as wp
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.simd.lanes import native_width
-from wrt.meshes.placement import check_index
+from wrt.meshes.placement import check_index, hierarchy_of
 from wrt.scene.updates import MovedTriangles, TreeRecipe
 from wrt.tables import lookup
 
@@ -154,26 +154,6 @@ class LinkedTrees:
         tree.nodes, tree.links, tree.low, tree.high = self.nodes, self.links, self.low, self.high
         tree.root, tree.every = self.ends
         return tree
-
-
-def hierarchy_of(geometry: Any) -> Hierarchy:
-    """The nested sequences of a geometry with numbers in place of meshes. A sequence of one is its member."""
-    count = 0
-
-    def walk(item: Any) -> Hierarchy:
-        nonlocal count
-        if not isinstance(item, Sequence) or isinstance(item, (str, bytes)):
-            count += 1
-            return count - 1
-        below = tuple(part for part in map(walk, item) if part != ())
-        return below[0] if len(below) == 1 else below
-
-    return walk(geometry)
-
-
-def nested(hierarchy: Hierarchy, meshes: Sequence[Any]) -> Any:
-    """The geometry of a hierarchy: meshes in place of numbers."""
-    return [nested(part, meshes) for part in hierarchy] if isinstance(hierarchy, tuple) else meshes[hierarchy]
 
 
 def join_bvhs(

@@ -6,6 +6,7 @@
     squared_errors      3.1: Havel and Herout's comparison of three tests by the mean squared error of the hit, for all tests
     subdivision         3.1: Dammertz and Keller's test, of which Woop et al. say that it is watertight and slow
     leak_counts         7.2: whether the prunings are watertight
+    watertight_pruning  7.2: what a pruning costs that is
 
 Each returns a list of plain dicts. Scenes are those of `pichler_tables`. The clock is the processor time of one thread,
 contenders take turns; "ratio" is the median over the rounds of time / the reference's time of that round.
@@ -32,6 +33,7 @@ from wrt.kernels.runtime.launch import launch
 from wrt.kernels.study.dammertz_keller import TEST as DAMMERTZ_KELLER
 from wrt.kernels.study.pichler_2018 import STUDIED
 from wrt.kernels.study.replayed_tests import make_kernel, make_lists
+from wrt.kernels.study.variants.watertight_pruning import PRUNED, UNPRUNED
 from wrt.kernels.traversal.brute_force import AllTriangles
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.rays.ray_buffers import to_device
@@ -46,6 +48,9 @@ RAYS = 1 << 14
 
 HAVEL_HEROUT = ("wald", "shevtsov", "havel_herout")
 """The three tests of their comparison: they found Shevtsov's the most accurate and Wald's the least, with little between."""
+
+FORMS = {form.name: form for form in (*STUDIED.values(), PRUNED, UNPRUNED, TRIANGLE_TESTS["ferko_prune3"])}
+"""What can be replayed."""
 
 LEAKING = ("woop", "pluecker", "ferko_utm", "ferko_prune3", "ferko_prune4")
 """Tests whose leaks are counted; of the first none is known. Orders and circles change no hit of the prunings."""
@@ -93,12 +98,12 @@ class Replay:
         return places.astype(np.float32), ways.astype(np.float32), counts.numpy(), slot.numpy()[order]
 
     def run(self, name: str, counted: bool = False) -> Callable[[], np.ndarray]:
-        """A function that tests all pairs with a form of `STUDIED`.
+        """A function that tests all pairs with a form of `FORMS`.
 
         It returns (rays,) the nearest hit, infinite if there is none or if the form does not read the ray's range; or,
         `counted`, (exits + 1,) how many tests ended at each exit, the hits last.
         """
-        form = STUDIED[name]
+        form = FORMS[name]
         far = wp.empty(self.count, dtype=float, device="cpu")
         ends = wp.zeros((self.count, len(form.lanes.exits) + 1 if counted else 1), dtype=int, device="cpu")
         records = self.soup.records(form.record, 1)
@@ -113,13 +118,19 @@ class Replay:
 
 
 def replays(
-    scenes: Sequence[str] = tuple(SCENES), forms: Sequence[str] = tuple(STUDIED), *, size: int = 128, rounds: int = ROUNDS
+    scenes: Sequence[str] = tuple(SCENES),
+    forms: Sequence[str] = tuple(STUDIED),
+    reference: str = KEPT,
+    *,
+    size: int = 128,
+    rounds: int = ROUNDS,
 ) -> list[Row]:
     """Time of a test one by one, every exit a branch, and where tests end.
 
     Args:
         scenes: keys in `SCENES`.
-        forms: keys in `STUDIED`; `KEPT`, the reference, is added.
+        forms: keys in `FORMS`; the reference is added.
+        reference: key in `FORMS`, of the form to whose times ratios refer.
         size: views have size x size pixels.
         rounds: turns of each form.
 
@@ -130,15 +141,20 @@ def replays(
     rows = []
     for scene in scenes:
         replay = Replay(Case(scene, size))
-        names = tuple(dict.fromkeys((*forms, KEPT)))
+        names = tuple(dict.fromkeys((*forms, reference)))
         timings = timed({name: replay.run(name) for name in names}, rounds)
         for name in names:
-            form, ends = STUDIED[name], replay.run(name, counted=True)()
+            form, ends = FORMS[name], replay.run(name, counted=True)()
             shares = dict(zip(form.lanes.exits, (ends[:-1] / ends.sum()).tolist(), strict=True))
             row = {"scene": scene, "form": name, "tests": replay.tests, "bytes": form.record.test_bytes}
-            row |= {"hit_rate": float(ends[-1] / ends.sum()), "exits": shares} | ratios(timings[name], timings[KEPT])
+            row |= {"hit_rate": float(ends[-1] / ends.sum()), "exits": shares} | ratios(timings[name], timings[reference])
             rows.append(row | {"nanoseconds": 1e9 * timings[name].median / replay.tests})
     return rows
+
+
+def watertight_pruning(scenes: Sequence[str] = tuple(SCENES), *, size: int = 128, rounds: int = ROUNDS) -> list[Row]:
+    """Rows of `replays` for the pruning that leaks and for that which does not; reference: the latter without pruning."""
+    return replays(scenes, ("ferko_prune3", PRUNED.name), UNPRUNED.name, size=size, rounds=rounds)
 
 
 def isolated(contenders: dict[str, Any], scenes: Sequence[str], *, size: int, rounds: int, rays: int) -> list[Row]:
@@ -218,11 +234,16 @@ def squared_errors(
 def leak_counts(tests: Sequence[str] = LEAKING, *, origins: int = 8, subdivisions: int = 4) -> list[Row]:
     """Rays from inside closed bodies, at edges and vertices, that hit nothing.
 
+    Args:
+        tests: keys in `TRIANGLE_TESTS` or in `FORMS`.
+        origins, subdivisions: as of `wrt.bench.studies.triangles.triangle_precision.leaks`.
+
     Returns:
         A row for each test and "edges" or "vertices": test, at, rays, leaked, per_million.
     """
     rows = []
     for name in tests:
-        for at, counts in leaks(TRIANGLE_TESTS[name], origins=origins, subdivisions=subdivisions).items():
+        test = TRIANGLE_TESTS[name] if name in TRIANGLE_TESTS else FORMS[name]
+        for at, counts in leaks(test, origins=origins, subdivisions=subdivisions).items():
             rows.append({"test": name, "at": at, **counts})
     return rows

@@ -6,7 +6,8 @@ point, so that every test can take part. The exact answer is that of the float32
 float64; pairs whose exact answer is within `MARGIN` of an edge do not count.
 
 Leaks are counted on closed convex bodies, from inside, with rays at vertices and at points of edges: a ray that hits nothing
-went through between two triangles. This is asked of the whole engine, with a tree.
+went through between two triangles. This is asked of the whole engine, with a tree, and of forms that are not in the engine by
+brute force.
 
 References:
     J. Havel, A. Herout: Yet faster ray-triangle intersection (using SSE4).
@@ -15,16 +16,18 @@ References:
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, pairs
+from wrt.bench.studies.triangles.isolated_tests import Beams, Soup, closest, pairs
+from wrt.kernels.triangle import TRIANGLE_TESTS
 
 if TYPE_CHECKING:
     import trimesh
 
-    from wrt.kernels.triangle.support.triangle_contract import TriangleTest
+    from wrt.kernels.triangle.support.triangle_contract import TestForm, TriangleTest
 
 DISTANCES = (1.0, 10.0, 100.0, 1e3, 1e4)
 """From the origin to the triangle, in lengths of its longest edge."""
@@ -40,6 +43,9 @@ LEAST_COSINE = 0.1
 
 NEAR = 3.0
 """Distance where slimness is varied."""
+
+LANES = 8
+"""Triangles at once, of forms that are not in the engine."""
 
 SCALES = (1e-6, 1.0, 1e6)
 """Of the whole scene: nothing should depend on it."""
@@ -140,11 +146,11 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def leaks(test: TriangleTest, origins: int = 32, subdivisions: int = 4, seed: int = 0) -> dict[str, dict[str, float]]:
+def leaks(test: TestForm, origins: int = 32, subdivisions: int = 4, seed: int = 0) -> dict[str, dict[str, float]]:
     """Rays per million that leave a closed convex body unseen, by "edges" and "vertices".
 
     Args:
-        test: an entry of `TRIANGLE_TESTS`.
+        test: an entry of `TRIANGLE_TESTS`, or a form that is measured only.
         origins: points inside each body; every vertex and three points of every edge are aimed at from each.
         subdivisions: of the icosahedron that bodies are made of: 20 * 4^subdivisions triangles each.
         seed: of the points.
@@ -152,22 +158,38 @@ def leaks(test: TriangleTest, origins: int = 32, subdivisions: int = 4, seed: in
     Returns:
         For each feature "rays", "leaked" and "per_million".
     """
-    from wrt.scene.scene import Scene
-
     rng = np.random.default_rng(seed)
     counts = {"edges": np.zeros(2, int), "vertices": np.zeros(2, int)}
     for body in bodies(subdivisions):
-        scene = Scene(body, "bvh", device="cpu")
+        meets = asks_engine(test, body) if test.name in TRIANGLE_TESTS else asks_all(test, body)
         for _ in range(origins):
             origin = (0.6 * rng.random() * body.vertices[rng.integers(len(body.vertices))]).astype(np.float32)
             for feature, points in features(body).items():
                 directions = (points - origin).astype(np.float32)
-                hit = scene.intersect(origin, directions, traversal="single", triangle_test=test.name).is_hit
+                hit = meets(origin, directions)
                 counts[feature] += (len(hit), (~hit).sum())
     return {
         name: {"rays": int(rays), "leaked": int(leaked), "per_million": float(1e6 * leaked / rays)}
         for name, (rays, leaked) in counts.items()
     }
+
+
+Meets = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(3,) origin, (N, 3) directions -> (N,) whether they hit anything."""
+
+
+def asks_engine(test: TestForm, body: trimesh.Trimesh) -> Meets:
+    """Asks a scene of the body."""
+    from wrt.scene.scene import Scene
+
+    scene = Scene(body, "bvh", device="cpu")
+    return lambda origin, ways: scene.intersect(origin, ways, traversal="single", triangle_test=test.name).is_hit
+
+
+def asks_all(test: TestForm, body: trimesh.Trimesh) -> Meets:
+    """Asks all triangles of the body."""
+    soup = Soup(body.triangles)
+    return lambda origin, ways: closest(test, soup, Beams(origin[None], ways), frustum=0, width=LANES)()[1] >= 0
 
 
 def bodies(subdivisions: int) -> list[trimesh.Trimesh]:
