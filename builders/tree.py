@@ -240,6 +240,7 @@ class Bvh:
         level_first: first node of each level, followed by the number of nodes. Nodes are in breadth-first order.
         stats: time and memory of the build.
         built_costs: as in `KdTree`.
+        shared: whether a triangle may be in several leaves, each of which has a box around the part of it there.
     """
 
     bounds: wp.array
@@ -251,6 +252,7 @@ class Bvh:
     level_first: tuple[int, ...]
     stats: BuildStats
     built_costs: np.ndarray | None = None
+    shared: bool = False
 
     @property
     def bytes(self) -> int:

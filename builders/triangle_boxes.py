@@ -50,6 +50,7 @@ class TriangleBoxes:
         low, high: (3,) float32, the box around all triangles.
         center: (3,) the point that positions are relative to.
         vertices, faces: the triangles themselves, for builders that clip them; None if the boxes are not those of triangles.
+        of_size: longest side of the box of the scene that the triangles are a part of; None if they are the whole scene.
 
     Raises:
         ValueError: a box is NaN, or so large that sums and differences of two corners are not finite. (Areas may overflow:
@@ -64,6 +65,7 @@ class TriangleBoxes:
     center: np.ndarray = field(default_factory=lambda: np.zeros(3))
     vertices: wp.array | None = None
     faces: wp.array | None = None
+    of_size: float | None = None
 
     def __post_init__(self) -> None:
         largest = np.abs([self.low, self.high]).max()
@@ -74,6 +76,11 @@ class TriangleBoxes:
     def size(self) -> float:
         """Longest side of the box of all triangles."""
         return float((self.high - self.low).max())
+
+    @property
+    def scene_size(self) -> float:
+        """Longest side of the box of the scene, on which the rounding of rays depends."""
+        return self.size if self.of_size is None else self.of_size
 
     @property
     def mean_area(self) -> float:

@@ -178,7 +178,8 @@ def handle_of(scene: SceneState, mask: int | None = None, environment: int | Non
         handle.top, handle.parts = scene.upper(), scene.lower(plan, None)
         handle.mask, handle.environment = wp.uint32(mask), environment
     else:
-        handle = launching.specialise(partial(handle_type, plan.accelerator, plan.width), levels)()
+        kind = partial(handle_type, plan.accelerator, plan.width, shared_leaves=scene.shares_leaves)
+        handle = launching.specialise(kind, levels)()
         handle.tree, handle.triangles = scene.tree.struct(), records_of(scene, plan, None)
     handle.mesh = scene.device_mesh
     fill_gaps(handle, scene.device)

@@ -4,6 +4,7 @@
 (`wrt.builders.triangle_boxes.TriangleBoxes`), and the cost model and leaf size as a frozen `BvhConfig`. It returns a tree in
 the layout of `wrt.kernels.layout.bvh_nodes`, with the time of each phase. Builders make a binary tree (`tree`); `collapse`
 converts it to wide nodes. Every triangle is in exactly one leaf. Every box is the exact union of the boxes of its triangles.
+Trees for known rays may divide triangles among leaves (`wrt.builders.bvh.spatial`).
 
 To add a builder, write its file and add one line to `BVH_BUILDERS`. The tests, the command line and the benchmarks read the
 table.

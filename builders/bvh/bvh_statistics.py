@@ -29,6 +29,7 @@ class BvhStatistics:
         depth_histogram: number of leaves by the number of inner nodes above them, from 0.
         leaf_size_histogram: number of leaves by number of triangles, from 0.
         sah_cost: expected cost of a ray, see the module's docstring.
+        duplication: references in leaves per triangle: 1 without spatial splits.
     """
 
     nodes: int
@@ -38,6 +39,7 @@ class BvhStatistics:
     depth_histogram: np.ndarray
     leaf_size_histogram: np.ndarray
     sah_cost: float
+    duplication: float
 
     @property
     def max_depth(self) -> int:
@@ -108,8 +110,9 @@ def bvh_statistics(tree: Bvh, triangle_count: int, cost: SurfaceAreaCost) -> Bvh
         nodes=len(flat.child),
         leaves=len(sizes),
         node_fill=float((flat.is_leaf | flat.is_inner).mean()),
-        block_fill=float(triangle_count / len(tree.primitive)),
+        block_fill=float(sizes.sum() / len(tree.primitive)),
         depth_histogram=np.bincount((flat.depth[:, None] + 1 + 0 * flat.child)[flat.is_leaf]),
         leaf_size_histogram=np.bincount(sizes),
         sah_cost=float(sah_cost),
+        duplication=float(sizes.sum() / triangle_count),
     )

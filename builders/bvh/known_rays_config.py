@@ -62,18 +62,36 @@ class ProjectedConfig:
         rays: distribution of the rays.
         axes: axes of a node that are tried.
         nodes: early leaves and depths.
+        spatial_splits: most additional references of spatial splits (`wrt.builders.bvh.spatial.spatial_build`), as a share of
+            the triangles, from 0, which makes none, to MAX_SPATIAL_SPLITS.
+
+    Raises:
+        ValueError: spatial splits are out of range, or given together with a build on a subset.
     """
 
     bvh: BvhConfig
     rays: RayDistribution
     axes: AxisChoice = field(default_factory=AxisChoice)
     nodes: NodeRules = field(default_factory=NodeRules)
+    spatial_splits: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.spatial_splits <= MAX_SPATIAL_SPLITS:
+            raise ValueError(
+                f"spatial_splits is {self.spatial_splits}; it must be from 0 to {MAX_SPATIAL_SPLITS}, additional references as "
+                "a share of the triangles"
+            )
+        if self.spatial_splits > 0.0 and self.bvh.subset < 1.0:
+            raise ValueError("spatial_splits and subset are both given; a build on a subset does not split triangles")
 
     @property
     def cost(self) -> SurfaceAreaCost:
         """The cost model."""
         return self.bvh.cost
 
+
+MAX_SPATIAL_SPLITS = 4.0
+"""Most additional references of spatial splits, as a share of the triangles."""
 
 USED_FALLBACK = wp.constant(8)
 """Flag in `KnownRays.tried`: no axis of sufficient quality had an acceptable plane."""
@@ -97,9 +115,10 @@ class KnownRays:
     """(2 * triangles,) for each binary node whose axes were chosen: bit k if axis k was tried, USED_FALLBACK; else 0."""
 
 
-def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
-    """Prepares the knowledge of the rays for a build."""
+def known_rays(triangles: TriangleBoxes, config: ProjectedConfig, references: int | None = None) -> KnownRays:
+    """Prepares the knowledge of the rays for a build; `references` are the most of its leaves, None for the triangles."""
     device, nodes = triangles.boxes.low.device, config.nodes
+    count = triangles.count if references is None else references
     rays = KnownRays()
     rays.mixture = config.rays.mixture(triangles.low, triangles.high, triangles.center, device)
     rays.axes = config.axes.struct()
@@ -109,7 +128,7 @@ def known_rays(triangles: TriangleBoxes, config: ProjectedConfig) -> KnownRays:
         rays.leaf_probability = max(nodes.leaf_probability, nodes.leaf_area / rays.mixture.area)
     rays.max_depth = MAX_WIDE_DEPTH if nodes.max_depth is None else nodes.max_depth
     rays.aware_depth = MAX_WIDE_DEPTH + 1 if nodes.aware_depth is None else nodes.aware_depth
-    rays.weight = wp.empty(2 * triangles.count, dtype=float, device=device)
-    rays.parent_weight = wp.empty(triangles.count, dtype=float, device=device)
-    rays.tried = wp.zeros(2 * triangles.count, dtype=wp.uint8, device=device)
+    rays.weight = wp.empty(2 * count, dtype=float, device=device)
+    rays.parent_weight = wp.empty(count, dtype=float, device=device)
+    rays.tried = wp.zeros(2 * count, dtype=wp.uint8, device=device)
     return rays

@@ -18,6 +18,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import warp as wp
@@ -105,7 +106,11 @@ def select_boxes(triangles: TriangleBoxes, ids: np.ndarray) -> TriangleBoxes:
     boxes, device = Boxes(), triangles.boxes.low.device
     low, high = (np.ascontiguousarray(a.numpy()[:, ids]) for a in (triangles.boxes.low, triangles.boxes.high))
     boxes.low, boxes.high = (wp.array(a, dtype=float, device=device) for a in (low, high))
-    return TriangleBoxes(boxes, len(ids), low.min(axis=1), high.max(axis=1), triangles.center)
+    faces = triangles.faces
+    if faces is not None:
+        faces = wp.array(faces.numpy()[ids], dtype=wp.vec3i, device=faces.device)
+    corners = low.min(axis=1), high.max(axis=1)
+    return TriangleBoxes(boxes, len(ids), *corners, triangles.center, triangles.vertices, faces, triangles.scene_size)
 
 
 def renumber(tree: Bvh, ids: np.ndarray, triangles: TriangleBoxes) -> Bvh:
@@ -118,7 +123,7 @@ def renumber(tree: Bvh, ids: np.ndarray, triangles: TriangleBoxes) -> Bvh:
     device = tree.primitive.device
     low, high = wp.vec3(*triangles.low), wp.vec3(*triangles.high)
     primitives = wp.array(primitive, dtype=int, device=device)
-    return Bvh(tree.bounds, tree.child, primitives, low, high, tree.width, tree.level_first, tree.stats)
+    return replace(tree, primitive=primitives, low=low, high=high)
 
 
 class TopLevel:

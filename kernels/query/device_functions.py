@@ -107,12 +107,12 @@ def is_handle(value: Any) -> bool:
 
 
 @cache
-def handle_type(kind: str, width: int, levels: int) -> type:
+def handle_type(kind: str, width: int, levels: int, shared_leaves: bool = False) -> type:
     """The handle struct for a kind of tree; adds an overload of each `search_*` function for it.
 
     Args:
         kind: key in `WALKS`.
-        width: as in `TraversalConfig`.
+        width, shared_leaves: as in `TraversalConfig`.
         levels: as in `StackConfig`.
     """
     Tree, make_walk = WALKS[kind]
@@ -122,11 +122,12 @@ def handle_type(kind: str, width: int, levels: int) -> type:
         triangles: TriangleBlocks
         mesh: SceneMesh
 
-    Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}"
+    Handle.__qualname__ = f"Handle_{kind}_{width}_{levels}" + ("_shared" if shared_leaves else "")
     handle = wp.struct(Handle)
     _handles.add(handle)
     for query, search in SEARCHES.items():
-        config = TraversalConfig(TRIANGLE_TEST, width, query, coherent=False, stack=StackConfig(levels))
+        shared = shared_leaves and query == COUNT
+        config = TraversalConfig(TRIANGLE_TEST, width, query, False, shared_leaves=shared, stack=StackConfig(levels))
         search.add_overload(make_search(handle, make_walk(config), results_of(config)))
     return handle
 

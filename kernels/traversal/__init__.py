@@ -81,6 +81,8 @@ class Traversal:
         two_level_on_cuda: whether it does so on CUDA too.
         node_orders: whether it can walk the nodes of a kd-tree in another order (`wrt.KdTree(layout=...)`).
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
+        shared_leaves: whether `shared_leaves` of the config applies: it reports crossings once where a triangle is in several
+            leaves of a BVH.
         least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs
             more than it balances.
         score: how well it suits a query; None if "auto" never chooses it.
@@ -102,6 +104,7 @@ class Traversal:
     two_level_on_cuda: bool = False
     node_orders: bool = False
     own_spaces: bool = False
+    shared_leaves: bool = False
     least_rays_per_item: int | None = None
     score: Score | None = None
 
@@ -153,6 +156,7 @@ TRAVERSALS: dict[str, Traversal] = {
             {"none": brute.make_kernel},
             queries={"none": QUERIES},
             own_spaces=True,
+            shared_leaves=True,
         ),
         Traversal(
             "single",
@@ -164,6 +168,7 @@ TRAVERSALS: dict[str, Traversal] = {
             two_level_on_cuda=True,
             node_orders=True,
             own_spaces=True,
+            shared_leaves=True,
             score=score_single,
         ),
         Traversal(

@@ -2,7 +2,8 @@
 
 **Problem.** A closest hit may be found twice, and a ray on an edge may hit both triangles there: the result is the same. A
 count would be wrong. The triangle test decides edges and vertices (`TriangleTest.crossing`), and every triangle is in one leaf
-of a BVH; but a kd-tree lists a triangle in each leaf that it overlaps.
+of a BVH, unless it was split (`wrt.kernels.traversal.shared_leaves`); but a kd-tree lists a triangle in each leaf that it
+overlaps.
 
 **Idea.** A mailbox would have to remember every triangle that a ray has crossed. Instead, a crossing is reported only in the
 leaf that owns it. The interval of a leaf on the ray must contain the t of the hit, which excludes nearly all other leaves.
@@ -29,6 +30,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.layout import kdtree_nodes as kdtree
+from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
@@ -37,6 +39,7 @@ from wrt.kernels.simd.boxes import RaySlabs, cross_plane
 from wrt.kernels.simd.lanes import lanes, lowest_bit
 from wrt.kernels.traversal.leaf import Candidate, clamp_block, improves
 from wrt.kernels.traversal.search_results import PreviousCrossing, results_of
+from wrt.kernels.traversal.shared_leaves import owns_shared
 from wrt.kernels.traversal.single.skip_step import count_unskipped, record_unskipped
 from wrt.kernels.traversal.traversal_config import ALL, NEXT, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -103,7 +106,9 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
     intersect_block = test.forms(config.crossing).block_test(width)
     clamp = clamp_block(test.record, width, config.cull_backfaces)
     record, owns = record_crossing(config), owns_crossing(width)
-    shared, Results = Tree is KdNodes and config.crossing and config.query != NEXT, results_of(config)
+    owns_split = owns_shared(max(width, 2), config.stack.levels)
+    once, Results = config.crossing and config.query != NEXT, results_of(config)
+    in_cells, in_boxes = once and Tree is KdNodes, once and Tree is WideNodes and config.shared_leaves
 
     @wp.func
     def step(
@@ -130,8 +135,10 @@ def crossing_step(config: TraversalConfig, Tree: type) -> wp.Function:
             mask = mask & (mask - wp.uint32(1))
             slot = block * wp.static(width) + lane
             owned = bool(True)
-            if wp.static(shared):
+            if wp.static(in_cells):
                 owned = owns(tree, node, interval, triangles, slot, cells, t_lanes[lane])
+            if wp.static(in_boxes):
+                owned = owns_split(tree, triangles, slot, cells, t_lanes[lane])
             if owned:
                 best = record(hits, i, best, t_lanes[lane], triangles.primitive[slot], u_lanes[lane], v_lanes[lane])
         return best

@@ -34,16 +34,19 @@ class StackConfig:
 
 @dataclass(frozen=True)
 class SingleConfig:
-    """Options of the walk of a single ray. The second is for measurements.
+    """Options of the walk of a single ray. The last two are for measurements.
 
     Attributes:
         pair_words: whether the nodes of a kd-tree are in pairs (`wrt.kernels.layout.kdtree_nodes`), for `NEAREST_QUERIES`: the
             words of 8 bytes that a node then takes, 1 but for measurements; 0 for the builders' order.
         scalar_test: whether the ray is tested against the triangles of a leaf one by one, by the scalar test.
+        compact: levels of the compact subtrees that the nodes of a kd-tree are in (`wrt.kernels.layout.compact_nodes`), for
+            `NEAREST_QUERIES`; 0 for none.
     """
 
     pair_words: int = 0
     scalar_test: bool = False
+    compact: int = 0
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,8 @@ class TraversalConfig:
         cull_backfaces: whether triangles are hit only from their front (`wrt.kernels.traversal.leaf.comes_from_front`).
         skipping: whether each ray ignores one triangle (`wrt.kernels.query.skip_triangle`); for the walks of "closest", "any"
             and "count".
+        shared_leaves: whether a triangle may be in several leaves of a BVH, so that only one of them may report a crossing
+            (`wrt.kernels.traversal.shared_leaves`).
         stack: for wide trees.
         single: for single rays.
         packet: for packets.
@@ -119,6 +124,7 @@ class TraversalConfig:
     mailbox: str = NONE
     cull_backfaces: bool = False
     skipping: bool = False
+    shared_leaves: bool = False
     stack: StackConfig = StackConfig()
     single: SingleConfig = SingleConfig()
     packet: PacketConfig = PacketConfig()

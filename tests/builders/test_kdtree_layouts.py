@@ -10,12 +10,22 @@ import warp as wp
 from conftest import SCENES
 
 import wrt
-from wrt.bench.studies.kdtrees.layout_comparison import ALLOCATIONS, compare_allocations, compare_layouts, trace_pairs
+from wrt.bench.studies.kdtrees.layout_comparison import (
+    ALLOCATIONS,
+    compare_allocations,
+    compare_compact,
+    compare_layouts,
+    trace_pairs,
+    trace_placed,
+)
+from wrt.builders.convert.compact_subtrees import to_compact
 from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out, with_layout
 from wrt.builders.kdtree.kdtree_statistics import unpack
 from wrt.builders.kdtree.update.refill import refill
 from wrt.builders.tree_check import check_tree
 from wrt.builders.triangle_boxes import triangle_boxes
+from wrt.kernels.layout.compact_nodes import HEIGHTS
+from wrt.kernels.traversal.traversal_config import ANY, CLOSEST, SingleConfig
 from wrt.rays.ray_buffers import to_device
 from wrt.rays.rays import Rays
 
@@ -185,3 +195,80 @@ def test_cost_of_a_step(scene):
         assert set(row.step_ns) == set(row.ratios) == {"near", "random"}
         assert all(0.0 < step < 1e6 for step in row.step_ns.values())
         assert row.node_bytes % 64 == 0
+
+
+def read_compact(words: np.ndarray, index: int, height: int):
+    """(axis, position or first block, triangles, lower child) of the node at a word, by the text of the layout."""
+    half = 1 << height
+    subtree, at = divmod(int(index), 2 * half)
+    if at >= half and words[index] >= 0:
+        subtree, at = int(words[index]), 1
+    begin = subtree * 2 * half
+    axis = int(words[begin].view(np.uint32)) >> 2 * at & 3
+    if at < half and axis != 3:
+        return axis, words[begin + at], 0, begin + 2 * at
+    while at < half:
+        at *= 2
+    first, triangles = ~words[begin + at] >> 6, ~words[begin + at] & 63
+    if triangles == 63:
+        first, triangles = words[2 * first], words[2 * first + 1] >> 2
+    return 3, first, triangles, -1
+
+
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [("teapot", {}), ("random_triangles", {"max_depth": 4}), ("random_triangles", {"max_depth": 0})],
+    ids=["short leaves", "long leaves", "one leaf"],
+)
+@pytest.mark.parametrize("height", HEIGHTS)
+def test_compact_subtrees_are_the_same_tree(height, name, most):
+    """Followed from the root on, nodes are equal one by one, also where leaves have more triangles than a word can tell."""
+    scene = wrt.Scene(SCENES[name](), wrt.KdTree(builder="binned", width=8, **most), device="cpu")
+    tree = to_compact(scene.tree, height)
+    words, flat, original = tree.nodes.numpy().reshape(-1), unpack(scene.tree), scene.tree.nodes.numpy()
+    assert tree.nodes.ptr % 64 == 0
+    assert (flat.triangles.max() >= 63) == bool(most)
+    stack, seen = [(0, 1)], 0
+    while stack:
+        node, index = stack.pop()
+        seen += 1
+        axis, value, triangles, lower = read_compact(words, index, height)
+        assert axis == flat.axis[node]
+        if axis == 3:
+            assert triangles == flat.triangles[node]
+            assert value == flat.first_block[node] or triangles == 0
+        else:
+            assert value == original[node, 0]
+            stack += [(flat.left[node], lower), (flat.right[node], lower + 1)]
+    assert seen == len(original)
+
+    rng = np.random.default_rng(4)
+    low, high = scene.bounds
+    origins, targets = low + (high - low) * (1.2 * rng.random((2, 700, 3)) - 0.1)
+    rays = to_device(Rays(origins, targets - origins), scene.device, scene.center)
+    brute = scene.intersect(origins, targets - origins, traversal="brute")
+    hits = trace_placed(scene, tree, rays, SingleConfig(compact=height), CLOSEST)
+    np.testing.assert_array_equal(hits.t.numpy().view(np.int32), brute.t.view(np.int32))
+    np.testing.assert_array_equal(hits.primitive.numpy(), brute.primitive_id)
+    np.testing.assert_array_equal(hits.uv.numpy(), brute.uv)
+    if height == 3:
+        dark = trace_placed(scene, tree, rays, SingleConfig(compact=height), ANY)
+        np.testing.assert_array_equal(dark.occluded.numpy(), brute.is_hit)
+    assert 0.05 < brute.is_hit.mean() < 1.0
+
+
+def test_memory_of_compact_subtrees(scene):
+    """Lines without indices are fewer than those with, although not all are full; an unknown height is refused."""
+    deep = wrt.Scene(scene.meshes[0], wrt.KdTree(builder="binned", width=1, block_cost=1.5), device="cpu").tree
+    assert to_compact(deep, 3).nodes.shape[0] < 0.9 * lay_out(deep, "subtrees").nodes.shape[0]
+    with pytest.raises(ValueError, match="height is 5; choose from 2, 3, 4"):
+        to_compact(deep, 5)
+
+
+def test_cost_of_indices(scene):
+    """Figures of nodes with and without indices."""
+    figures = compare_compact(scene.meshes[0], builder="binned", width=8, rounds=1, size=8)
+    assert [row.layout for row in figures][2:] == ["compact, 32 bytes", "compact, 64 bytes", "compact, 128 bytes"]
+    assert figures[0].ratios == {"near": 1.0, "random": 1.0}
+    assert {row.nodes for row in figures} == {scene.tree.nodes.shape[0]}
+    assert figures[1].node_bytes > figures[3].node_bytes > figures[2].node_bytes

@@ -126,6 +126,13 @@ def test_bvh_builder(name, tmp_path):
     assert ".entry" in compile_to_ptx(BVH_KERNELS[name].module, tmp_path)
 
 
+def test_shared_leaves(tmp_path):
+    config = TraversalConfig("woop", 2, "count", shared_leaves=True)
+    text = compile_to_ptx(TRAVERSALS["single"].kernels["bvh"](config).module, tmp_path)
+    assert ".entry" in text
+    assert not FUSIBLE.search(text)
+
+
 @pytest.mark.parametrize("stage", [COVER, COUNT, FILL])
 def test_light_buffer_builder(stage, tmp_path):
     assert ".entry" in compile_to_ptx(make_rasteriser(stage, False, True, stage == FILL).module, tmp_path)
@@ -237,10 +244,11 @@ def test_packing(triangle_test, tmp_path):
         lambda: make_replay_kernel(STUDIED["sphere_parametric"], True),
         lambda: make_lists(9),
         lambda: make_walk_kernel("sorted", 2, TRIANGLE_TESTS["woop"], True),
+        lambda: TRAVERSALS["single"].kernels["kdtree"](TraversalConfig("woop", 2, single=SingleConfig(compact=3))),
     ],
     ids=[
         *("fans", "fan_normals", "comparisons", "one_by_one", "frusta", "blocks", "pairs", "exits", "exits_in_range"),
-        *("subdivision", "pruned_blocks", "replay", "lists", "walk"),
+        *("subdivision", "pruned_blocks", "replay", "lists", "walk", "compact_subtrees"),
     ],
 )
 def test_for_measurements(make, tmp_path):

@@ -110,6 +110,9 @@ OTHERS: dict[str, dict[str, str]] = {
     },
     "trees for known rays": {
         "wrt.ProjectedBvh": FALCONE,
+        "wrt.ProjectedBvh(spatial_splits=0.3)": (
+            "Stich, Friedrich, Dietrich: Spatial splits in bounding volume hierarchies (2009)"
+        ),
         "wrt.RayAwareBvh": FALCONE,
         "wrt.InfluenceAreas.from_rays": "Ester, Kriegel, Sander, Xu (1996); Fischler, Bolles (1981)",
         "wrt.PlaneCaster": FALCONE,
@@ -143,6 +146,7 @@ OTHERS: dict[str, dict[str, str]] = {
         "wald_modulo": "Wald (2004): axes by division",
         "wald_shifts": "Wächter: Realtime ray tracing (2004): axes by shifts",
         "watertight_prune3": "after Ferko and Ferko: Pichler (2018); Woop, Benthin, Wald (2013)",
+        "compact_subtrees": "Havran: Heuristic ray shooting algorithms (2001): kd-tree nodes without indices",
         "coupled_trees": "Cadet, Lécussan: Coupled use of BSP and BVH trees in order to exploit ray bundle performance (2007)",
     },
     "around a hit": {

@@ -27,6 +27,7 @@ def can_answer(traversal: Traversal, scene: SceneState, query: str, cull_backfac
         and (not scene.instances or traversal.supports_through_instances(query, kind, scene.device.is_cuda))
         and (not scene.only_single or traversal.own_spaces)
         and (not traversal.wide or can_be_wide(scene))
+        and (traversal.shared_leaves or query not in (COUNT, ALL) or not scene.shares_leaves)
     )
 
 
@@ -44,6 +45,21 @@ def check_answer(
         check_instances(scene, query, traversal, test)
     check_spaces(scene, traversal)
     check_wide(scene, traversal)
+    check_leaves(scene, query, traversal)
+
+
+def check_leaves(scene: SceneState, query: str, traversal: Traversal) -> None:
+    """Refuses a traversal that would report the crossing of a triangle in several leaves more than once.
+
+    Raises:
+        ValueError: the scene's BVH was built with spatial splits.
+    """
+    if query in (COUNT, ALL) and scene.shares_leaves and not traversal.shared_leaves:
+        able = ", ".join(name for name, entry in TRAVERSALS.items() if entry.shared_leaves)
+        raise ValueError(
+            f"traversal {traversal.name!r} does not answer the query {query!r} on a BVH with spatial splits; "
+            f"choose from auto, {able}"
+        )
 
 
 def check_instances(scene: SceneState, query: str, traversal: Traversal, test: TriangleTest) -> None:

@@ -18,7 +18,7 @@ from wrt.kernels.traversal.traversal_config import (
     TraversalConfig,
 )
 from wrt.kernels.triangle import TRIANGLE_TESTS
-from wrt.state.query_kinds import ANY
+from wrt.state.query_kinds import ALL, ANY, COUNT
 from wrt.state.wide_trees import wide_tree
 
 if TYPE_CHECKING:
@@ -130,6 +130,8 @@ def traversal_config(plan: Plan, scene: SceneState, query: str, counters: bool) 
     if traversal.walks_boxes(plan.accelerator) or (scene.only_single and traversal.walks_tree):
         levels = stack_levels(walked_tree(plan, scene).depth)
         families["stack"] = StackConfig(levels, CUDA_BLOCK if scene.device.is_cuda else 0)
+    if traversal.walks_tree and query in (COUNT, ALL):
+        families["shared_leaves"] = scene.shares_leaves
     return TraversalConfig(
         plan.triangle_test,
         plan.width,

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 import warp as wp
 
+from wrt.accelerators.projected_bvh import ProjectedBvh
 from wrt.accelerators.ray_aware_bvh import RayAwareBvh
 from wrt.instances.few_moves import MOST_AT_ONCE, move_few
 from wrt.instances.instance_boxes import Covers, InstanceBoxes, UpperTree, build_upper, cover, on_device, write_maps
@@ -251,6 +252,8 @@ def build_instanced_state(geometry: Any, settings: Settings, cache: Any) -> Inst
     """The state of a scene of instances; arguments and errors as of `wrt.Scene` and `wrt.InstancedScene`."""
     if isinstance(settings.accelerator, RayAwareBvh):
         raise ValueError("influence areas need a scene of one level; use wrt.Scene(scene.flattened(), accelerator)")
+    if isinstance(settings.accelerator, ProjectedBvh) and settings.accelerator.spatial_splits > 0.0:
+        raise ValueError("trees of instances cannot have spatial splits; leave spatial_splits out of the accelerator")
     graph = NodeGraph.of_geometry(geometry)
     return replace(place_members(as_instances(geometry), settings, cache, new_mark(), {}), graph=graph)
 

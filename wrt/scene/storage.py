@@ -182,8 +182,9 @@ def find_tree(
 
 
 def stored_fields(cls: type) -> list[str]:
-    """Names of the stored fields of a tree: not the costs that updates keep, which can be computed again."""
-    return [field.name for field in fields(cls) if field.name != "built_costs"]
+    """Names of the stored fields of a tree: not the costs that updates keep, which can be computed again, nor whether leaves
+    share triangles, as in trees for known rays, which are not stored."""
+    return [field.name for field in fields(cls) if field.name not in ("built_costs", "shared")]
 
 
 def pack_tree(tree: Bvh | KdTree) -> dict[str, np.ndarray]:

@@ -147,7 +147,7 @@ def can_move(accelerator: Accelerator) -> bool:
     if isinstance(accelerator, KdTree):
         plain = accelerator.cell_tests == "none" and accelerator.layout == "depth_first"
         return plain and not (accelerator.is_lazy or accelerator.split_clipping or accelerator.ends_rays)
-    return isinstance(accelerator, Bvh | ProjectedBvh)
+    return isinstance(accelerator, Bvh) or (isinstance(accelerator, ProjectedBvh) and accelerator.spatial_splits == 0.0)
 
 
 def typical_motion(before: Sequence[TriangleMesh], after: Sequence[TriangleMesh]) -> np.ndarray:

@@ -121,6 +121,11 @@ class SceneState:
         return self.tree.depth
 
     @property
+    def shares_leaves(self) -> bool:
+        """Whether a triangle may be in several leaves of the BVH."""
+        return getattr(self.built_tree, "shared", False)
+
+    @property
     def bounds(self) -> np.ndarray:
         """(2, 3) float64: lower and upper corner of the bounding box of all triangles."""
         return np.array([self.tree.low, self.tree.high], dtype=np.float64) + self.center

@@ -32,6 +32,7 @@ from functools import cache
 
 import warp as wp
 
+from wrt.kernels.layout import compact_nodes as compact
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.layout.kdtree_nodes import LEAF, MAX_TREE_DEPTH, KdNodes
 from wrt.kernels.layout.ray_batch import Ray
@@ -43,7 +44,7 @@ from wrt.kernels.traversal.leaf_steps import make_custom_leaf_step
 from wrt.kernels.traversal.mailbox import MAILBOXES, NONE
 from wrt.kernels.traversal.search_results import results_of
 from wrt.kernels.traversal.single.single_kernel import make_ray_kernel
-from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.traversal_config import ANY, SingleConfig, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -141,6 +142,20 @@ def pop_cell(
     cell.leave = load_float(stack_leave, size)
 
 
+@wp.func
+def load_in_place(nodes: wp.array(dtype=wp.vec2i), index: wp.ref[int]):
+    """A node that is where its index says."""
+    return kdtree.load_node(nodes, index)
+
+
+def node_order(single: SingleConfig) -> tuple[wp.Function, wp.Function, int]:
+    """How nodes are found: `wp.func(nodes, index) -> node`, `wp.func(index, node) -> (lower, upper)` child, and the root."""
+    if single.compact:
+        return compact.load_compact(single.compact), compact.compact_children(single.compact), compact.ROOT
+    words = single.pair_words
+    return load_in_place, kdtree.children_in_pairs(words) if words else kdtree.children_depth_first, 0
+
+
 @cache
 def make_walk(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, ray, hits, i, work) -> best` for ray number i, which must be valid."""
@@ -148,8 +163,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     custom_leaf_step, Results = config.custom_leaf_step, results_of(config)
     test_block = make_custom_leaf_step(config, KdNodes) if custom_leaf_step else block_step(config)
     step = step_guessing if config.coherent else step_selecting
-    words = config.single.pair_words
-    children_of = kdtree.children_in_pairs(words) if words else kdtree.children_depth_first
+    load, children_of, root = node_order(config.single)
     width, counting, any_hit = config.width, config.counters, config.query == ANY
     forget, memory = MAILBOXES[config.mailbox].filter(config.width), MAILBOXES[config.mailbox].size
     remembering = config.mailbox != NONE
@@ -161,6 +175,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         state = prepare(ray.origin, ray.direction)
         interval = enter(slabs, tree.low, tree.high, ray.t_min, ray.t_max)
         cell = Cell()
+        cell.node = wp.static(root)
         cell.entry = interval[0]
         cell.leave = interval[1]
         stack_node = wp.zeros(shape=(MAX_TREE_DEPTH,), dtype=int)
@@ -170,10 +185,11 @@ def make_walk(config: TraversalConfig) -> wp.Function:
         size = int(0)
         searching = cell.entry <= cell.leave
         while searching:
-            node = kdtree.load_node(tree.nodes, cell.node)
+            at = int(cell.node)
+            node = load(tree.nodes, at)
             if kdtree.split_axis(node) != LEAF:
                 crossing = split_cell(slabs, node, cell)
-                children = children_of(cell.node, node)
+                children = children_of(at, node)
                 step(crossing, children[0], children[1], cell, stack_node, stack_entry, stack_leave, size)
                 if wp.static(counting):
                     work.nodes += 1

@@ -23,7 +23,12 @@ from wrt.bench.studies.build_comparison import kdtree_descriptions
 from wrt.bench.studies.kdtrees import layout_comparison
 from wrt.bench.studies.kdtrees.kdtree_comparison import RAYS, REFERENCE, BuilderFigures, compare_builders
 from wrt.bench.studies.kdtrees.kdtree_growth import Growth, growth_sizes, growth_turns, measure_growth
-from wrt.bench.studies.kdtrees.layout_comparison import LayoutFigures, compare_allocations, compare_layouts
+from wrt.bench.studies.kdtrees.layout_comparison import (
+    LayoutFigures,
+    compare_allocations,
+    compare_compact,
+    compare_layouts,
+)
 from wrt.builders.kdtree import KDTREE_BUILDERS
 from wrt.builders.kdtree.streaming import EXACT
 from wrt.cli.arguments import target_options
@@ -129,12 +134,15 @@ def print_growth(grown: Sequence[Growth], console: Any) -> None:
 @click.option("--rounds", default=5, show_default=True, type=click.IntRange(1), help="Turns of each layout.")
 @threads_option
 @click.option("--allocations", is_flag=True, help="Compare general with fixed-size allocation of nodes instead.")
+@click.option("--compact", is_flag=True, help="Compare nodes with and without indices of their children instead.")
 def layouts_command(
-    model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None, allocations: bool
+    model: str, builder: str, width: int | None, size: int, rounds: int, threads: int | None, allocations: bool, compact: bool
 ) -> None:
     """Compares orders of a kd-tree's nodes in memory on MODEL, a mesh file or a built-in scene: nanoseconds a step."""
+    if allocations and compact:
+        raise click.UsageError("--allocations and --compact are different comparisons; give one of them")
     mesh, count = load_model(model), threads or get_num_threads()
-    compare = compare_allocations if allocations else compare_layouts
+    compare = compare_allocations if allocations else compare_compact if compact else compare_layouts
     with progress() as on_turn, usage_errors():
         figures = compare(mesh, builder=builder, width=width, rounds=rounds, threads=count, size=size, on_turn=on_turn)
     print_layouts(figures, mesh, count, table_console())
@@ -145,10 +153,10 @@ def print_layouts(figures: list[LayoutFigures], mesh: TriangleMesh, threads: int
     from wrt.bench.core.benchmark_report import new_table, times
 
     columns = [text for rays in layout_comparison.RAYS for text in (f"{rays}, ns a step", "speed")]
-    table = new_table(("layout",), ("node kB", *columns))
+    table = new_table(("layout",), ("node kB", "B a node", *columns))
     for row in figures:
         cells = [text for rays in layout_comparison.RAYS for text in (f"{row.step_ns[rays]:.1f}", times(row.ratios[rays]))]
-        table.add_row(row.layout, f"{row.node_bytes / 1e3:.0f}", *cells)
+        table.add_row(row.layout, f"{row.node_bytes / 1e3:.0f}", f"{row.node_bytes / row.nodes:.1f}", *cells)
     label = f"kd-tree layouts: {mesh.name or 'mesh'}, {mesh.triangle_count:,} triangles, {threads} threads"
     console.print(f"[bold]{label}[/bold]", highlight=False)
     console.print(table)

@@ -1,4 +1,4 @@
-"""What a step through a kd-tree costs, by the order of its nodes (`wrt.builders.convert.node_layouts`).
+"""What a step through a kd-tree costs, by the order of its nodes (`wrt.builders.convert.node_layouts`) and by what they hold.
 
 One tree in every layout, walked by the same rays, one at a time; layouts take turns. All of a query's time is charged to its
 steps, inner nodes and leaves, triangle tests included: those are the same for every layout.
@@ -14,9 +14,12 @@ from typing import TYPE_CHECKING, Any
 from wrt.accelerators.tree_descriptions import KdTree
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.bench.core.workloads import WorkloadMaker
+from wrt.builders.convert.compact_subtrees import to_compact
 from wrt.builders.convert.node_layouts import LAYOUTS, in_records, lay_out
 from wrt.execution.triangle_records import records_of
+from wrt.kernels.layout.compact_nodes import HEIGHTS
 from wrt.kernels.runtime.launch import launch, use_threads
+from wrt.kernels.traversal.traversal_config import SingleConfig
 from wrt.meshes.mesh import TriangleMesh
 from wrt.planning.planner import make_plan
 from wrt.rays.ray_buffers import to_device
@@ -46,6 +49,33 @@ RAYS = ("near", "random")
 """Workloads: a camera's rays, and rays from anywhere to anywhere."""
 
 
+ORDINARY = ("depth_first", "subtrees")
+"""Layouts with which compact subtrees are compared; the first is the reference."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A form of a tree's nodes.
+
+    Attributes:
+        make: makes the form from the tree as built.
+        walk: the walk that reads it.
+    """
+
+    make: Callable[[common.KdTree], common.KdTree]
+    walk: SingleConfig
+
+
+def in_pairs(layout: str, words: int = 1) -> Placed:
+    """Nodes in pairs in an order of `LAYOUTS`, of so many words of 8 bytes each."""
+    return Placed(lambda tree: in_records(lay_out(tree, layout), words), SingleConfig(pair_words=words))
+
+
+def in_subtrees(height: int) -> Placed:
+    """Compact subtrees of so many levels."""
+    return Placed(lambda tree: to_compact(tree, height), SingleConfig(compact=height))
+
+
 @dataclass(frozen=True)
 class LayoutFigures:
     """What a layout costs.
@@ -53,28 +83,34 @@ class LayoutFigures:
     Attributes:
         layout: its name.
         node_bytes: memory of the nodes.
+        nodes: their number, inner nodes and leaves.
         step_ns: nanoseconds a step, by workload.
         ratios: how many times as fast as the reference, by workload.
     """
 
     layout: str
     node_bytes: int
+    nodes: int
     step_ns: dict[str, float]
     ratios: dict[str, float | None]
 
 
 def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers, words: int = 1) -> DeviceHits:
     """Closest hits of the rays, by a walk of the scene's tree with its nodes in pairs, in records of so many words."""
+    return trace_placed(scene, tree, rays, SingleConfig(pair_words=words))
+
+
+def trace_placed(scene: Scene, tree: common.KdTree, rays: RayBuffers, walk: SingleConfig, query: str = CLOSEST) -> DeviceHits:
+    """Closest or any hits of the rays, by a walk of the scene's tree in another form."""
     from wrt.execution.traversal_launch import counter_rows, no_work
     from wrt.kernels.traversal.leaf import Counters
     from wrt.kernels.traversal.single.single_kdtree import make_kernel
-    from wrt.kernels.traversal.traversal_config import SingleConfig
     from wrt.planning.plan import traversal_config
     from wrt.state.device_hits import DeviceHits
 
     plan = make_plan(scene.state, rays, "single", "auto")
-    config = replace(traversal_config(plan, scene.state, CLOSEST, False), single=SingleConfig(pair_words=words))
-    hits = DeviceHits.new(CLOSEST, rays.count, scene.device)
+    config = replace(traversal_config(plan, scene.state, query, False), single=walk)
+    hits = DeviceHits.new(query, rays.count, scene.device)
     counters = counter_rows(no_work(Counters, scene.device.alias))
     inputs = [tree.struct(), records_of(scene.state, plan, rays.batch), rays.batch, hits.struct(), counters]
     launch(make_kernel(config), rays.count, inputs, device=scene.device, chunk=1024)
@@ -83,18 +119,25 @@ def trace_pairs(scene: Scene, tree: common.KdTree, rays: RayBuffers, words: int 
 
 def compare_layouts(mesh: TriangleMesh, **options: Any) -> list[LayoutFigures]:
     """Traces rays through one tree in every layout; options: see `compare`."""
-    return compare(mesh, {name: (name, 1) for name in LAYOUTS}, REFERENCE, **options)
+    return compare(mesh, {name: in_pairs(name) for name in LAYOUTS}, REFERENCE, **options)
 
 
 def compare_allocations(mesh: TriangleMesh, **options: Any) -> list[LayoutFigures]:
     """Traces rays through one tree with nodes of the sizes that `ALLOCATIONS` names, in two layouts; options: see `compare`."""
-    placed = {f"{layout}, {kind}": (layout, words) for layout in ALLOCATED for kind, words in ALLOCATIONS.items()}
+    placed = {f"{layout}, {kind}": in_pairs(layout, words) for layout in ALLOCATED for kind, words in ALLOCATIONS.items()}
     return compare(mesh, placed, next(iter(placed)), **options)
+
+
+def compare_compact(mesh: TriangleMesh, **options: Any) -> list[LayoutFigures]:
+    """Traces rays through one tree with and without indices in its nodes; options: see `compare`."""
+    placed = {name: in_pairs(name) for name in ORDINARY}
+    placed |= {f"compact, {8 << height} bytes": in_subtrees(height) for height in HEIGHTS}
+    return compare(mesh, placed, ORDINARY[0], **options)
 
 
 def compare(
     mesh: TriangleMesh,
-    placed: Mapping[str, tuple[str, int]],
+    placed: Mapping[str, Placed],
     reference: str,
     *,
     builder: str = "in_place",
@@ -109,7 +152,7 @@ def compare(
 
     Args:
         mesh: what the tree is built of.
-        placed: name -> key in `LAYOUTS`, and words of 8 bytes for each node.
+        placed: forms of the tree, by name.
         reference: the name that all figures refer to.
         builder: key in `KDTREE_BUILDERS`.
         width: triangles a block, as in `wrt.KdTree`; 1 makes the deep trees of the literature.
@@ -125,7 +168,7 @@ def compare(
     cost = CLASSIC_BLOCK if width == 1 else KdTree.block_cost
     scene = Scene(mesh, KdTree(builder=builder, width=width, block_cost=cost), device="cpu", num_threads=threads)
     scene.complete()
-    trees = {name: in_records(lay_out(scene.tree, layout), words) for name, (layout, words) in placed.items()}
+    trees = {name: form.make(scene.tree) for name, form in placed.items()}
     steps: dict[str, dict[str, float]] = {name: {} for name in placed}
     ratios: dict[str, dict[str, float | None]] = {name: {} for name in placed}
     with use_threads(threads):
@@ -134,7 +177,7 @@ def compare(
             total = int(work["nodes"].sum() + work["leaves"].sum())
             rays = to_device(Rays(made.origins, made.directions), scene.device, scene.center)
             contenders = [
-                Contender(name, lambda tree=tree, rays=rays, words=placed[name][1]: trace_pairs(scene, tree, rays, words))
+                Contender(name, lambda tree=tree, rays=rays, walk=placed[name].walk: trace_placed(scene, tree, rays, walk))
                 for name, tree in trees.items()
             ]
             timings = take_turns(contenders, rounds, clock=clock, on_turn=on_turn)
@@ -142,4 +185,5 @@ def compare(
                 steps[name][made.name] = timing.median * 1e9 * threads / total
                 ratio = timing.ratio_to(timings[reference])
                 ratios[name][made.name] = None if ratio is None else 1.0 / ratio
-    return [LayoutFigures(name, trees[name].nodes.shape[0] * 8, steps[name], ratios[name]) for name in placed]
+    count = scene.tree.nodes.shape[0]
+    return [LayoutFigures(name, trees[name].nodes.shape[0] * 8, count, steps[name], ratios[name]) for name in placed]

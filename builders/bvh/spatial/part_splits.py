@@ -1,0 +1,231 @@
+"""One node of a build with spatial splits: its best division, among triangles or between slabs, and the division itself.
+
+`split` searches as `projected_binned` does; if the boxes of both sides overlap, it also searches between slabs (`part_bins`).
+Phases: search, divide. `spatial_build` has the story and the bounds.
+"""
+
+import warp as wp
+
+from wrt.builders.bvh.bvh_config import BuildRules
+from wrt.builders.bvh.known_rays_config import KnownRays
+from wrt.builders.bvh.phases.binary_tree import BinaryTree, Frame, half_area, halvings, middle, must_split_at_median, split_cost
+from wrt.builders.bvh.phases.bvh_bins import (
+    SLOT_BINS,
+    Scratch,
+    bin_range,
+    bins_for,
+    centroid_domain,
+    make_binning,
+    make_scratch,
+    no_plane,
+    partition_range,
+    range_box,
+    write_child_boxes,
+)
+from wrt.builders.bvh.projected_binned import (
+    BOX_FLOATS,
+    SIDES,
+    add_projected,
+    cheapest_by_projection,
+    high_of,
+    low_of,
+    mixture_at,
+    sweep_axis,
+)
+from wrt.builders.bvh.spatial.part_bins import Slabs, bin_parts, divide_parts, make_slabs
+from wrt.builders.cost import leaf_cost
+from wrt.builders.influence.projected_cost import box_weight
+from wrt.builders.kdtree.scan.clipped_chunks import ClippedMesh
+from wrt.kernels.layout.struct_arrays import with_known_layout
+from wrt.kernels.layout.unchecked import load_int
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.boxes import INFINITY
+
+exact_module(__name__)
+
+MIN_OVERLAP = wp.constant(1e-5)
+"""Least hit probability of the overlap of two children for which a spatial split is tried, that of Stich et al. (2009)."""
+
+
+@with_known_layout
+@wp.struct
+class Branch:
+    """A node that is being built."""
+
+    frame: Frame
+    room: int
+    """References and pairs that it owns, from `frame.first` on."""
+
+
+@wp.struct
+class PartScratch:
+    """Scratch memory of all slots."""
+
+    bins: Scratch
+    leaving: wp.array(dtype=int)
+    """(slots * SLOT_BINS,) triangles that leave in each slab."""
+    domain: wp.array(dtype=float)
+    """(3 * slots * 8,) centroid boxes; only the first of a slot is read."""
+
+
+@wp.struct
+class PartPlane:
+    """The best plane of a spatial split."""
+
+    slabs: Slabs
+    cost: float
+    """INFINITY if there is none."""
+    plane: int
+    """First slab on its right."""
+    left: int
+    """Most triangles on its left."""
+    right: int
+
+
+def make_part_scratch(slots: int, device: wp.Device) -> PartScratch:
+    """Scratch memory for a number of slots."""
+    scratch = PartScratch()
+    scratch.bins = make_scratch(slots, device)
+    scratch.leaving = wp.empty(slots * SLOT_BINS, dtype=int, device=device)
+    scratch.domain = wp.empty(3 * 8 * slots, dtype=float, device=device)
+    return scratch
+
+
+# -- search --------------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def overlap_is_met(rays: KnownRays, tree: BinaryTree, pair: int, depth: int):
+    """Whether enough rays meet the overlap of the boxes of a pair."""
+    low = wp.max(low_of(tree, 2 * pair), low_of(tree, 2 * pair + 1))
+    high = wp.min(high_of(tree, 2 * pair), high_of(tree, 2 * pair + 1))
+    met = bool(False)
+    if low[0] <= high[0] and low[1] <= high[1] and low[2] <= high[2]:
+        met = box_weight(mixture_at(rays, depth), low, high) > MIN_OVERLAP
+    return met
+
+
+@wp.func
+def cheapest_part_plane(
+    rules: BuildRules,
+    rays: KnownRays,
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    branch: Branch,
+    scratch: PartScratch,
+    slot: int,
+    tree: BinaryTree,
+):
+    """The plane of least cost between slabs, on the axes that `cheapest_by_projection` tried in this node."""
+    frame = branch.frame
+    best = PartPlane()
+    best.cost = INFINITY
+    boxes = wp.zeros(shape=(BOX_FLOATS,), dtype=float)
+    weights = wp.zeros(shape=(SIDES,), dtype=float)
+    mixture = mixture_at(rays, frame.depth)
+    low = low_of(tree, frame.node)
+    high = high_of(tree, frame.node)
+    bins = bins_for(rules, frame.count)
+    tried = int(rays.tried[frame.node])
+    for axis in range(3):
+        slabs = make_slabs(axis, low[axis], high[axis], bins, mesh.pad)
+        if (tried >> axis) & 1 != 0 and slabs.scale > 0.0:
+            begin = frame.buffer + frame.first
+            bin_parts(mesh, references, begin, frame.count, slabs, scratch.bins, scratch.leaving, slot)
+            sweep_axis(scratch.bins, slot, axis, bins, mixture.others, boxes, weights)
+            add_projected(mixture, 2 * bins, boxes, weights)
+            first = slot * SLOT_BINS + axis * bins
+            right = int(frame.count)
+            for b in range(1, bins):
+                left = load_int(scratch.bins.left, first + b)
+                right -= load_int(scratch.leaving, first + b - 1)
+                if left < frame.count and right < frame.count and left + right <= branch.room:
+                    cost = split_cost(weights[b], leaf_cost(rules.cost, left), weights[bins + b], leaf_cost(rules.cost, right))
+                    if cost < best.cost:
+                        best.cost = cost
+                        best.slabs = slabs
+                        best.plane = b
+                        best.left = left
+                        best.right = right
+    return best
+
+
+# -- divide --------------------------------------------------------------------------------------------------------------
+
+
+@wp.func
+def room_of_left(branch: Branch, left: int, right: int):
+    """The left child's room: its references, and its share of what is left over."""
+    spare = branch.room - left - right
+    return left + int(wp.float64(spare) * wp.float64(left) / wp.float64(left + right))
+
+
+@wp.func
+def pair_at(branch: Branch, left_room: int):
+    """The pair of children of a node, by the room of the left one."""
+    return branch.frame.first + left_room
+
+
+@wp.func
+def split(
+    rules: BuildRules,
+    rays: KnownRays,
+    mesh: ClippedMesh,
+    references: wp.array(dtype=float),
+    capacity: int,
+    branch: Branch,
+    scratch: PartScratch,
+    slot: int,
+    tree: BinaryTree,
+    left: wp.ref[Branch],
+    right: wp.ref[Branch],
+):
+    """Divides a node: searches, moves its references to the other buffer, and writes the boxes of its children."""
+    frame = branch.frame
+    begin = frame.buffer + frame.first
+    plane = no_plane()
+    parts = PartPlane()
+    parts.cost = INFINITY
+    centroid_domain(references, begin, frame.count, scratch.domain, 3 * slot)
+    binning = make_binning(scratch.domain, 3 * slot, bins_for(rules, frame.count))
+    if half_area(tree.box, frame.node) > 0.0 and not must_split_at_median(frame.depth, frame.count):
+        bin_range(references, begin, frame.count, binning, scratch.bins, slot)
+        plane = cheapest_by_projection(rules, rays, binning, scratch.bins, slot, tree, frame)
+        if frame.count > rules.max_leaf and branch.room > frame.count and frame.depth + halvings(frame.count) < rays.max_depth:
+            overlap = plane.cost == INFINITY
+            if not overlap:
+                pair = pair_at(branch, plane.left)
+                write_child_boxes(scratch.bins, slot, binning.bins, plane.axis, plane.bin, tree.box, pair)
+                overlap = overlap_is_met(rays, tree, pair, frame.depth)
+            if overlap:
+                parts = cheapest_part_plane(rules, rays, mesh, references, branch, scratch, slot, tree)
+    left.room = room_of_left(branch, plane.left, frame.count - plane.left)
+    counts = wp.vec2i(plane.left, frame.count - plane.left)
+    to = capacity - frame.buffer + frame.first
+    buffer = capacity - frame.buffer
+    if parts.cost < plane.cost:
+        left.room = room_of_left(branch, parts.left, parts.right)
+        counts = divide_parts(mesh, references, begin, frame.count, parts.slabs, parts.plane, to, to + left.room)
+    elif plane.cost < INFINITY:
+        at = 3 * slot + 1
+        side = to + left.room
+        partition_range(references, begin, frame.count, binning, plane.axis, plane.bin, to, side, scratch.domain, at, at + 1)
+    else:  # stays where it is, so all of the spare room goes to the right
+        half = middle(frame.count, rules.cost.width_bits)
+        left.room = half
+        counts = wp.vec2i(half, frame.count - half)
+        buffer = frame.buffer
+    pair = pair_at(branch, left.room)
+    tree.pair[frame.node] = pair
+    left.frame.node = 2 * pair
+    left.frame.first = frame.first
+    left.frame.count = counts[0]
+    left.frame.buffer = buffer
+    left.frame.depth = frame.depth + 1
+    right.frame = left.frame
+    right.frame.node = 2 * pair + 1
+    right.frame.first = frame.first + left.room
+    right.frame.count = counts[1]
+    right.room = branch.room - left.room
+    range_box(references, buffer + left.frame.first, counts[0], tree.box, 2 * pair)
+    range_box(references, buffer + right.frame.first, counts[1], tree.box, 2 * pair + 1)
