@@ -5,18 +5,19 @@ from __future__ import annotations
 import os
 import pickle
 import threading
+import weakref
 
 import numpy as np
 import pytest
 from conftest import assert_same_hits, mixed_rays
 
 import wrt
-from wrt.execution import triangle_records
-from wrt.partitioned import partitioned_scene
-from wrt.partitioned.cycling import cycle
-from wrt.partitioned.partition_files import LIST, RECORDS, RELATIVE, part_path
+from wrt.execution import executor, triangle_records
+from wrt.partitioned import partitioned_scene, ray_job
+from wrt.partitioned.cycling import PAIRS_PER_RAY, cycle
+from wrt.partitioned.partition_files import LIST, MAPPED, RECORDS, RELATIVE, part_path
 from wrt.partitioned.spatial_parts import Grid, divide
-from wrt.scene.archives import checksum, read_archive, write_archive
+from wrt.scene.archives import array_places, checksum, read_archive, write_archive
 
 MODES = tuple(partitioned_scene.MODES)
 ATTRIBUTES = ("t", "primitive_id", "geometry_id", "instance_id", "uv", "is_hit", "position", "normal")
@@ -95,6 +96,15 @@ def test_blocks_and_threads_do_not_show(folder, whole, rays, monkeypatch):
         some = wrt.PartitionedScene(folder, num_threads=threads, device="cpu")
         assert_same_hits(some.intersect(*rays, mode=mode), expected)
         np.testing.assert_array_equal(some.count(*rays, mode=mode), whole.count(*rays))
+
+
+def test_rays_through_many_parts(scene, whole):
+    """More pairs of rays and parts than there is room for at first: they are listed again."""
+    low, high = whole.bounds
+    start = low + (high - low) * np.random.default_rng(5).uniform(0.0, 0.2, (5000, 3))
+    expected = whole.count(start, high - start)
+    np.testing.assert_array_equal(scene.count(start, high - start, mode="cycle"), expected)
+    assert scene.last_query.rays_traced > PAIRS_PER_RAY * 5000
 
 
 def test_shapes(scene, whole):
@@ -265,6 +275,20 @@ def test_records_come_from_the_files(tmp_path, folder, whole, rays, monkeypatch)
     assert earlier.loaded_bytes == full, "records count as memory wherever they come from"
 
 
+def test_what_is_mapped_lies_together_in_files_written_in_one_piece(tmp_path, folder):
+    """Files that were written array by array were cached in small pages, which took ten times as long to map."""
+    path = part_path(folder, 0)
+    places = array_places(path)
+    mapped = [place.offset for name, place in places.items() if name.startswith(MAPPED)]
+    others = [place.offset for name, place in places.items() if not name.startswith(MAPPED)]
+    assert len(mapped) >= len(MAPPED)
+    assert not [offset for offset in others if min(mapped) < offset < max(mapped)]
+    arrays = read_archive(path)
+    write_archive(tmp_path / "pieces", arrays)
+    write_archive(tmp_path / "piece", arrays, in_one_piece=True)
+    assert (tmp_path / "piece").read_bytes() == (tmp_path / "pieces").read_bytes()
+
+
 def test_wrong_records_are_refused(tmp_path, rays):
     path = tmp_path / "scene"
     scene = wrt.PartitionedScene.build(meshes(), path, part_triangles=2000, device="cpu")
@@ -333,6 +357,23 @@ def test_bad_options_of_a_query(scene, folder):
         scene.count(*ray, traversal=wrt.Scene(meshes()[0], "bvh", device="cpu").explain(*ray))
     with pytest.raises(TypeError, match="folder must be a path"):
         wrt.PartitionedScene(5)
+
+
+def test_parts_of_one_query_share_a_prepared_query(scene, rays, monkeypatch):
+    """Each visit of a part prepared its query again. What is shared must not keep parts in memory that were dropped."""
+    prepared, held = [], []
+    new, trace = executor.prepare, ray_job.trace_chosen
+    monkeypatch.setattr(executor, "prepare", lambda *args: prepared.append(new(*args)) or prepared[-1])
+
+    def traced(state, *args):
+        held.append(weakref.ref(state.device_mesh))
+        assert sum(mesh() is not None for mesh in held) <= scene._cache.is_loaded.sum()
+        return trace(state, *args)
+
+    monkeypatch.setattr(ray_job, "trace_chosen", traced)
+    scene.intersect(*rays)
+    assert scene.last_query.visits == len(held) > scene._cache.is_loaded.sum()
+    assert 0 < len(prepared) < len(held) / 2
 
 
 def test_several_threads(scene, whole, rays):

@@ -123,9 +123,13 @@ class PreparedQuery:
         query must not come back, as another one may have its staging by then.
         """
         if self._of is not None and self._lease.alive:
-            self._mesh = self._used = None
-            self._launch.forget(())
+            self.let_go()
             _retired.setdefault(self._of, deque(maxlen=MAX_FREE)).append(self)
+
+    def let_go(self) -> None:
+        """Keeps no arrays of a scene alive any more; before the next call, `fit` must be called."""
+        self._mesh = self._used = None
+        self._launch.forget(())
 
     def run(self, scene: SceneState, rays: RayArrays, columns: int) -> DeviceHits:
         """Answers rays of the layout; on CUDA the answers are still to be computed.

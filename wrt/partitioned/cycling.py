@@ -19,7 +19,7 @@ import warp as wp
 from wrt.kernels.query.ordering.ray_order import scan_counts
 from wrt.kernels.query.part_queries import make_gather_live
 from wrt.kernels.runtime.launch import get_num_threads, launch
-from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_live, make_list_points
+from wrt.kernels.traversal.queued.queue_lists import QueuePairs, make_list_live, make_list_points, sort_pairs
 from wrt.memory import empty, new_rays
 
 if TYPE_CHECKING:
@@ -29,8 +29,11 @@ if TYPE_CHECKING:
 MIN_CHUNK = 1 << 12
 """Rays that are worth a row of counts."""
 
+PAIRS_PER_RAY = 2
+"""Pairs of each ray, on average, for which there is room at first."""
+
 MAX_PAIRS = 1 << 26
-"""Greatest number of pairs of a block, which take 8 bytes each."""
+"""Greatest number of pairs of a block, which take 20 bytes each until they are sorted, and then 8."""
 
 SLICE, CUDA_SLICE = 512, 32
 """Pairs whose rays are listed by one item of a kernel."""
@@ -59,20 +62,53 @@ def list_pairs(job: RayJob) -> tuple[QueuePairs, list[int]] | None:
 
     None if there are more than `MAX_PAIRS`, unless there is but one ray.
     """
-    rays, upper, device = job.rays, job.upper, job.device
-    chunk = max(MIN_CHUNK, -(-rays.count // (4 * get_num_threads())))
-    chunks = -(-rays.count // chunk)
-    places, pairs = wp.zeros((chunks, job.parts), dtype=int, device=device), QueuePairs()
-    counting, filling = (make_list_points(upper.width, upper.levels, fill) for fill in (False, True))
-    launch(counting, chunks, [upper.nodes, rays, chunk, places, pairs], device=device, chunk=1)
-    total = int(places.numpy().sum(dtype=np.int64))
-    if total > MAX_PAIRS and rays.count > 1:
+    count, device = job.rays.count, job.device
+    chunk = max(MIN_CHUNK, -(-count // (4 * get_num_threads())))
+    room = np.full(-(-count // chunk), PAIRS_PER_RAY * chunk)
+    lists = PairLists(job, chunk, room)
+    total = int(lists.lengths.sum())
+    if total > MAX_PAIRS and count > 1:
         return None
-    launch(scan_counts, 1, [places], device=device)
-    begins = [*places.numpy()[0].tolist(), total]
-    pairs.ray, pairs.entry = empty(total, wp.int32, device), empty(total, wp.float32, device)
-    launch(filling, chunks, [upper.nodes, rays, chunk, places, pairs], device=device, chunk=1)
-    return pairs, begins
+    if (lists.lengths > room).any():
+        lists = PairLists(job, chunk, lists.lengths)
+    launch(scan_counts, 1, [lists.places], device=device)
+    firsts, pairs = [*lists.places.numpy()[0].tolist(), total], new_pairs(total, device)
+    lengths = wp.array(lists.lengths.astype(np.int32), dtype=int, device=device)
+    inputs = [lists.begins, lengths, lists.points, lists.found, lists.places, pairs]
+    launch(sort_pairs, len(room), inputs, device=device, chunk=1)
+    return pairs, firsts
+
+
+class PairLists:
+    """The pairs of all rays and parts in the order of the rays, listed by chunks of rays.
+
+    Args:
+        job: the rays and the upper tree.
+        chunk: number of rays of a chunk.
+        room: (chunks,) number of pairs that a chunk can list.
+
+    Attributes:
+        lengths: (chunks,) int64, number of pairs of each chunk; those beyond its room are not listed.
+        begins: (chunks + 1,) int32 on the device, where the pairs of each chunk begin.
+        points, found: parts and pairs.
+        places: (chunks, parts) int32, number of pairs of each chunk and part.
+    """
+
+    def __init__(self, job: RayJob, chunk: int, room: np.ndarray) -> None:
+        device, upper, size = job.device, job.upper, int(room.sum())
+        self.begins = wp.array(np.cumsum([0, *room], dtype=np.int32), dtype=int, device=device)
+        self.places = wp.zeros((len(room), job.parts), dtype=int, device=device)
+        self.points, self.found = empty(size, wp.int32, device), new_pairs(size, device)
+        inputs = [upper.nodes, job.rays, chunk, self.begins, self.places, self.points, self.found]
+        launch(make_list_points(upper.width, upper.levels), len(room), inputs, device=device, chunk=1)
+        self.lengths = self.places.numpy().sum(axis=1, dtype=np.int64)
+
+
+def new_pairs(count: int, device: wp.Device) -> QueuePairs:
+    """Memory for pairs of a ray and a part."""
+    pairs = QueuePairs()
+    pairs.ray, pairs.entry = empty(count, wp.int32, device), empty(count, wp.float32, device)
+    return pairs
 
 
 def live_rays(job: RayJob, pairs: QueuePairs, begin: int, end: int) -> tuple[wp.array, RayBatch]:

@@ -5,6 +5,11 @@ tree. From then on it is mapped and its arrays are used where they are, as long 
 change, inode); a file that has changed is checked again. A mapped part is neither copied nor computed: its triangle records
 are in the file as well (`wrt.partitioned.partition_build`). Those of another triangle test are made when a query needs them,
 and so are all on a GPU, which makes them faster than they can be copied to it.
+
+**Large pages.** To map and to drop a part takes ten times as long if the system's cache holds its file in pages of 4 KB as if
+it holds it in pages of 2 MB (notebooks/records/2026-11-23-parts-on-disk.md). Linux chooses their size when a file comes into
+the cache: so files are written in one piece, and those that are not in the cache are first read through a mapping that asks
+for large pages. Pages that are in the cache already stay as they are.
 """
 
 from __future__ import annotations
@@ -29,7 +34,7 @@ from wrt.kernels.simd.lanes import native_width
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 from wrt.memory import empty, keep_alive
-from wrt.partitioned.partition_files import REACHED, RECORDS, RELATIVE, PartList, label_of, part_path
+from wrt.partitioned.partition_files import RECORDS, RELATIVE, PartList, label_of, part_path
 from wrt.scene.archives import ALIGNED, ArrayPlace, array_places, read_archive
 from wrt.scene.mesh_state import MeshState
 from wrt.scene.storage import UNREADABLE, parse_scene, tree_key
@@ -134,6 +139,7 @@ class PartLoader:
         Raises:
             ValueError, TypeError, KeyError, RuntimeError, OSError: it is damaged, or another part.
         """
+        fetch(path)
         arrays = read_archive(path)
         if str(arrays["label"]) != label_of(self.parts.mark, number):
             raise ValueError(f"its label is {arrays['label']}")
@@ -224,9 +230,8 @@ def identity_of(path: Path) -> tuple[int, ...]:
 def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | None]) -> dict[str, Any]:
     """Arrays of a file as flat Warp arrays on the CPU in mapped memory, which may only be read; as NumPy arrays for type None.
 
-    The pages of trees and triangle records, most of which rays reach, are mapped at once where the system can do that: page
-    faults would take several times as long. Others are mapped when they are accessed. Arrays that do not begin at multiples of
-    `ALIGNED`, in files of earlier versions, are copied.
+    Their pages are mapped at once where the system can do that: page faults would take several times as long. Arrays that do
+    not begin at multiples of `ALIGNED`, in files of earlier versions, are copied.
 
     Raises:
         ValueError: the file is shorter than it was.
@@ -238,7 +243,7 @@ def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | No
         if os.fstat(file.fileno()).st_size < end:
             raise ValueError(f"'{path}' ends early; restore it, or build the scene again")
         mapping = mmap.mmap(file.fileno(), end - begin, offset=begin, access=mmap.ACCESS_READ)
-    populate(mapping, [(places[name].offset - begin, places[name].bytes) for name in types if name.startswith(REACHED)])
+    populate(mapping)
     space = np.frombuffer(mapping, dtype=np.uint8)
     address, arrays, cpu = space.__array_interface__["data"][0] - begin, {}, as_device("cpu")
     for name, dtype in types.items():
@@ -254,11 +259,17 @@ def mapped(path: Path, places: dict[str, ArrayPlace], types: dict[str, type | No
     return arrays
 
 
-def populate(mapping: mmap.mmap, ranges: list[tuple[int, int]]) -> None:
-    """Maps the pages of some ranges of bytes (begin, size) at once, with the pages between them; on Linux only."""
+def populate(mapping: mmap.mmap) -> None:
+    """Maps all pages of a mapping at once, large ones where there are any; on Linux only."""
     if not sys.platform.startswith("linux"):
         return
-    begin = min(begin for begin, _ in ranges) // mmap.PAGESIZE * mmap.PAGESIZE
-    end = max(begin + size for begin, size in ranges)
-    with suppress(OSError):  # an earlier Linux: pages are mapped when they are accessed
-        mapping.madvise(MADV_POPULATE_READ, begin, end - begin)
+    for advice in (mmap.MADV_HUGEPAGE, MADV_POPULATE_READ):
+        with suppress(OSError):  # an earlier Linux: pages are mapped when they are accessed
+            mapping.madvise(advice)
+
+
+def fetch(path: Path) -> None:
+    """Brings a file into the system's cache, in large pages if it is not there yet."""
+    with open(path, "rb", buffering=0) as file:
+        if os.fstat(file.fileno()).st_size:
+            populate(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

@@ -30,7 +30,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.block_packing import pack_blocks
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.placement import MAX_COORDINATE, MAX_EXTENT, as_meshes, members_of, place_meshes
-from wrt.partitioned.partition_files import REACHED, RECORDS, RELATIVE, PartList, label_of, part_path, write_list
+from wrt.partitioned.partition_files import MAPPED, RECORDS, RELATIVE, PartList, label_of, part_path, write_list
 from wrt.partitioned.spatial_parts import Division, Grid, divide
 from wrt.planning.planner import default_test
 from wrt.scene.archives import write_archive
@@ -205,8 +205,8 @@ def build_part(
     if store_records:
         extra |= stored_records(state)
     arrays = scene_arrays(state) | extra
-    names = sorted(arrays, key=lambda name: name.startswith(REACHED))  # these lie together, at the end: they are mapped at once
-    write_archive(part_path(folder, number), {name: arrays[name] for name in names})
+    names = sorted(arrays, key=lambda name: name.startswith(MAPPED))  # these lie together, at the end
+    write_archive(part_path(folder, number), {name: arrays[name] for name in names}, in_one_piece=True)
     for path in files.values():
         path.unlink()
     sizes = {"triangles": len(ids), "vertices": len(vertices), "slots": len(state.tree.primitive)}

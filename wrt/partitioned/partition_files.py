@@ -28,8 +28,8 @@ RELATIVE = "relative"
 RECORDS = "records."
 """Begin of the name of the array of triangle records; the name of a triangle test that reads such records follows."""
 
-REACHED = ("tree.", RECORDS)
-"""Begins of the names of arrays most of which rays read."""
+MAPPED = ("faces.", "ids", RELATIVE, "tree.", RECORDS)
+"""Begins of the names of arrays that are mapped into memory."""
 
 
 @dataclass(frozen=True)

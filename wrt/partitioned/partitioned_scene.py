@@ -48,8 +48,9 @@ INF = float("inf")
 
 MEMORY = "1 GB"
 
-PART_TRIANGLES = 1 << 18
-"""Triangles of a part: about 20 MB. Smaller parts load faster and are visited more often."""
+PART_TRIANGLES = 1 << 19
+"""Triangles of a part: up to 40 MB. Every visit costs a millisecond or so, and rays pass through more parts if these are small
+(notebooks/records/2026-11-23-parts-on-disk.md)."""
 
 CYCLE = "cycle"
 
@@ -57,7 +58,7 @@ MODES = {CYCLE: cycle, "forward": forward}
 """How rays and parts come together, by name."""
 
 BLOCK = 1 << 21
-"""Rays that are on their way at a time; their state takes about 250 MB."""
+"""Rays that are on their way at a time; their state takes about 300 MB."""
 
 
 class QueryTraffic(NamedTuple):
@@ -91,7 +92,7 @@ class PartitionedScene:
     Args:
         folder: the folder that `build` made.
         memory: budget for all parts in memory together, in bytes or as text such as "1.5 GB". Rays and hits come on top, about
-            120 bytes a ray.
+            150 bytes a ray.
         triangle_test: as in `wrt.Scene`, except tests with records for one origin.
         device: as in `wrt.Scene`.
         num_threads: as in `wrt.Scene`.

@@ -7,6 +7,7 @@ ordinary ray, so every traversal and triangle test gives the hits of the whole s
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,7 +19,9 @@ from wrt.kernels.runtime.launch import launch
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.memory import new_rays
+from wrt.planning.plan import stack_levels
 from wrt.planning.planner import default_test, find_plan
+from wrt.rays.ray_arrays import ZERO_CENTER, Layout, RayArrays
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.state.query_kinds import AUTO
 
@@ -26,8 +29,12 @@ if TYPE_CHECKING:
     from wrt.kernels.layout.bvh_nodes import WideNodes
     from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
     from wrt.partitioned.part_cache import PartCache
-    from wrt.planning.plan import Plan
+    from wrt.planning.plan import ChosenPlan, Plan
     from wrt.state.query_kinds import Query
+    from wrt.state.scene_state import SceneState
+
+COPIES = Layout(1, 1, 1, 1, centered=True)
+"""Layout of rays copied from a block."""
 
 CHUNK = 1024
 """Rays that are worth a chunk of their own."""
@@ -78,6 +85,7 @@ class RayJob:
         test = default_test(cache.settings, query.kind) if query.triangle_test == AUTO else query.triangle_test
         self.record = TRIANGLE_TESTS[test].record if by_tree else None
         self.plan: Plan | None = None
+        self._plans: dict[Hashable, ChosenPlan] = {}
         self.visits = self.traced = 0
 
     def gathered(self, order: wp.array) -> RayBatch:
@@ -97,12 +105,36 @@ class RayJob:
         """
         part = self.cache.part(number, int(self.expected_bytes[number]), self.record)
         count, kind = len(order), self.query.kind
-        buffers = RayBuffers(rays, (count,), False, np.float32, self.coherent, False, [])
-        chosen = find_plan(part.state, buffers, self.query)
+        buffers = self._buffers(rays)
+        chosen = self._plan_for(part.state, buffers)
         found, _ = trace_chosen(part.state, chosen, buffers, kind, False)
+        for prepared in chosen.waiting():
+            prepared.let_go()  # of the part, which may leave memory
         inputs = [order, part.state.device_mesh, part.ids, found.struct(), self.hits, self.corners]
         launch(MERGES[kind], count, inputs, device=self.device, chunk=CHUNK)
         self.plan = self.plan or chosen.plan
         self.visits += 1
         self.traced += count
         self.cache.note_use(number)
+
+    def _buffers(self, rays: RayBatch) -> RayBuffers:
+        """Copies of rays: on the CPU with the layout of their arrays, so that queries about them are prepared."""
+        shape, given = (rays.count,), rays
+        if self.device.is_cpu:
+            arrays = rays.origins, rays.directions, rays.t_min, rays.t_max
+            given = RayArrays(*arrays, COPIES, rays.count, ZERO_CENTER, shape, False, np.float32, ())
+        return RayBuffers(given, shape, False, np.float32, self.coherent, False, [])
+
+    def _plan_for(self, state: SceneState, buffers: RayBuffers) -> ChosenPlan:
+        """The plan of a part's rays. On the CPU, parts and rays of similar numbers share a plan and what is prepared for it: to
+        choose one and to prepare it takes Python longer than to trace some thousand rays."""
+        if not self.device.is_cpu:
+            return find_plan(state, buffers, self.query)
+        sizes = buffers.count.bit_length(), state.triangle_count.bit_length()
+        key = *sizes, buffers.count <= state.few_rays, stack_levels(state.depth)
+        chosen = self._plans.get(key)
+        if chosen is None:
+            chosen = find_plan(state, buffers, self.query)
+            if chosen.carried_out.accelerator == "bvh":
+                self._plans[key] = chosen
+        return chosen

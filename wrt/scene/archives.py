@@ -8,6 +8,7 @@ compute it too.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import math
 import os
@@ -51,14 +52,31 @@ def checksum(arrays: Mapping[str, np.ndarray]) -> str:
     return state.hexdigest()
 
 
-def write_archive(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+def write_archive(path: Path, arrays: Mapping[str, np.ndarray], in_one_piece: bool = False) -> None:
     """Writes arrays and their checksum to a file.
+
+    Args:
+        path: of the file.
+        arrays: by name.
+        in_one_piece: whether the file is put together in memory and written by one call: Linux then caches it in large pages,
+            which are mapped faster.
 
     Raises:
         OSError: the file cannot be written.
         ValueError: `path` exists and is not a regular file.
     """
-    with replaced(path) as file, zipfile.ZipFile(file, "w") as archive:
+    with replaced(path) as file:
+        if in_one_piece:
+            content = io.BytesIO()
+            write_members(content, arrays)
+            file.write(content.getbuffer())
+        else:
+            write_members(file, arrays)
+
+
+def write_members(file: BinaryIO, arrays: Mapping[str, np.ndarray]) -> None:
+    """Writes the archive of arrays and their checksum."""
+    with zipfile.ZipFile(file, "w") as archive:
         for name, array in {**arrays, CHECKSUM: np.array(checksum(arrays))}.items():
             member = zipfile.ZipInfo(f"{name}.npy")
             begin = file.tell() + LOCAL_HEADER + len(member.filename.encode()) + ZIP64 + EXTRA_HEADER

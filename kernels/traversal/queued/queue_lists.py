@@ -1,4 +1,7 @@
-"""All queue points of all rays: pairs (ray, point), sorted by point; count, scan, fill.
+"""All queue points of all rays: pairs (ray, point), sorted by point.
+
+Each chunk of rays lists its pairs, ray by ray, and counts them by point; after a scan of the counts, it copies its pairs to
+their places. To walk the upper tree twice, once to count and once to fill, would take almost twice as long.
 
 References: see `wrt.kernels.traversal.queued.next_queue`.
 """
@@ -10,7 +13,7 @@ import warp as wp
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
-from wrt.kernels.layout.unchecked import load_float, load_int, store_int
+from wrt.kernels.layout.unchecked import load_float, load_int, store_float, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import intersected_boxes
 from wrt.kernels.simd.boxes import ray_slabs, reach
@@ -31,19 +34,30 @@ class QueuePairs:
 
 
 @cache
-def make_list_points(width: int, levels: int, fill: bool) -> wp.Kernel:
-    """The kernel that counts the pairs of a chunk of rays by queue point, or writes them. Item: a chunk of rays.
+def make_list_points(width: int, levels: int) -> wp.Kernel:
+    """The kernel that lists the pairs of a chunk of rays, ray by ray, and counts them by queue point. Item: a chunk of rays.
+
+    It lists them in `points` and `found`, from begins[item] to begins[item + 1] - 1. Pairs beyond are counted and not listed.
 
     Args:
         width, levels: of the upper tree (`wrt.kernels.traversal.queued.next_queue`).
-        fill: whether `places`, (chunks, points), holds the positions of the next pairs, which are written there; otherwise
-            zeros, to which the pairs are added.
     """
     test_boxes, Lanes, stack_size = intersected_boxes(width), lanes(width), levels * (width - 1) + 1
 
-    def list_points(first: int, top: WideNodes, rays: RayBatch, chunk: int, places: wp.array2d(dtype=int), pairs: QueuePairs):
+    def list_points(
+        first: int,
+        top: WideNodes,
+        rays: RayBatch,
+        chunk: int,
+        begins: wp.array(dtype=int),
+        counts: wp.array2d(dtype=int),
+        points: wp.array(dtype=int),
+        found: QueuePairs,
+    ):
         item = first + wp.tid()
-        row = places[item]
+        row = counts[item]
+        place = begins[item]
+        end = begins[item + 1]
         waiting = wp.zeros(shape=(stack_size,), dtype=int)
         for i in range(item * chunk, wp.min(rays.count, (item + 1) * chunk)):
             ray = load_ray(rays, i)
@@ -64,13 +78,39 @@ def make_list_points(width: int, levels: int, fill: bool) -> wp.Kernel:
                         left += 1
                     else:
                         point = bvh.first_block(child)
-                        place = row[point]
-                        row[point] = place + 1
-                        if wp.static(fill):
-                            pairs.ray[place] = i
-                            pairs.entry[place] = entry[lane]
+                        row[point] += 1
+                        if place < end:
+                            store_int(points, place, point)
+                            store_int(found.ray, place, i)
+                            store_float(found.entry, place, entry[lane])
+                            place += 1
 
     return specialised_kernel(list_points)
+
+
+@wp.kernel
+def sort_pairs(
+    first: int,
+    begins: wp.array(dtype=int),
+    listed: wp.array(dtype=int),
+    points: wp.array(dtype=int),
+    found: QueuePairs,
+    places: wp.array2d(dtype=int),
+    pairs: QueuePairs,
+):
+    """Copies the pairs that a chunk has listed to their places by point.
+
+    Item: a chunk, which has listed listed[item] pairs from begins[item] on. places: (chunks, points), of its next pairs;
+    advanced.
+    """
+    item = first + wp.tid()
+    row = places[item]
+    for k in range(begins[item], begins[item] + listed[item]):
+        point = load_int(points, k)
+        place = row[point]
+        row[point] = place + 1
+        store_int(pairs.ray, place, load_int(found.ray, k))
+        store_float(pairs.entry, place, load_float(found.entry, k))
 
 
 @cache

@@ -16,7 +16,7 @@ from wrt.query.batches.workers import Workers
 
 Task = TypeVar("Task")
 
-LOST = ("KilledWorker", "CommClosedError", "FutureCancelledError", "WorkerDiedError", "RayActorError")
+LOST = ("KilledWorker", "CommClosedError", "FutureCancelledError", "WorkerDiedError", "RayActorError", "WorkerCrashedError")
 """Names of errors of executors by which they say that a worker was lost."""
 
 REFRESH = 5.0
