@@ -11,7 +11,7 @@ from wrt.kernels.sensors.pose_paths import PosePath, pose_of
 from wrt.kernels.shading.shading_point import shading_point
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel, filter_offset
 from wrt.kernels.shading.wavefront.pixel_samples import FILTER, PixelSamples, pixel_hash, pixel_point
-from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, point_look
 
 exact_module(__name__)
@@ -97,10 +97,10 @@ def start_lens_rays(
     A place without a ray looks along the axis with weight 0, and stays black.
     """
     i = first + wp.tid()
-    pixel = wave.first_pixel + i % wave.pixels
+    pixel = pixel_of(wave, i)
     place = wp.vec2()
     if not camera.at_center:
-        sample = wave.first_sample + i / wave.pixels
+        sample = wave.first_sample + i % wave.samples
         place = filter_offset(camera.filter, pixel_point(source, pixel_hash(source, pixel), sample, FILTER))
     row = pixel / camera.view.width
     at = wp.vec2d(wp.float64(pixel % camera.view.width) + wp.float64(place[0]), wp.float64(row) + wp.float64(place[1]))

@@ -16,7 +16,8 @@ from wrt.bench.commands.benchmark import bench
 from wrt.bench.commands.bounces_command import print_bounces
 from wrt.bench.studies.bounces.bounce_claims import judge
 from wrt.bench.studies.bounces.bounce_comparison import WAYS, BounceFigures, compare_bounces
-from wrt.bench.studies.bounces.bounce_rays import REFLECTED, TRANSMITTED, materials_of, tile_ranks, trace_paths
+from wrt.bench.studies.bounces.bounce_rays import REFLECTED, TRANSMITTED, materials_of, trace_paths
+from wrt.imaging.integrators.wavefront import square_order
 from wrt.kernels.query.ordering.packet_orders import PACKET_ORDERS
 
 
@@ -54,11 +55,12 @@ def test_rays_of_paths():
     assert len(materials_of(scene.meshes)) == len(scene.meshes)
 
 
-def test_tiles_are_packets():
-    ranks = tile_ranks(16).reshape(16, 16)
+def test_squares_of_pixels_are_packets():
+    ranks = np.argsort(square_order(16, 16)).reshape(16, 16)
     np.testing.assert_array_equal(np.sort(ranks[:8, 8:].ravel()), np.arange(64, 128))
     np.testing.assert_array_equal(ranks[0, :8], np.arange(8))
-    assert sorted(tile_ranks(11)) == [*range(121)]
+    assert sorted(square_order(11, 11)) == [*range(121)]
+    np.testing.assert_array_equal(square_order(9, 2), [*range(8), *range(9, 17), 8, 17])
 
 
 def test_figures_of_orders():

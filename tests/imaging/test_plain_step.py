@@ -33,10 +33,14 @@ LAMPS = {
 }
 
 
+PLACES = ((0.3, 0.1, 0.3), (-0.4, 0.5, 0.3), (0.8, 0.5, 0.3), (-0.6, -0.5, 0.3), (0.7, -0.7, 0.3), (0.4, 0.2, 0.4))
+"""The last two balls meet: one body of glass within another."""
+
+
 def matte_room(emits: bool) -> wrt.Scene:
-    """A floor, a wall, a textured tile, a ball of glass and a smooth one: rays of all kinds side by side."""
+    """A floor, a wall, a textured tile, and balls: of glass, smooth, translucent, mirrors. Rays of all kinds side by side."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.25)
-    places = [np.asarray(ball.vertices) + at for at in ((0.3, 0.1, 0.3), (-0.4, 0.5, 0.3), (0.8, 0.5, 0.3))]
+    places = [np.asarray(ball.vertices) + at for at in PLACES]
     checks = wrt.Texture(np.indices((4, 4)).sum(axis=0) % 2 * 0.6 + 0.2)
     tile = plane((-0.8, -0.8), (-0.2, -0.2), z=0.02)
     parts = [
@@ -46,6 +50,9 @@ def matte_room(emits: bool) -> wrt.Scene:
         wrt.TriangleMesh(places[0], ball.faces).with_materials(wrt.Material("dielectric", index=1.5, color=1.0)),
         wrt.TriangleMesh(places[1], ball.faces).with_materials(wrt.Material(color=0.9)),
         wrt.TriangleMesh(places[2], ball.faces).with_materials(wrt.Material(translucency=0.5)),
+        wrt.TriangleMesh(places[3], ball.faces).with_materials(wrt.Material("mirror", color=(0.9, 0.8, 0.7))),
+        wrt.TriangleMesh(places[4], ball.faces).with_materials(wrt.Material("dielectric", absorption=(0.2, 1.0, 2.0))),
+        wrt.TriangleMesh(places[5], ball.faces).with_materials(wrt.Material("dielectric", index=1.3, color=0.9)),
     ]
     return wrt.Scene(parts)
 

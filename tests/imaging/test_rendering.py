@@ -8,6 +8,8 @@ import trimesh
 import warp as wp
 
 import wrt
+from wrt.imaging.integrators import path_chain
+from wrt.imaging.integrators.wavefront import Wave
 from wrt.scenes.shapes import boxes, plane
 
 DEVICES = ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
@@ -51,6 +53,20 @@ def test_threads_waves_and_steps_do_not_show(scene, integrator, sampler):
     np.testing.assert_array_equal(made(alone, integrator, sampler=sampler).advance().linear, reference)
     other = made(scene, integrator, sampler=sampler, seed=1).advance().linear
     assert np.abs(other - reference).max() > 0.0
+
+
+@pytest.mark.parametrize("sample_lights", [True, False])
+def test_tiles_of_paths_do_not_show(scene, sample_lights, monkeypatch):
+    """Tile by tile or generation by generation: the same picture and as many rays. Tiles once read the origin of all camera
+    rays where the first tile had written that of its next ray."""
+    monkeypatch.setattr(path_chain, "TILE", 512)
+    monkeypatch.setattr(path_chain, "FIRST_SAMPLES", 1024)
+    in_tiles = made(scene, "path", sample_lights=sample_lights, wave=3000).advance()
+    assert in_tiles._wave._chain is not None
+    monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
+    by_generations = made(scene, "path", sample_lights=sample_lights, wave=3000).advance()
+    np.testing.assert_array_equal(in_tiles.linear, by_generations.linear)
+    assert in_tiles.rays == by_generations.rays
 
 
 @pytest.mark.parametrize("tree", ["kdtree", "bvh"])

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+import json
+
+import click
 import numpy as np
 import pytest
 import warp as wp
+from click.testing import CliRunner
 
 import wrt
-from wrt.bench.studies.bounces.shading_streams_comparison import compare_shading, scene_of_materials, utilisation
+from wrt.bench.commands import shading_command
+from wrt.bench.commands.benchmark import bench
+from wrt.bench.commands.command_options import table_console
+from wrt.bench.studies.bounces.shading_streams_comparison import (
+    WAYS,
+    StreamFigures,
+    compare_shading,
+    scene_of_materials,
+    utilisation,
+)
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront.path_step import MISSED
 from wrt.kernels.shading.wavefront.shading_streams import FILTERS, Streams, filter_streams
@@ -66,3 +79,27 @@ def test_what_streams_do_not_do():
         compare_shading(wrt.Scene([wrt.Instance(scene.meshes[0], np.eye(4))]), CAMERA)
     with pytest.raises(ValueError, match="unknown way 'guessed'"):
         compare_shading(scene, CAMERA, ways=("guessed",))
+
+
+def figures(same: bool = True) -> list[StreamFigures]:
+    shares = (0.1, 0.2, 0.3, 0.15, 0.25)
+    return [StreamFigures(generation, way, 100, shares, 0.002, 1.25, 0.0005, same) for generation in (0, 1) for way in WAYS]
+
+
+def test_command(tmp_path, monkeypatch):
+    """What is asked for reaches the study, and its figures the tables and the file."""
+    asked = {}
+    monkeypatch.setattr(shading_command, "compare_shading", lambda scene, camera, **given: asked.update(given) or figures())
+    target = tmp_path / "shading.json"
+    arguments = ["shading", "--size", "16", "--balls", "2", "--depth", "2", "--stream", "64", "--json", str(target)]
+    done = CliRunner().invoke(bench, arguments)
+    assert done.exit_code == 0, done.output
+    assert (asked["depth"], asked["stream"], asked["rounds"]) == (2, 64, 3)
+    assert "generation 1, 100 rays: 10% missed, 20% diffuse" in done.output
+    assert "filtered, lanes" in done.output
+    assert [row["way"] for row in json.loads(target.read_text())["shading"]] == [*WAYS, *WAYS]
+
+
+def test_other_answers_are_an_error():
+    with pytest.raises(click.ClickException, match="differ"):
+        shading_command.print_shading(figures(same=False), table_console(120))

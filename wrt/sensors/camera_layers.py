@@ -149,6 +149,13 @@ class LensRendering(Rendering):
         if self.settings.lens_radius > 0.0:
             raise ValueError("lens_radius is of thin lenses; lenses of wrt.sensors have none")
 
+    def _follow_in_tiles(self, wave: Wave, count: int) -> bool:
+        return False  # camera rays are replaced
+
+    @property
+    def _starts_at_one_point(self) -> bool:
+        return False  # a lens may have several centres, and the camera moves while rows are read
+
     def _start(self, wave: Wave, count: int) -> None:
         from wrt.kernels.sensors.surface_images import start_lens_rays
 

@@ -15,6 +15,7 @@ _TYPES = """
     typedef float vf __attribute__((ext_vector_type(W)));
     typedef int vi __attribute__((ext_vector_type(W)));
     typedef unsigned vu __attribute__((ext_vector_type(W)));
+    typedef double vd __attribute__((ext_vector_type(W)));
     struct V3 {
         vf x, y, z;
         V3 operator+(const V3& o) const { return {x + o.x, y + o.y, z + o.z}; }
@@ -35,8 +36,17 @@ _TYPES = """
     auto smaller = [](vf a, vf b) { return a < b ? a : b; };
     auto pick = [](vi mask, vf a, vf b) { return mask ? a : b; };
     auto pick3 = [](vi mask, const V3& a, const V3& b) { return V3{mask ? a.x : b.x, mask ? a.y : b.y, mask ? a.z : b.z}; };
+    auto pick_ints = [](vi mask, vi a, vi b) { return mask ? a : b; };
     auto as_float = [](vi a) { return __builtin_convertvector(a, vf); };
     auto is_any = [](vi mask) { return __builtin_reduce_or(mask) != 0; };
+    auto bits_of = [](vi mask) {
+        unsigned bits = 0;
+        for (int i = 0; i < W; ++i) bits |= mask[i] ? 1u << i : 0u;
+        return bits;
+    };
+    auto quotient = [](vi a, int by) {  // a / by for a >= 0: no CPU divides vectors of integers
+        return __builtin_convertvector((__builtin_convertvector(a, vd) + 0.5) * (1.0 / by), vi);
+    };
 """
 
 _NUMBERS = """

@@ -215,7 +215,7 @@ def path_step(
     """
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
-    size = wp.where(group > 1 and not step.is_last, WIDTH, 1)
+    size = wp.where(group > 1, WIDTH, 1)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     here = int(begin)
     while here < end:
@@ -225,6 +225,7 @@ def path_step(
             done = shade_plain(
                 here,
                 step.generation,
+                step.is_last,
                 step.roulette,
                 step.samples_lights,
                 scene,

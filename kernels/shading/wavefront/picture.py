@@ -16,7 +16,7 @@ from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.bsdf.scattering import luminance
 from wrt.kernels.shading.film import display
 from wrt.kernels.shading.shading_point import shading_point
-from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, point_look
 
 exact_module(__name__)
@@ -29,7 +29,6 @@ LINEAR, SRGB, REINHARD, ACES = (wp.constant(number) for number in range(4))
 def develop_wave(
     first: int,
     wave: Wave,
-    samples: int,
     limit: float,
     radiance: wp.array(dtype=wp.vec3),
     film: wp.array(dtype=wp.vec3),
@@ -38,11 +37,11 @@ def develop_wave(
     """Adds the samples of a wave to their pixel, in order. Item: a pixel of the wave. `limit` bounds a sample's largest
     component."""
     i = first + wp.tid()
-    pixel = wave.first_pixel + i
+    pixel = wave.order[wave.first_pixel + i]
     total = film[pixel]
     square = squares[pixel]
-    for sample in range(samples):
-        value = radiance[sample * wave.pixels + i]
+    for sample in range(wave.samples):
+        value = radiance[i * wave.samples + sample]
         most = wp.max(value[0], wp.max(value[1], value[2]))
         if most > limit:
             value = value * (limit / most)
@@ -117,10 +116,10 @@ def geometry_in(mesh: SceneMesh, instance: int):
 
 
 @wp.kernel
-def write_layers(first: int, start: int, scene: LitScene, first_pixel: int, queue: RayQueue, hits: HitBatch, layers: Layers):
-    """Writes what a camera ray sees. Item: a pixel of the wave from `start` on, whose ray has the same number."""
+def write_layers(first: int, start: int, scene: LitScene, wave: Wave, queue: RayQueue, hits: HitBatch, layers: Layers):
+    """Writes what a camera ray sees. Item: a ray of a wave of one sample a pixel, from `start` on."""
     i = start + first + wp.tid()
-    pixel = first_pixel + i
+    pixel = pixel_of(wave, i)
     primitive = hits.primitive[i]
     normal = wp.vec3()
     albedo = wp.vec3()

@@ -1,12 +1,12 @@
 """A step of path tracing for W plain rays at once, on the CPU.
 
 Most rays of most pictures hit a matte surface in air. Shading one takes a thousand instructions, nearly without branches, so W
-of them are shaded in lanes. A ray is plain if it hit a flat, matte, opaque triangle that emits nothing and has one colour, in
-air, and if the lamp that it chooses is one of those below. Each plain ray gets the bits that `path_step` gives it. The others,
-and whole groups of W without a plain ray, are left to `path_step`.
+of them are shaded in lanes. So are those that hit a mirror or smooth glass, and paths that end: in the last generation, and
+where nothing is hit under a sky of one colour. A ray is plain if its surface has no image, no colours of corners and emits
+nothing, if nothing is absorbed on its way, if it enters glass from air, and if the lamp that it chooses is one of those below.
+Each plain ray gets the bits that `path_step` gives it. The others, and whole groups of W without a plain ray, are left to it.
 
-Lamps: points, directions, flat and round lamps, emissive triangles, and a sky of one colour. The loop over them is not in
-lanes: lamps are few, and each is taken by the rays that chose it.
+Lamps: points, directions, flat and round lamps, emissive triangles, and a sky of one colour.
 """
 
 from functools import cache
@@ -17,7 +17,8 @@ import warp as wp
 from wrt.kernels.compilation.target import lane_width
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.query.spawn import INSET
-from wrt.kernels.shading.bsdf.material_table import DIFFUSE
+from wrt.kernels.shading.bsdf.ggx import SMALLEST_ALPHA
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, DIFFUSE, MIRROR
 from wrt.kernels.shading.emitters.light_table import (
     DIRECTIONAL,
     PARALLELOGRAM,
@@ -30,6 +31,7 @@ from wrt.kernels.shading.emitters.light_table import (
 from wrt.kernels.shading.surface import OFFSET
 from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.pixel_samples import FIRST_BOUNCE, PER_BOUNCE, RANDOM, SOBOL, PixelSamples
+from wrt.kernels.shading.wavefront.plain_lamps import GATHER, LAMPS
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -40,7 +42,9 @@ MOST_LAMPS = 8
 _CONSTANTS = f"""
     constexpr float OFFSET = {float(OFFSET)!r}f, INSET = {float(INSET)!r}f;
     constexpr float PI = 3.141592653589793f, TWO_PI = 6.283185307179586f;
-    constexpr int DIFFUSE = {DIFFUSE}, POINT = {POINT}, DIRECTIONAL = {DIRECTIONAL}, PARALLELOGRAM = {PARALLELOGRAM};
+    constexpr int DIFFUSE = {DIFFUSE}, MIRROR = {MIRROR}, DIELECTRIC = {DIELECTRIC};
+    constexpr float SMALLEST_ALPHA = {float(SMALLEST_ALPHA)!r}f;
+    constexpr int POINT = {POINT}, DIRECTIONAL = {DIRECTIONAL}, PARALLELOGRAM = {PARALLELOGRAM};
     constexpr int TRIANGLE = {TRIANGLE}, SPHERE = {SPHERE}, TRIANGLES = {TRIANGLES}, SKY = {SKY}, MOST_LAMPS = {MOST_LAMPS};
     constexpr int SOBOL = {SOBOL}, RANDOM = {RANDOM}, FIRST_BOUNCE = {FIRST_BOUNCE}, PER_BOUNCE = {PER_BOUNCE};
 """
@@ -53,24 +57,51 @@ _BEGIN = """
     const bool is_sobol = source.sampler == SOBOL;
 """
 
-_PLAIN = """
-    int number_of[W], face_of[W], plain_of[W];
-    for (int i = 0; i < W; ++i) {
+_KINDS = """
+    const auto& sky = lights.sky;
+    const bool has_sky = lights.sky_entry >= 0;
+    const bool is_even = sky.width == 1 && sky.height == 1 && sky.rows <= 1 && sky.columns <= 1;
+    int number_of[W], face_of[W], hit_of[W], kind_of[W], image_of[W], media_of[W], clear_of[W];
+    float glow_of[W], rough_of[W], index_of[W], through_of[W];
+    unsigned long long media_known = 0;
+    WRT_SCALAR for (int i = 0; i < W; ++i) {  // loads only: rays of mixed kinds would mislead branches
         const int face = hits.primitive.data[first + i], known = face < 0 ? 0 : face;
         const int number = materials.of_face.data[known * materials.of_face_stride];
         const wp::vec3& e = materials.emission.data[number];
-        const bool has_image = materials.has_uv
-            && (materials.color_texture.data[number] >= 0 || materials.surface_texture.data[number] >= 0);
-        face_of[i] = known; number_of[i] = number;
-        const bool is_matte = (materials.kind.data[number] == DIFFUSE) & (materials.shape.data[number].c[3] == 0.0f);
-        const bool is_dark = e.c[0] + e.c[1] + e.c[2] == 0.0f, in_air = queue.media.data[first + i] == 0;
-        plain_of[i] = ((face >= 0) & is_matte & is_dark & in_air & !has_image) ? -1 : 0;
+        const auto& shape = materials.shape.data[number];
+        const unsigned long long media = queue.media.data[first + i];
+        hit_of[i] = face; face_of[i] = known; number_of[i] = number; kind_of[i] = materials.kind.data[number];
+        glow_of[i] = e.c[0] + e.c[1] + e.c[2];
+        rough_of[i] = shape.c[0]; index_of[i] = shape.c[2]; through_of[i] = shape.c[3];
+        media_of[i] = media <= 0xFFFF ? (int)media : -1;  // -1: several
+        clear_of[i] = media == 0 ? -1 : 0;
+        media_known |= media;
     }
-    vi plain = load_ints(plain_of);
-    if (!is_any(plain)) return 0;
+    for (int i = 0; i < W; ++i) image_of[i] = 0;
+    if (materials.has_uv) for (int i = 0; i < W; ++i) {
+        const int number = number_of[i];
+        image_of[i] = (materials.color_texture.data[number] >= 0 || materials.surface_texture.data[number] >= 0) ? -1 : 0;
+    }
+    if (media_known) for (int i = 0; i < W; ++i) {  // where nothing is absorbed
+        if (media_of[i] <= 0) continue;
+        const wp::vec3& a = materials.absorption.data[media_of[i] - 1];
+        clear_of[i] = (a.c[0] == 0.0f && a.c[1] == 0.0f && a.c[2] == 0.0f) ? -1 : 0;
+    }
+    const vi is_hit = load_ints(hit_of) >= 0, is_dark = load(glow_of) == 0.0f, kind = load_ints(kind_of);
+    const vi is_clear = load_ints(clear_of), media = load_ints(media_of), in_air = media == 0;
+    const vf rough = load(rough_of);
+    const vi goes = is_last ? (vi)0 : is_hit & is_dark & ~load_ints(image_of) & is_clear;
+    vi matte = goes & in_air & (kind == DIFFUSE) & (load(through_of) == 0.0f), mirror = goes & (kind == MIRROR);
+    vi glass = goes & (kind == DIELECTRIC) & (in_air | (media == load_ints(number_of) + 1));
+    glass = glass & (rough * rough < SMALLEST_ALPHA);
+    if (scene.schlick) glass = 0;
+    const vi sheds = lights.triangle_entry < 0 ? (vi)0 : ~is_dark, escapes = !has_sky || is_even ? ~is_hit : (vi)0;
+    const vi ended = escapes | (is_last ? is_hit & is_clear & ~sheds : (vi)0);
+    if (!is_any(matte | mirror | glass | ended)) return 0;
 """
+"""C++: which rays are plain, by what happens to them: paths end where nothing is hit, and in the last generation."""
 
-_POINTS = """
+_RECORDS = """
     struct Record { V3 corner, edge1, edge2, normal, inverse_heights; vf sliver; };
     const auto* table = scene.shaded.records.data;
     auto records_of = [&](const int* faces) {
@@ -94,189 +125,20 @@ _POINTS = """
         const vf x = larger(size_of(down.x), size_of(up.x)), y = larger(size_of(down.y), size_of(up.y));
         return larger(x, larger(y, larger(size_of(down.z), size_of(up.z))));
     };
-    const Record face = records_of(face_of);
     const V3 direction = load3(queue.direction.data + first), weight = load3(queue.weight.data + first);
-    if (scene.shaded.is_smooth) plain = plain & (face.sliver < 0.0f);
-    plain = plain & (dot(face.normal, face.normal) != 0.0f);
-    if (!is_any(plain)) return 0;
-    const V3 normal = face.normal * pick(dot(face.normal, direction) <= 0.0f, all(1.0f), all(-1.0f));
-    vf u, v;
-    load2(hits.uv.data + first, u, v);
-    const V3 near = face.corner + face.edge1 * u + face.edge2 * v;
-    const vf offset = larger(OFFSET * reach(near), size_of(face.sliver));
-    auto inset = [&](vf share, vf inverse_height) {
-        const vf least = INSET * offset * inverse_height;
-        return larger(share, pick(3.0f * least < 1.0f, least, all(1.0f / 3.0f)));
-    };
-    const vf a0 = inset(1.0f - u - v, face.inverse_heights.x), a1 = inset(u, face.inverse_heights.y);
-    const vf a2 = inset(v, face.inverse_heights.z), sum = a0 + a1 + a2;
-    const V3 position = face.corner + face.edge1 * (a1 / sum) + face.edge2 * (a2 / sum);
-    const V3 origin = position + normal * offset, color = colors_of(materials.color.data, number_of);
     const vi slot = load_ints(queue.slot.data + first);
-    const vu pixel = mix((vu)(wave.first_pixel + slot % wave.pixels), (vu)source.seed);
-    const vu sample = (vu)(wave.first_sample + slot / wave.pixels);
 """
-"""C++: records of triangles, and the points where rays end: `shading_point` for flat triangles."""
+"""C++: what is read of triangles and rays."""
 
-_LAMPS = """
-    struct Found { V3 segment, direction, radiance; vf density; };
+_COLLECT = """
     auto power_weight = [&](vf own, vf other) {
         const vf square = own * own;
         return square / larger(square + other * other, all(1e-30f));
     };
-    auto find_interval = [](const float* sums, int count, float value) {
-        int lowest = 0, highest = count;
-        while (highest - lowest > 1) {
-            const int middle = (lowest + highest) / 2;
-            if (sums[middle] <= value) lowest = middle; else highest = middle;
-        }
-        return lowest;
-    };
-    auto within = [&](vf below, vf above, vf value) {
-        return smaller(larger((value - below) / larger(above - below, all(1e-20f)), all(0.0f)), all(0.999999f));
-    };
-    auto on_flat = [&](const V3& target, const V3& axis, vf area, const V3& radiance, vi two_sided, vf lift, Found& found) {
-        const V3 toward = target - position;
-        const vf distance = root(dot(toward, toward));
-        found.direction = toward / distance;
-        const vf slope = dot(found.direction, axis), cosine = pick(two_sided, size_of(-slope), -slope);
-        found.segment = toward + axis * pick(slope < 0.0f, lift, -lift);
-        found.radiance = radiance;
-        found.density = pick((distance > 0.0f) & (cosine > 1e-6f), distance * distance / (cosine * area), all(0.0f));
-    };
-    auto sample_triangles = [&](vf x, vf y, Found& found) {
-        int faces[W], numbers[W], sided[W];
-        float values[W], below[W], above[W];
-        save(values, x);
-        const float* sums = lights.triangle_sums.data;
-        WRT_SCALAR for (int i = 0; i < W; ++i) {
-            const int number = find_interval(sums, (int)lights.triangle.shape[0], values[i]);
-            below[i] = sums[number]; above[i] = sums[number + 1];
-            faces[i] = lights.triangle.data[number];
-            numbers[i] = materials.of_face.data[faces[i] * materials.of_face_stride];
-            sided[i] = materials.two_sided.data[numbers[i]] != 0 ? -1 : 0;
-        }
-        const vf inner = within(load(below), load(above), x), side = root(inner);
-        const Record lamp = records_of(faces);
-        const V3 target = lamp.corner + lamp.edge1 * (side * (1.0f - y)) + lamp.edge2 * (side * y);
-        const V3 radiance = colors_of(materials.emission.data, numbers);
-        const vf bright = 0.2126f * radiance.x + 0.7152f * radiance.y + 0.0722f * radiance.z;
-        const vf lift = larger(OFFSET * reach(target), size_of(lamp.sliver));
-        const vf area = lights.triangle_power / larger(bright, all(1e-30f));
-        on_flat(target, lamp.normal, area, radiance, load_ints(sided), lift, found);
-    };
-    auto sample_sphere = [&](int entry, vf x, vf y, Found& found) {
-        const V3 axis = all3(lights.position.data[entry]) - position;
-        const vf distance = root(dot(axis, axis)), radius = all(lights.shape.data[entry].c[2]);
-        const vf sine = radius / distance, cosine = root(larger(all(0.0f), 1.0f - sine * sine));
-        const vf cap = sine * sine / (1.0f + cosine), rest = x * cap, height = 1.0f - rest;
-        const vf across = root(larger(all(0.0f), rest * (1.0f + height)));
-        const V3 forward = axis / distance, tangent = tangent_of(forward);
-        vf c, s;
-        turned(y, c, s);
-        const V3 aimed = forward * height + (tangent * c + cross(forward, tangent) * s) * across;
-        found.direction = aimed / root(dot(aimed, aimed));
-        const vf half = root(larger(all(0.0f), radius * radius - distance * distance * across * across));
-        found.segment = found.direction * (height * distance - half);
-        found.radiance = all3(lights.radiance.data[entry]);
-        found.density = pick(distance > radius * 1.000001f, 1.0f / (TWO_PI * cap), all(0.0f));
-    };
-    auto sample_sky = [&](vf x, vf y, Found& found) {
-        const auto& sky = lights.sky;
-        const float *rows = sky.row_sums.data, *cells = sky.cell_sums.data;
-        const vf height = 1.0f - 2.0f * within(all(rows[0]), all(rows[1]), y);
-        vf c, s;
-        turned(within(all(cells[0]), all(cells[1]), x) - 0.5f, c, s);
-        const vf radius = root(larger(all(0.0f), 1.0f - height * height));
-        found.direction = (all3(sky.east) * c + all3(sky.north) * s) * radius + all3(sky.up) * height;
-        found.segment = found.direction * lights.far;
-        found.radiance = all3(sky.texels.data[0]);
-        found.density = all(1.0f / (4.0f * PI));
-    };
-    auto sample_lamp = [&](int entry, vf x, vf y, Found& found) {  // whether only this way finds the light; -1: not in lanes
-        const int kind = lights.kind.data[entry];
-        const auto& shape = lights.shape.data[entry];
-        found.radiance = all3(lights.radiance.data[entry]);
-        found.density = all(1.0f);
-        if (kind == POINT) {
-            found.segment = all3(lights.position.data[entry]) - position;
-            const vf square = dot(found.segment, found.segment), distance = root(square);
-            found.direction = found.segment / distance;
-            found.radiance = found.radiance / larger(square, all(1e-30f));
-            found.density = pick(distance > 0.0f, all(1.0f), all(0.0f));
-            return 1;
-        }
-        if (kind == DIRECTIONAL) {
-            found.direction = all3(lights.axis.data[entry]) * -1.0f;
-            found.segment = found.direction * lights.far;
-            return 1;
-        }
-        if (kind == PARALLELOGRAM || kind == TRIANGLE) {
-            const vf side = root(x), s = kind == TRIANGLE ? side * (1.0f - y) : x, t = kind == TRIANGLE ? side * y : y;
-            const V3 target = all3(lights.position.data[entry]) + all3(lights.edge1.data[entry]) * s
-                + all3(lights.edge2.data[entry]) * t;
-            const vi two_sided = (vi)(shape.c[3] != 0.0f ? -1 : 0);
-            on_flat(target, all3(lights.axis.data[entry]), all(shape.c[2]), found.radiance, two_sided, all(0.0f), found);
-            return 0;
-        }
-        if (kind == SPHERE) { sample_sphere(entry, x, y, found); return 0; }
-        if (kind == TRIANGLES) { sample_triangles(x, y, found); return 0; }
-        if (kind != SKY || lights.sky.width * lights.sky.height != 1 || lights.sky.rows * lights.sky.columns != 1) return -1;
-        sample_sky(x, y, found);
-        return 0;
-    };
-"""
-"""C++: `sample_light` from `position`, for W places on one lamp."""
-
-_GATHER = """
-    V3 lit = {all(0.0f), all(0.0f), all(0.0f)}, segment = lit;
-    if (samples_lights && lights.count > 0) {
-        vi entry = 0;
-        if (lights.count > 1) {
-            const vf chance = single_number(pixel, sample, 3 * generation);
-            for (int e = 1; e < lights.count; ++e) entry -= lights.sums.data[e] <= chance;
-        }
-        vf x, y;
-        pixel_point(pixel, sample, FIRST_BOUNCE + PER_BOUNCE * generation, x, y);
-        for (int e = 0; e < lights.count; ++e) {
-            const vi takes = plain & (entry == e);
-            if (!is_any(takes)) continue;
-            Found light;
-            const int is_single = sample_lamp(e, x, y, light);
-            if (is_single < 0) { plain = plain & (entry != e); continue; }
-            const float probability = lights.count > 1 ? lights.sums.data[e + 1] - lights.sums.data[e] : 1.0f;
-            const vf cosine = dot(normal, light.direction), scatters = size_of(cosine) / PI;
-            const vf density = light.density * probability;
-            vf share = 1.0f / density;
-            if (!is_single) share = share * power_weight(density, scatters);
-            const vi arrives = takes & (light.density > 0.0f) & (cosine > 0.0f) & (scatters > 0.0f);
-            const V3 value = color * scatters;
-            lit = pick3(arrives, weight * (value * light.radiance * share), lit);
-            segment = pick3(arrives, light.segment - (origin - position), segment);
-        }
-        if (!is_any(plain)) return 0;
-    }
-"""
-"""C++: `lamp_light`, for a matte surface."""
-
-_SCATTER = """
-    vf x, y;
-    pixel_point(pixel, sample, FIRST_BOUNCE + PER_BOUNCE * generation + 1, x, y);
-    const V3 toward = cosine_direction(normal, x, y);
-    V3 share = weight * color;
-    const vf rise = dot(toward, normal), most = larger(share.x, larger(share.y, share.z));
-    const V3 rest = share - share;
-    vi alive = (most > 0.0f) & (rise >= 0.0f) & (rest.x == 0.0f) & (rest.y == 0.0f) & (rest.z == 0.0f);
-    if (generation >= roulette) {
-        const vf survival = smaller(most, all(0.95f));
-        alive = alive & (single_number(pixel, sample, 3 * generation + 2) < survival);
-        share = share / survival;
-    }
-"""
-"""C++: `scatter`, for a matte surface."""
-
-_CROSSED = """
-    if (lights.areas > 0) {
+    const vi missed = ended & ~is_hit;
+    const bool sees_sky = has_sky && is_any(missed);
+    auto collect = [&](vi plain) {
+        if (lights.areas == 0 && !sees_sky) return;
         const V3 start = load3(queue.origin.data + first);
         const vf end = load(hits.t.data + first), own = samples_lights ? load(queue.density.data + first) : all(0.0f);
         V3 found = {all(0.0f), all(0.0f), all(0.0f)};
@@ -309,6 +171,11 @@ _CROSSED = """
             const V3 seen = weight * all3(lights.radiance.data[e]) * part;
             found = found + pick3(crosses, seen, V3{all(0.0f), all(0.0f), all(0.0f)});
         }
+        if (sees_sky) {
+            const float probability = lights.sums.data[lights.sky_entry + 1] - lights.sums.data[lights.sky_entry];
+            const vf part = pick(own > 0.0f, power_weight(own, all(1.0f / (4.0f * PI) * probability)), all(1.0f));
+            found = pick3(missed, found + weight * all3(sky.texels.data[0]) * part, found);
+        }
         float r[W], g[W], b[W];
         save(r, found.x); save(g, found.y); save(b, found.z);
         WRT_SCALAR for (int i = 0; i < W; ++i) {
@@ -316,26 +183,130 @@ _CROSSED = """
             wp::vec3& sum = rays.radiance.data[queue.slot.data[first + i]];
             sum.c[0] += r[i]; sum.c[1] += g[i]; sum.c[2] += b[i];
         }
+    };
+    if (!is_any(matte | mirror | glass)) {
+        collect(ended);
+        if (is_last) return bits_of(ended);
+        const V3 nothing = {all(0.0f), all(0.0f), all(0.0f)};
+        save(following.slot.data + first, slot);
+        save(goes_on.data + first, (vi)0);
+        save3(rays.lit.data + first, nothing);
+        save3(rays.shadow_direction.data + first, nothing);
+        save3(rays.shadow_origin.data + first, nothing);
+        return bits_of(ended);
     }
 """
-"""C++: `crossed_lights`, added to the samples."""
+"""C++: `crossed_lights` and `sky_light`, added to the samples; that is all where no path goes on."""
+
+_POINTS = """
+    const Record face = records_of(face_of);
+    const vi has_area = dot(face.normal, face.normal) != 0.0f, is_front = dot(face.normal, direction) <= 0.0f;
+    matte = matte & has_area; mirror = mirror & has_area;
+    glass = glass & has_area & (~is_front | in_air);  // not a body within one of its kind
+    const vf side = pick(is_front, all(1.0f), all(-1.0f));
+    const V3 face_normal = face.normal * side;
+    vf u, v;
+    load2(hits.uv.data + first, u, v);
+    const V3 near = face.corner + face.edge1 * u + face.edge2 * v;
+    const vf offset = larger(OFFSET * reach(near), size_of(face.sliver));
+    auto inset = [&](vf share, vf inverse_height) {
+        const vf least = INSET * offset * inverse_height;
+        return larger(share, pick(3.0f * least < 1.0f, least, all(1.0f / 3.0f)));
+    };
+    const vf a0 = inset(1.0f - u - v, face.inverse_heights.x), a1 = inset(u, face.inverse_heights.y);
+    const vf a2 = inset(v, face.inverse_heights.z), sum = a0 + a1 + a2;
+    const V3 position = face.corner + face.edge1 * (a1 / sum) + face.edge2 * (a2 / sum);
+    const V3 color = colors_of(materials.color.data, number_of);
+    V3 normal = face_normal, lit_from = position;
+    if (scene.shaded.is_smooth && is_any((matte | mirror | glass) & (face.sliver >= 0.0f))) {
+        auto corner_normals = [&](int corner) {
+            float words[3][W];
+            WRT_SCALAR for (int i = 0; i < W; ++i) {
+                const wp::vec3& n = scene.shaded.corner_normals.data[3 * face_of[i] + corner];
+                WRT_UNROLLED for (int k = 0; k < 3; ++k) words[k][i] = n.c[k];
+            }
+            return V3{load(words[0]), load(words[1]), load(words[2])} * side;
+        };
+        auto lift = [&](const V3& corner, const V3& n) { return n * -smaller(all(0.0f), dot(position - corner, n)); };
+        const V3 na = corner_normals(0), nb = corner_normals(1), nc = corner_normals(2);
+        const vf w0 = a0 / sum, w1 = a1 / sum, w2 = a2 / sum;
+        const V3 blend = na * w0 + nb * w1 + nc * w2;
+        const vi is_round = (face.sliver >= 0.0f) & (dot(blend, face_normal) > 0.0f) & (dot(blend, direction) < 0.0f);
+        const V3 rise = lift(face.corner, na) * w0 + lift(face.corner + face.edge1, nb) * w1
+            + lift(face.corner + face.edge2, nc) * w2;
+        normal = pick3(is_round, blend / root(dot(blend, blend)), face_normal);
+        lit_from = pick3(is_round, position + rise, position);
+    }
+    const vi place = quotient(slot, wave.samples);
+    int pixel_of[W];
+    save(pixel_of, place);
+    WRT_SCALAR for (int i = 0; i < W; ++i) pixel_of[i] = wave.order.data[wave.first_pixel + pixel_of[i]];
+    const vu pixel = mix((vu)load_ints(pixel_of), (vu)source.seed);
+    const vu sample = (vu)(wave.first_sample + slot - place * wave.samples);
+"""
+"""C++: the points where rays end: `shading_point`."""
+
+
+_SCATTER = """
+    V3 toward = direction, share = weight * color;
+    vi transmitted = 0;
+    if (is_any(matte)) {
+        vf x, y;
+        pixel_point(pixel, sample, FIRST_BOUNCE + PER_BOUNCE * generation + 1, x, y);
+        toward = cosine_direction(normal, x, y);
+    }
+    const vi single = mirror | glass;
+    if (is_any(single)) {
+        const V3 out = direction * -1.0f;
+        const vf index = load(index_of), cosine = dot(out, normal), size = size_of(cosine);
+        const vf ratio = pick(is_front, 1.0f / index, index);
+        const vf beyond = 1.0f - ratio * ratio * (1.0f - size * size), other = root(beyond);
+        const vf parallel = (size - ratio * other) / (size + ratio * other);
+        const vf perpendicular = (ratio * size - other) / (ratio * size + other);
+        const vf reflected = pick(beyond > 0.0f, 0.5f * (parallel * parallel + perpendicular * perpendicular), all(1.0f));
+        transmitted = glass & ~(single_number(pixel, sample, 3 * generation + 1) < reflected);
+        const vf under = 1.0f - ratio * ratio * larger(all(0.0f), 1.0f - cosine * cosine);
+        const V3 refracted = normal * (ratio * cosine - root(under)) - out * ratio;
+        V3 sent = pick3(transmitted, refracted, normal * (2.0f * cosine) - out);
+        sent = pick3(transmitted & ~(under > 0.0f), V3{all(0.0f), all(0.0f), all(0.0f)}, sent);
+        const vf rise = dot(sent, face_normal);
+        sent = pick3((rise < 0.0f) ^ transmitted, sent - face_normal * (2.0f * rise), sent);
+        toward = pick3(single, sent, toward);
+        share = pick3(transmitted, weight * (color * (ratio * ratio)), share);
+    }
+    const vf most = larger(share.x, larger(share.y, share.z));
+    const V3 rest = share - share;
+    vi alive = (most > 0.0f) & (rest.x == 0.0f) & (rest.y == 0.0f) & (rest.z == 0.0f);
+    alive = alive & ~((dot(toward, face_normal) < 0.0f) ^ transmitted) & (matte | single);
+    if (generation >= roulette) {
+        const vf survival = smaller(most, all(0.95f));
+        alive = alive & (single_number(pixel, sample, 3 * generation + 2) < survival);
+        share = share / survival;
+    }
+"""
+"""C++: `scatter`."""
 
 _WRITE = """
+    const vi plain = matte | mirror | glass | ended;
+    if (!is_any(plain)) return 0;
+    collect(plain);
     const vf nothing = all(0.0f);
+    const V3 origin = position + face_normal * pick(transmitted, -offset, offset);
     save3(following.direction.data + first, toward);
     save3(following.weight.data + first, share);
     save3(following.origin.data + first, origin);
-    save(following.density.data + first, size_of(rise) / PI);
+    save(following.density.data + first, pick(matte, size_of(dot(toward, normal)) / PI, nothing));
     save(following.slot.data + first, slot);
-    __builtin_memset(following.media.data + first, 0, 8 * W);
+    save(number_of, pick_ints(transmitted, is_front & (load_ints(number_of) + 1), media));
+    if (is_any(plain & (load_ints(number_of) != 0)))
+        for (int i = 0; i < W; ++i) following.media.data[first + i] = (unsigned long long)(unsigned)number_of[i];
+    else __builtin_memset(following.media.data + first, 0, 8 * W);
     save(goes_on.data + first, -alive);
     const vi is_lit = (segment.x != 0.0f) | (segment.y != 0.0f) | (segment.z != 0.0f);
     save3(rays.lit.data + first, lit);
     save3(rays.shadow_direction.data + first, segment);
-    save3(rays.shadow_origin.data + first, pick3(is_lit, origin, V3{nothing, nothing, nothing}));
-    unsigned done = 0;
-    for (int i = 0; i < W; ++i) done |= plain[i] ? 1u << i : 0u;
-    return done;
+    save3(rays.shadow_origin.data + first, pick3(is_lit, lit_from + face_normal * offset, V3{nothing, nothing, nothing}));
+    return bits_of(plain);
 """
 
 
@@ -343,12 +314,13 @@ _WRITE = """
 def make_shade_plain(width: int) -> Any:
     """`shade_plain` for so many lanes."""
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = (_CONSTANTS, _BEGIN, lane_words(width), _PLAIN, _POINTS, _LAMPS, _GATHER, _SCATTER, _CROSSED, _WRITE)
+    parts = (_CONSTANTS, _BEGIN, lane_words(width), _KINDS, _RECORDS, _COLLECT, _POINTS, LAMPS, GATHER, _SCATTER, _WRITE)
 
     @wp.func_native(f"{head}{''.join(parts)}\n#endif\n")
     def shade_plain(
         first: int,
         generation: int,
+        is_last: bool,
         roulette: int,
         samples_lights: bool,
         scene: LitScene,
@@ -361,7 +333,7 @@ def make_shade_plain(width: int) -> Any:
         goes_on: wp.array(dtype=int),
     ) -> wp.uint32:
         """Does the step of the plain ones among the rays first .. first + width - 1, which all exist, and returns one bit for
-        each. What it writes for the others is to be overwritten. Not for the last generation.
+        each. What it writes for the others is to be overwritten.
         """
         ...
 

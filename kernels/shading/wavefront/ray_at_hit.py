@@ -5,7 +5,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples, pixel_hash
-from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave
+from wrt.kernels.shading.wavefront.ray_queue import RayQueue, Wave, pixel_of
 from wrt.kernels.shading.wavefront.scene_light import LitScene, absorbed
 
 exact_module(__name__)
@@ -88,6 +88,6 @@ class SampleKey:
 def sample_key(source: PixelSamples, wave: Wave, slot: int):
     """The key of a sample of a wave."""
     key = SampleKey()
-    key.pixel = pixel_hash(source, wave.first_pixel + slot % wave.pixels)
-    key.sample = wave.first_sample + slot / wave.pixels
+    key.pixel = pixel_hash(source, pixel_of(wave, slot))
+    key.sample = wave.first_sample + slot % wave.samples
     return key

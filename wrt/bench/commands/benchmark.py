@@ -35,6 +35,7 @@ COMPARISONS = {
     "animation": ("animation_command", "animation_command"),
     "auto": ("auto_command", "auto_command"),
     "bounces": ("bounces_command", "bounces_command"),
+    "shading": ("shading_command", "shading_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
 
@@ -104,7 +105,8 @@ def bench(
     `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
     build-sizes` builds of few and of many triangles, `wrt bench animation` ways to update moving meshes, `wrt bench auto
     [MODEL]` what "auto" chooses, `wrt bench scaling [MODEL]` numbers of threads, `wrt bench scheduling [MODEL]` ways to
-    divide work among them, `wrt bench cluster` numbers of processes and of GPUs; each has options of its own.
+    divide work among them, `wrt bench cluster` numbers of processes and of GPUs, `wrt bench shading` ways to shade hits of many
+    materials; each has options of its own.
     """
     from wrt.bench.core.benchmark_plot import matplotlib_missing, save_plot
     from wrt.bench.core.benchmark_report import print_report

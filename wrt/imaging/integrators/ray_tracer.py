@@ -5,18 +5,28 @@ They need no conversion, no check and no test for coherence, because the integra
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 
 from wrt.execution.executor import trace_chosen
 from wrt.execution.expected_kernels import ExpectedRays
+from wrt.execution.traversal_launch import RAYS, kernel_and_inputs, no_work
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
-from wrt.planning.planner import find_plan
+from wrt.kernels.runtime.launch_chain import Stage
+from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
+from wrt.planning.planner import find_plan, is_changing
 from wrt.rays.ray_arrays import Layout, RayArrays
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.state.device_hits import DeviceHits
 from wrt.state.query_kinds import ANY, CLOSEST, Query
 from wrt.state.scene_state import SceneState
+
+STREAM = 2048
+"""Rays of a stream at most, where tiles of them stay in the cache."""
 
 ROUND = 1 << 12
 """Plans are made for numbers of rays rounded up to a power of two, not below this, so that few are made."""
@@ -38,19 +48,22 @@ class RayTracer:
                 wp.array(np.float32([value]), dtype=float, device=state.device) for value in (0.0, 1.0, np.inf)
             )
 
-    def closest(self, origins: wp.array, directions: wp.array, count: int, *, columns: int = -1) -> DeviceHits:
+    def closest(
+        self, origins: wp.array, directions: wp.array, count: int, *, similar: bool = False, from_one_point: bool = False
+    ) -> DeviceHits:
         """Closest hits of the first `count` rays.
 
         Args:
             origins, directions: (>= count,) vec3; origins relative to the scene's centre.
             count: number of rays.
-            columns: of the image whose pixels the rays are, row by row; 0 for similar rays that are no image, -1 for others.
+            similar: whether neighbouring rays are similar.
+            from_one_point: whether all rays start at `origins[0]`.
         """
-        return self._trace(CLOSEST, origins, directions, count, self._infinity, columns)
+        return self._trace(CLOSEST, origins, directions, count, self._infinity, similar, from_one_point)
 
     def blocked(self, origins: wp.array, segments: wp.array, count: int, *, similar: bool = False) -> wp.array:
         """(count,) bool: whether anything is between the two ends of segments; False for segments of length 0."""
-        return self._trace(ANY, origins, segments, count, self._one, 0 if similar else -1).occluded
+        return self._trace(ANY, origins, segments, count, self._one, similar, False).occluded
 
     def blocked_from_points(
         self, origins: wp.array, directions: wp.array, count: int, distance: wp.array, expected: ExpectedRays
@@ -62,15 +75,14 @@ class RayTracer:
             distance: (1,) float32, the length of all rays in units of their directions.
             expected: the most rays that there can be; the plan is made for them, so that batches of any size have the same.
         """
-        rays = self._rays(origins, directions, count, distance, False, False, 0)
+        rays = self._rays(origins, directions, count, distance, False, False)
         chosen = find_plan(self._state, expected, self._queries[ANY])
         return trace_chosen(self._state, chosen, rays, ANY, False)[0].occluded
 
     def _trace(
-        self, kind: str, origins: wp.array, directions: wp.array, count: int, t_max: wp.array, columns: int
+        self, kind: str, origins: wp.array, directions: wp.array, count: int, t_max: wp.array, similar: bool, shared: bool
     ) -> DeviceHits:
-        coherent = columns >= 0
-        buffers = self._rays(origins, directions, count, t_max, coherent, not coherent, max(columns, 0))
+        buffers = self._rays(origins, directions, count, t_max, similar, not similar, shared)
         chosen = find_plan(self._state, buffers, self._queries[kind])
         return trace_chosen(self._state, chosen, buffers, kind, False)[0]
 
@@ -82,9 +94,51 @@ class RayTracer:
         t_max: wp.array,
         coherent: bool,
         scattered: bool,
-        columns: int,
+        shared: bool = False,
     ) -> RayBuffers:
         shape, kept = (max(ROUND, 1 << (count - 1).bit_length()),), (origins, directions)
-        layout, center = Layout(1, 1, 0, 0, True), self._state.center
+        layout, center = Layout(int(not shared), 1, 0, 0, True), self._state.center
         given = RayArrays(origins, directions, self._zero, t_max, layout, count, center, shape, True, np.float32, kept)
-        return RayBuffers(given, shape, True, np.float32, coherent, scattered, [], columns)
+        return RayBuffers(given, shape, True, np.float32, coherent, scattered, [])
+
+    def makes_stages(self, count: int) -> bool:
+        """Whether rays of all kinds can be traced tile by tile: see `stage`. Not where a plan orders many rays at once (as
+        similar rays go through instances), and where it may change."""
+        state = self._state
+        if (
+            not native.is_available() or not state.device.is_cpu or state.device.is_capturing
+        ):  # chains are as native as the pool
+            return False
+        if state.instances or state.area_trees is not None:
+            return False
+        for query in self._queries.values():
+            rays = ExpectedRays(query.kind, count, coherent=False, scattered=True)
+            if is_changing(state, rays) or not find_plan(state, rays, query).prepares:
+                return False
+        return True
+
+    def stage(
+        self, kind: str, origins: wp.array, directions: wp.array, count: int, tile: int, hits: HitBatch, similar: bool
+    ) -> Stage:
+        """The tracing of rays as a stage of a chain.
+
+        Args:
+            kind: "closest" or "any"; the latter as of `blocked`.
+            origins, directions: (N,) vec3 as of `closest`; origins (1,) if all are the same.
+            count: rays that are there: if they are similar, a sample of them is traced.
+            tile: rays of a tile.
+            hits: what is written.
+            similar: whether neighbouring rays are similar.
+        """
+        end, shared = self._infinity if kind == CLOSEST else self._one, len(origins) < len(directions)
+        rays = self._rays(origins, directions, count, end, similar, not similar, shared)
+        plan = find_plan(self._state, rays, self._queries[kind]).carried_out
+        traversal = traversal_of(plan)
+        if traversal.streams:
+            plan = replace(plan, stream=min(plan.stream, STREAM))
+        config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
+        batch = rays.given.batch()
+        batch.run = tile if traversal.streams else traversal.rays_per_item(config)
+        work = no_work(traversal.counters, self._state.device.alias)
+        kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
+        return Stage(kernel, inputs, batch.run, (RAYS, "count"))

@@ -16,7 +16,7 @@ from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import FRESNEL, INTEGRATORS, RenderSettings
 from wrt.imaging.integrators.saved_samples import NOT_IN_SAMPLES, fingerprint, read_samples, write_samples
 from wrt.imaging.integrators.scene_motion import Motion
-from wrt.imaging.integrators.wavefront import Wave, pixel_samples
+from wrt.imaging.integrators.wavefront import SQUARE, Wave, pixel_samples, square_order
 from wrt.imaging.lights.device_lights import check_lights, device_lights
 from wrt.imaging.lights.sky_image import Sky
 from wrt.imaging.rendering import Camera, check_types, default_light
@@ -109,8 +109,9 @@ class Rendering:
             self._film = wp.zeros(self.pixels, dtype=wp.vec3, device=device)
             self._squares = wp.zeros(self.pixels, dtype=float, device=device)
         self._tile = min(self.pixels, settings.wave)
-        if self._tile > camera.width:
-            self._tile -= self._tile % camera.width
+        if SQUARE * SQUARE < self._tile < self.pixels:
+            self._tile -= self._tile % (SQUARE * SQUARE)
+        self._order = wp.array(square_order(camera.width, camera.height), dtype=int, device=device)
         self._pass = max(1, min(settings.wave // self._tile, self.samples)) if motion is None else 1
         source = pixel_samples(SAMPLERS.index(settings.sampler), self.samples, settings.seed, device)
         ambient = self._ambient()
@@ -173,19 +174,34 @@ class Rendering:
                 self.done += count
         return self
 
+    @property
+    def _starts_at_one_point(self) -> bool:
+        """Whether all camera rays start at the same point."""
+        return self._model.is_perspective and self.settings.lens_radius == 0.0
+
+    def _samples_of(self, first: int, sample: int, samples: int) -> ray_queue.Wave:
+        """A wave of so many samples of a pixel, from number `sample` on; `first` is the place of its first pixel."""
+        wave = ray_queue.Wave()
+        wave.order, wave.first_pixel, wave.first_sample, wave.samples = self._order, first, sample, samples
+        return wave
+
+    def _follow_in_tiles(self, wave: ray_queue.Wave, count: int) -> bool:
+        """Follows the paths of a wave tile by tile, if that is possible."""
+        if self._motion is not None:  # what is prepared would serve one time only
+            return False
+        return self._wave.follow_in_tiles(self._tracer, self._model, wave, count, self._starts_at_one_point)
+
     def _start(self, wave: ray_queue.Wave, count: int) -> None:
         """Writes the camera rays of a wave of so many samples."""
         self._wave.start(self._model, wave, count)
 
     def _expose(self, first: int, pixels: int, samples: int) -> None:
         """Adds so many samples to some pixels."""
-        wave = ray_queue.Wave()
-        wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, self.done
-        self._start(wave, pixels * samples)
-        whole_rows = pixels % self.camera.width == 0
-        hits = self._wave.first_hits(self._tracer, self.camera.width if whole_rows else 0)
-        self._wave.finish(self._tracer, hits)
-        inputs = [wave, samples, float(self.settings.max_radiance), self._wave.radiance, self._film, self._squares]
+        wave, count = self._samples_of(first, self.done, samples), pixels * samples
+        if not self._follow_in_tiles(wave, count):
+            self._start(wave, count)
+            self._wave.finish(self._tracer, self._wave.first_hits(self._tracer, self._starts_at_one_point))
+        inputs = [wave, float(self.settings.max_radiance), self._wave.radiance, self._film, self._squares]
         launch(picture.develop_wave, pixels, inputs, device=self._scene.device, chunk=4096)
 
     def _of_pixels(self, kernel: wp.Kernel, dtype: type, *inputs: Any) -> wp.array:
@@ -245,19 +261,19 @@ class Rendering:
 
         Traced at each access.
         """
-        scene, wave, made = self._scene, ray_queue.Wave(), _new_layers(self.pixels, self._scene.device)
+        scene, made = self._scene, _new_layers(self.pixels, self._scene.device)
         with use_threads(scene.num_threads):
             if self._motion is not None:
                 self._motion.move(scene, 0.5 / self.samples)
                 self._take_state()
             for first in range(0, self.pixels, self._tile):
                 pixels = min(self._tile, self.pixels - first)
-                wave.first_pixel, wave.pixels, wave.first_sample = first, pixels, 0
+                wave = self._samples_of(first, 0, 1)
                 self._start(wave, pixels)
-                hits = self._wave.first_hits(self._tracer, 0)
+                hits = self._wave.first_hits(self._tracer, self._starts_at_one_point)
                 found = hits.struct()
                 for start, stop in self._wave.ranges(found):
-                    inputs = [start, self._lit, first, self._wave.queue, found, made]
+                    inputs = [start, self._lit, wave, self._wave.queue, found, made]
                     launch(picture.write_layers, stop - start, inputs, device=scene.device)
         return {name: self._shaped(getattr(made, name)) for name in LAYERS}
 

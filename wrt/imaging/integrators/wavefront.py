@@ -3,17 +3,20 @@
 A generation is a queue of rays. Its closest hits are found in one batch; a kernel turns them into light, shadow rays and the
 rays of the next generation; the shadow rays are one batch for each lamp; what arrives is added to the samples;
 and the rays that go on are moved together. All arrays stay on the device. On CUDA, the number of rays that go on is the only
-value that the host reads.
+value that the host reads. On the CPU, paths are followed tile by tile where that is possible
+(`wrt.imaging.integrators.path_chain`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from wrt.imaging.integrators.path_chain import PathChain, Paths
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
 from wrt.imaging.integrators.texture_tiles import TextureTiles
@@ -28,6 +31,10 @@ from wrt.state.device_hits import DeviceHits
 
 ROULETTE_FROM = 3
 """First generation of path tracing whose rays may end by roulette."""
+
+SQUARE = 8
+"""Edge of the squares in whose order pixels are traced: the rays of a packet are then similar, and those of a stream meet the
+same part of the scene."""
 
 CHUNK = 512
 """Least number of rays of a chunk."""
@@ -68,9 +75,8 @@ class Wave:
         self._branches = 1 if self._is_path else 2
         self.radiance = empty(slots, wp.vec3, device)
         self._room = 0
-        self._scratch_room = 0
-        self._rays = ray_queue.Gathered()
-        self._rays.radiance = self.radiance
+        self.gathered = ray_queue.Gathered()
+        self.gathered.radiance = self.radiance
         self._none = wp.empty(0, dtype=wp.bool, device=device)
         self._step = path_step.PathStep() if self._is_path else tree_step.TreeStep()
         if self._is_path:
@@ -82,6 +88,8 @@ class Wave:
             self._step.roulette = settings.roulette
             self._step.ambient = wp.vec3(*map(float, ambient))
         self.ray_count = 0
+        self._chain: PathChain | None = None
+        self._chain_tracer: RayTracer | None = None
         self._make_room(slots)
 
     def _make_room(self, count: int) -> None:
@@ -93,20 +101,39 @@ class Wave:
         self.queue = new_queue(count, self._device)
         del old
         for name, dtype in (("emitted", wp.vec3), ("lit", wp.vec3), ("shadow_origin", wp.vec3), ("shadow_direction", wp.vec3)):
-            setattr(self._rays, name, empty(count, dtype, self._device))
+            setattr(self.gathered, name, empty(count, dtype, self._device))
         places = count * self._branches
-        self._scratch = new_queue(places, self._device)
-        self._goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
+        self.scratch = new_queue(places, self._device)
+        self.goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
+
+    def follow_in_tiles(
+        self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, from_one_point: bool
+    ) -> bool:
+        """Follows the paths of so many samples tile by tile, if that is possible: paths on the CPU, with whole textures."""
+        if not self._is_path or self._tiles is not None or self._device.is_cuda:
+            return False
+        if self._chain_tracer is not tracer:
+            self._chain_tracer = tracer
+            rays = self.queue, self.scratch, self.gathered, self.goes_on
+            paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, *rays)
+            self._chain = PathChain(paths, tracer, from_one_point) if tracer.makes_stages(count) else None
+        if self._chain is None:
+            return False
+        self.ray_count += self._chain.run(camera, wave, count)
+        return True
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
         """Writes the camera rays of a wave of so many samples."""
         self._wave, self.count = wave, count
-        self._run(start_rays, count, camera, self.samples, wave, self.queue, self.radiance)
+        group = self._group
+        inputs = [count, group, camera, self.samples, wave, self.queue, self.radiance]
+        launch(start_rays, -(-count // group), inputs, device=self._device, chunk=-(-CHUNK // group))
 
-    def first_hits(self, tracer: RayTracer, columns: int) -> DeviceHits:
-        """The hits of the camera rays."""
+    def first_hits(self, tracer: RayTracer, from_one_point: bool) -> DeviceHits:
+        """The hits of the camera rays; `from_one_point` says whether all start at the same point."""
         self.ray_count += self.count
-        return tracer.closest(self.queue.origin, self.queue.direction, self.count, columns=columns)
+        rays = self.queue.origin, self.queue.direction, self.count
+        return tracer.closest(*rays, similar=True, from_one_point=from_one_point)
 
     def finish(self, tracer: RayTracer, hits: DeviceHits) -> None:
         """Follows the rays from the hits of the first generation to the last."""
@@ -140,7 +167,7 @@ class Wave:
         self._gather(self._shadows(tracer, lamps[0] != sky) if lamps else self._none, True)
         for entry in lamps[1:]:
             found = hits.struct()
-            inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, found, self._rays)
+            inputs = (self._step, entry, self.scene, self.samples, self._wave, self.queue, found, self.gathered)
             self.run_groups(tree_step.shade_by_lamp, found, *inputs)
             self._gather(self._shadows(tracer, entry != sky), False)
 
@@ -151,30 +178,35 @@ class Wave:
 
     def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
         found = hits.struct()
-        inputs = (self._step, self.scene, self.samples, self._wave, self.queue, found, self._rays, self._scratch)
-        self.run_groups(kernel, found, *inputs, self._goes_on)
+        inputs = (self._step, self.scene, self.samples, self._wave, self.queue, found, self.gathered, self.scratch)
+        self.run_groups(kernel, found, *inputs, self.goes_on)
 
     def _shadows(self, tracer: RayTracer, similar: bool) -> wp.array:
         """Which shadow rays are blocked. Those of camera rays' hits to a lamp are similar; to the sky they go all ways."""
         self.ray_count += self.count
         similar = similar and self._step.generation == 0
-        return tracer.blocked(self._rays.shadow_origin, self._rays.shadow_direction, self.count, similar=similar)
+        return tracer.blocked(self.gathered.shadow_origin, self.gathered.shadow_direction, self.count, similar=similar)
 
     def _gather(self, blocked: wp.array, with_emitted: bool) -> None:
-        self._run(ray_queue.gather, self.count, self.count, self.queue.slot, with_emitted, blocked, self._rays)
+        self._run(ray_queue.gather, self.count, self.count, self.queue.slot, with_emitted, blocked, self.gathered)
 
     def _compact(self) -> int:
         """Moves the rays that go on to the queue, and returns their number; of paths, light past shadow rays is added first."""
         places = self.count * self._branches
-        wp.utils.array_scan(self._goes_on[:places], self._places[:places], inclusive=True)
-        scratch, goes_on, sums = self._scratch, self._goes_on, self._places
+        wp.utils.array_scan(self.goes_on[:places], self._places[:places], inclusive=True)
+        scratch, goes_on, sums = self.scratch, self.goes_on, self._places
         if self._is_path:
-            self._run(ray_queue.settle_paths, places, self._blocked, self._rays, scratch, goes_on, sums, self.queue)
+            self._run(ray_queue.settle_paths, places, self._blocked, self.gathered, scratch, goes_on, sums, self.queue)
         following = int(sums[places - 1 : places].numpy()[0])
         if not self._is_path and following > 0:
             self._make_room(following)
             self._run(ray_queue.fill, places, scratch, goes_on, sums, self.queue)
         return following
+
+    @property
+    def _group(self) -> int:
+        """Rays of an item."""
+        return 1 if self._device.is_cuda else GROUP
 
     def ranges(self, hits: HitBatch) -> Iterable[tuple[int, int]]:
         """The rays of the generation, (start, stop), in parts whose textures are in memory."""
@@ -182,7 +214,7 @@ class Wave:
 
     def run_groups(self, kernel: wp.Kernel, hits: HitBatch, *inputs: Any) -> None:
         """Runs a step over the rays of the generation, by groups."""
-        group = 1 if self._device.is_cuda else GROUP
+        group = self._group
         for start, stop in self.ranges(hits):
             items = -(-(stop - start) // group)
             launch(kernel, items, [start, stop, group, *inputs], device=self._device, chunk=-(-CHUNK // group))
@@ -209,3 +241,13 @@ def pixel_samples(sampler: int, samples: int, seed: int, device: wp.Device) -> P
     made.seed = (seed * 0x9E3779B1 + 0x7F4A7C15) & 0xFFFFFFFF
     made.primes = wp.array(np.array(PRIMES, dtype=np.int32), dtype=int, device=device)
     return made
+
+
+@lru_cache(maxsize=8)
+def square_order(width: int, height: int) -> np.ndarray:
+    """(width * height,) int32, numbers of a picture's pixels, square by square; squares and the pixels in them by rows."""
+    across, down = -(-width // SQUARE), -(-height // SQUARE)
+    numbers = np.full((down * SQUARE, across * SQUARE), -1, dtype=np.int32)
+    numbers[:height, :width] = np.arange(width * height, dtype=np.int32).reshape(height, width)
+    squares = numbers.reshape(down, SQUARE, across, SQUARE).transpose(0, 2, 1, 3).ravel()
+    return squares[squares >= 0]

@@ -25,9 +25,6 @@ ROOM = 1.25
 CELLS = 4
 """Materials change from cell to cell of a grid of so many cells along each axis of the model."""
 
-TILE = 8
-"""Edge of the tiles of pixels in whose order camera rays are numbered, so that 64 of them are a packet."""
-
 MATERIALS = (
     Material(color=0.95),
     Material("mirror", color=0.95),
@@ -48,7 +45,7 @@ class BounceRays:
         origins, directions: (N, 3) float32.
         kinds: (N,) int32, whether the parent's surface reflected or transmitted the ray.
         groups: (N,) int32, the material that the parent met; 0 for camera rays.
-        sources: (N,) int32, place of the camera ray among those of the picture, tile by tile.
+        sources: (N,) int32, place of the camera ray among those of the picture, square by square (`square_order`).
     """
 
     bounce: int
@@ -79,15 +76,6 @@ def materials_of(meshes: list[TriangleMesh]) -> list[Material]:
     return [*MATERIALS[: len(meshes) - 1], MATERIALS[0]]
 
 
-def tile_ranks(size: int) -> np.ndarray:
-    """(size * size,) place of each pixel, numbered by rows, in the order of tiles."""
-    y, x = np.divmod(np.arange(size * size), size)
-    tiles, within = (y // TILE) * -(-size // TILE) + x // TILE, y % TILE * TILE + x % TILE
-    ranks = np.empty(size * size, dtype=np.int32)
-    ranks[np.lexsort((within, tiles))] = np.arange(size * size)
-    return ranks
-
-
 class _Recorder:
     """Passes rays on to a tracer, and keeps the closest-hit rays of each generation."""
 
@@ -115,8 +103,11 @@ class _RecordedRendering(Rendering):
         super()._take_state()
         self._tracer = _Recorder(self._tracer, self)
 
+    def _follow_in_tiles(self, *_: Any) -> bool:
+        return False  # generations are recorded
+
     def slots(self, count: int) -> np.ndarray:
-        """Numbers of the pixels of the rays under way."""
+        """Places of the rays under way in the order of pixels, square by square."""
         return self._wave.queue.slot.numpy()[:count].copy()
 
 
@@ -148,15 +139,11 @@ def trace_paths(
     of_face = np.repeat(np.arange(len(meshes)), [one.triangle_count for one in meshes])
     corners = np.concatenate([one.vertices[one.faces] for one in meshes])
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return scene, [
-        _tagged(bounce, job.generations, tile_ranks(size), of_face, normals) for bounce in range(len(job.generations))
-    ]
+    return scene, [_tagged(bounce, job.generations, of_face, normals) for bounce in range(len(job.generations))]
 
 
-def _tagged(
-    bounce: int, generations: list[tuple[np.ndarray, ...]], ranks: np.ndarray, of_face: np.ndarray, normals: np.ndarray
-) -> BounceRays:
-    """The rays of a generation in the order of tiles, with what their parents met."""
+def _tagged(bounce: int, generations: list[tuple[np.ndarray, ...]], of_face: np.ndarray, normals: np.ndarray) -> BounceRays:
+    """The rays of a generation, with what their parents met."""
     origins, directions, slots, _ = generations[bounce]
     kinds, groups = np.zeros((2, len(slots)), dtype=np.int32)
     if bounce > 0:
@@ -166,6 +153,4 @@ def _tagged(
         groups = of_face[met].astype(np.int32)
         sides = (normals[met] * directions).sum(axis=1) * (normals[met] * before[parents]).sum(axis=1)
         kinds = np.where(sides > 0.0, TRANSMITTED, REFLECTED).astype(np.int32)
-    sources = ranks[slots]
-    order = np.argsort(sources, kind="stable")
-    return BounceRays(bounce, *(np.ascontiguousarray(part[order]) for part in (origins, directions, kinds, groups, sources)))
+    return BounceRays(bounce, origins, directions, kinds, groups, slots)

@@ -136,6 +136,9 @@ def compare_shading(
     class MeasuredWave(Wave):
         """A wave whose path steps are done in every way."""
 
+        def follow_in_tiles(self, *_: Any) -> bool:
+            return False
+
         def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
             generation = Generation(self, kernel, hits, stream)
             figures.extend(_measure(generation, ways, rounds, on_turn))
@@ -201,7 +204,7 @@ class Generation:
         wave, queue, hits = self.wave, self.wave.queue, self.hits
         if way.endswith("lanes") and streams is not None:
             queue, hits = self._moved, self._moved_hits
-        inputs = (wave._step, wave.scene, wave.samples, wave._wave, queue, hits, wave._rays, wave._scratch, wave._goes_on)
+        inputs = (wave._step, wave.scene, wave.samples, wave._wave, queue, hits, wave.gathered, wave.scratch, wave.goes_on)
         if way.endswith("lanes"):
             wave.run_groups(self.kernel, hits, *inputs)
             return
@@ -219,9 +222,9 @@ class Generation:
         found = {"radiance": wave.radiance.numpy().copy()}
         if self.is_last:
             return found
-        slots, alive = (array.numpy()[: self.count] for array in (wave._scratch.slot, wave._goes_on))
-        by_slot = {name: getattr(wave._rays, name) for name in ANSWERS}
-        by_slot |= {f"following {name}": getattr(wave._scratch, name) for name in FOLLOWING}
+        slots, alive = (array.numpy()[: self.count] for array in (wave.scratch.slot, wave.goes_on))
+        by_slot = {name: getattr(wave.gathered, name) for name in ANSWERS}
+        by_slot |= {f"following {name}": getattr(wave.scratch, name) for name in FOLLOWING}
         for name, array in by_slot.items():
             values = array.numpy()[: self.count]
             kept = values if name in ANSWERS else np.where(alive.reshape(-1, *[1] * (values.ndim - 1)) != 0, values, 0)

@@ -1,0 +1,155 @@
+"""Several kernels for one tile of items after the other: what one of them writes is in the cache when the next reads it.
+
+**Problem.** Launches over arrays that are larger than the caches read all they need from memory and write it back, each anew.
+Between two launches every thread waits for the last one, and for Python.
+
+**Idea.** Where the items of a tile depend on no other tile, one thread does everything for a tile: the first kernel, the second
+one, and so on. Then it takes the next tile. A chain is a list of kernels with packed arguments (`PackedKernel`), and the kernel
+that carries it out has a tile as its item: `launch` divides tiles among threads like any other items.
+
+**Numbers of items.** A tile's items may become fewer. The number that are left is in memory, and a kernel of the chain may
+lower it. A stage learns it from one of its arguments, an int that holds the end of the tile's items (`Stage.end`).
+
+CPU only, on systems with native helpers (`wrt.kernels.runtime.pool.is_available`).
+"""
+
+import ctypes
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.board import MAX_ARGUMENT_BYTES, on_cpu
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, load
+from wrt.kernels.runtime.options import exact_module
+
+exact_module(__name__)
+
+STAGE_WORDS = 8
+"""Words of 64 bits of a stage: entry point, launch bounds, arguments, their bytes, where the end is in them, grain, and the
+nanoseconds that all threads together have spent in it."""
+
+LONGEST = 8
+"""Most tiles of a chunk: some hundredths of a second, after which a Ctrl-C takes effect."""
+
+SPENT = 6
+"""Which of them counts the nanoseconds."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A kernel of a chain.
+
+    Attributes:
+        kernel: its first parameter is `first: int`, as of `wrt.kernels.runtime.launch`.
+        inputs: the other arguments.
+        grain: items of a tile that an item of the kernel does; divides the items of a tile, or is all of them.
+        end: which argument is the number of the item at which the tile ends, the first item counted; with the name of a field
+            if the argument is a struct. None for kernels that do all items of a tile, or do not depend on their number.
+    """
+
+    kernel: wp.Kernel
+    inputs: Sequence[Any]
+    grain: int
+    end: tuple[int, str] | None = None
+
+
+@wp.func_native(
+    on_cpu(f"""
+    typedef void (*entry_t)(void*, void*);
+    int wrt_clock(int, long*) __asm__("clock_gettime");
+    auto now = []() {{ long t[2]; wrt_clock(1, t); return (long long)t[0] * 1000000000 + (long long)t[1]; }};
+    long long before = now();
+    alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
+    for (int s = begin; s < end; ++s) {{
+        const int left = ((volatile int*)counts.data)[tile];
+        if (left <= 0) break;
+        long long* stage = (long long*)stages.data + {STAGE_WORDS} * s;
+        __builtin_memcpy(arguments, (const void*)stage[2], (size_t)stage[3]);
+        const int grain = (int)stage[5], items = (left + grain - 1) / grain;
+        *(int*)arguments = tile * (size / grain);
+        if (stage[4] > 0) *(int*)(arguments + stage[4]) = tile * size + left;
+        wp::launch_bounds_t<1> bounds = *(const wp::launch_bounds_t<1>*)stage[1];
+        bounds.shape[0] = (uint32_t)items;
+        bounds.size = (size_t)items;
+        ((entry_t)stage[0])(&bounds, arguments);
+        const long long after = now();
+        __atomic_fetch_add(stage + 6, after - before, __ATOMIC_RELAXED);
+        before = after;
+    }}
+""")
+)
+def run_stages(
+    stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int, tile: int
+) -> int:
+    """Runs the stages begin .. end - 1 for a tile, as long as items are left."""
+    ...
+
+
+@wp.kernel
+def run_chain(
+    first: int, start: int, stages: wp.array(dtype=wp.int64), begin: int, end: int, counts: wp.array(dtype=int), size: int
+):
+    """Runs stages of a chain for the items of a tile. Item: a tile from `start` on."""
+    run_stages(stages, begin, end, counts, size, start + first + wp.tid())
+
+
+class LaunchChain:
+    """Kernels that are run one after the other for each tile of items.
+
+    Args:
+        size: items of a tile.
+        counts: (tiles,) int32, items that are left of each tile.
+        device: the CPU.
+    """
+
+    def __init__(self, size: int, counts: wp.array, device: wp.Device) -> None:
+        self.size, self.counts, self.device = size, counts, device
+        self._packed: list[PackedKernel] = []
+        self._words: list[list[int]] = []
+        self._launch: PreparedLaunch | None = None
+        self._stages = wp.empty(0, dtype=wp.int64, device=device)
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def add(self, stage: Stage) -> PackedKernel:
+        """Adds a stage to the end; the result's arguments may be changed between two runs.
+
+        Raises:
+            ValueError: the grain does not divide the tile, or the arguments are too large.
+        """
+        if self.size % stage.grain:
+            raise ValueError(f"a grain of {stage.grain} items does not divide tiles of {self.size}")
+        load([stage.kernel], self.device)
+        packed = PackedKernel(stage.kernel, [0, *stage.inputs], self.device)
+        bytes_of, at = ctypes.sizeof(packed.arguments), 0
+        if bytes_of > MAX_ARGUMENT_BYTES:
+            raise ValueError(f"the arguments of a stage take {bytes_of} bytes, more than {MAX_ARGUMENT_BYTES}")
+        if stage.end is not None:
+            index, name = stage.end
+            at = getattr(type(packed.arguments), f"p{index}").offset
+            at += getattr(type(packed.argument(index)), name).offset if name else 0
+        bounds, arguments = (ctypes.addressof(part) for part in (packed.bounds, packed.arguments))
+        self._packed.append(packed)
+        self._words.append([packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, 0])
+        spent = [*self._stages.numpy()[SPENT::STAGE_WORDS], 0]
+        self._stages = wp.array(np.array(self._words, dtype=np.int64).ravel(), dtype=wp.int64, device=self.device)
+        self._stages.numpy()[SPENT::STAGE_WORDS] = spent
+        return packed
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """(stages,) float64, seconds that all threads together have spent in each stage."""
+        return self._stages.numpy()[SPENT::STAGE_WORDS] * 1e-9
+
+    def run(self, start: int, stop: int, begin: int = 0) -> None:
+        """Runs the stages from number `begin` on for the tiles start .. stop - 1."""
+        inputs = [start, self._stages, begin, len(self), self.counts, self.size]
+        if self._launch is None:
+            self._launch = PreparedLaunch(run_chain, inputs, self.device)
+        self._launch.update(inputs)
+        self._launch.run(stop - start, Chunks(chunk=1, longest=LONGEST), self)
