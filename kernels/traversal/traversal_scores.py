@@ -66,6 +66,7 @@ class Limits(NamedTuple):
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
         instance_share: the same through instances.
+        dense_vectors: rays of a packet, in vectors, of rays from one point that are dense in a BVH of one level.
     """
 
     incoherent: float
@@ -74,16 +75,23 @@ class Limits(NamedTuple):
     long_share: float
     short_share: float
     instance_share: float
+    dense_vectors: int
 
 
 LIMITS = {
-    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2),
-    16: Limits(incoherent=100_000, coherent=500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22),
+    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, dense_vectors=4),
+    16: Limits(100_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, dense_vectors=2),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md). Fewer lanes are taken for 8; they have
-not been measured.
+(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `dense_vectors`:
+notebooks/records/2026-11-23-short-rows.md). Fewer lanes are taken for 8; they have not been measured.
 """
+
+
+def limits_for(lanes: int) -> Limits:
+    """The limits of a CPU whose trees have so many children a node."""
+    return LIMITS[16 if lanes >= 16 else 8]
+
 
 COHERENT_REASON, INCOHERENT_REASON = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 
@@ -132,7 +140,7 @@ class Situation(NamedTuple):
     @property
     def limits(self) -> Limits:
         """What depends on the CPU."""
-        return LIMITS[16 if self.lanes >= 16 else 8]
+        return limits_for(self.lanes)
 
     @property
     def prefers_single(self) -> bool:

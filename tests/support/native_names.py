@@ -19,8 +19,8 @@ QUALIFIERS = frozenset(re.findall(r"\w+", "const constexpr static volatile __res
 KEYWORDS = frozenset(
     re.findall(
         r"\w+",
-        "__asm__ alignas break case continue do else enum false for if namespace nullptr operator return sizeof struct switch "
-        "true typedef using while",
+        "__asm__ alignas break case continue decltype do else enum false for if namespace nullptr operator return sizeof "
+        "struct switch true typedef using while",
     )
 )
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS, Traversal
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.traversal_scores import Situation
+from wrt.kernels.traversal.traversal_scores import Situation, limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS, TriangleTest
 from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.packet_sample import measure_overlap
@@ -30,8 +30,8 @@ DEFAULT_TEST = "woop"
 """
 
 PACKET_VECTORS = 2
-"""Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8
-(notebooks/records/2026-11-21-plans.md).
+"""Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8 with 16 lanes
+(notebooks/records/2026-11-21-plans.md); `Limits.dense_vectors` has the exception.
 """
 
 ROUGH_RAYS_PER_TRIANGLE = 2.0
@@ -149,7 +149,7 @@ def choose_plan(
     width = wide_width(scene) if chosen.wide else scene.width
     options: dict[str, object] = {}
     if chosen.packets:
-        options["packet"] = PACKET_VECTORS * width
+        options["packet"] = packet_vectors(scene, rays, chosen) * width
         options["culling"] = choose_culling(scene, rays, chosen, test)
     if chosen.streams:
         options["stream"] = stream_size(scene, rays)
@@ -235,11 +235,21 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
+def packet_vectors(scene: SceneState, rays: RayBuffers, traversal: Traversal) -> int:
+    """Rays of a packet, in vectors of the tree's width."""
+    measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
+    return limits_for(scene.width).dense_vectors if measured and is_dense(scene, rays) else PACKET_VECTORS
+
+
+def is_dense(scene: SceneState, rays: RayBuffers) -> bool:
+    """Whether rays from one point are many for each triangle, in a scene of one level."""
+    from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
+    return from_one_point and rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
+
+
 def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
-    dense = from_one_point and rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
-    kind, best, name = scene.accelerator.kind, 0.0, ""
+    dense, kind, best, name = is_dense(scene, rays), scene.accelerator.kind, 0.0, ""
     for culling in CULLINGS.values():
         score = culling.dense_score if dense else culling.sparse_score
         if score > best and fits(culling, traversal, kind, test):

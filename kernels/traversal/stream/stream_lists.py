@@ -123,6 +123,17 @@ LISTS = f"""{FOR_LANES}
 """Head of a list snippet. `wrt_bits(flags)`: one bit for each of L flags that is not 0. `wrt_append`: see `APPEND`."""
 
 
+BLOCK_LANES = f"""
+#if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
+    enum {{ L = 16 }};
+#else
+    enum {{ L = (W + 7) / 8 * 8 }};
+#endif
+{lane_bits("L")}{BITS}{APPEND}"""
+"""C++ of `wrt_bits` and `wrt_append` for the W lanes of a node or a block, in vectors of L. Without AVX-512, 8 of them
+need half of the lanes of `LISTS`. L is an enumerator, so that a lambda without captures may use it."""
+
+
 _APPEND_CANDIDATES = """
     WRT_FETCH(primitives.data + (size_t)block * W);
     int slot[L];
@@ -140,7 +151,7 @@ def append_candidates(width: int) -> wp.Function:
     candidates are evaluated (notebooks/records/2026-11-22-stream-candidates.md).
     """
 
-    @wp.func_native(f"{LISTS}    constexpr int W = {width};{_APPEND_CANDIDATES}")
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};\n{BLOCK_LANES}{_APPEND_CANDIDATES}")
     def append_native(
         primitives: wp.array(dtype=int),
         pairs: wp.ref[Pairs],
