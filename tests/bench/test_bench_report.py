@@ -173,7 +173,7 @@ def test_the_command_refuses_what_it_cannot_do(arguments, message):
 
 
 @pytest.mark.parametrize(
-    "command", [name for name in COMPARISONS if name not in ("animation", "build-sizes", "cluster", "pichler")]
+    "command", [name for name in COMPARISONS if name not in ("animation", "build-sizes", "cluster", "pichler", "shading")]
 )
 def test_warp_keeps_quiet(command, monkeypatch):
     """Lines on modules that are loaded do not stand between the figures of any comparison that takes a model."""

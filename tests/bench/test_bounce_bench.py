@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands import bounces_command
+from wrt.bench.commands import bounce_commands
 from wrt.bench.commands.benchmark import bench
-from wrt.bench.commands.bounces_command import print_bounces
+from wrt.bench.commands.bounce_commands import print_bounces
 from wrt.bench.studies.bounces.bounce_claims import judge
 from wrt.bench.studies.bounces.bounce_comparison import WAYS, BounceFigures, compare_bounces
 from wrt.bench.studies.bounces.bounce_rays import REFLECTED, TRANSMITTED, materials_of, trace_paths
@@ -101,7 +101,7 @@ def test_other_hits_are_an_error():
 
 
 def test_command(tmp_path, monkeypatch):
-    monkeypatch.setattr(bounces_command, "compare_bounces", lambda *arguments, **options: figures())
+    monkeypatch.setattr(bounce_commands, "compare_bounces", lambda *arguments, **options: figures())
     target = tmp_path / "bounces.json"
     arguments = ["bounces", "teapot", "--size", "16", "--bounces", "1", "--rounds", "1", "--json", str(target)]
     done = CliRunner().invoke(bench, arguments)

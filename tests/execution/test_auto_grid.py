@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
 from wrt.state.query_kinds import few_rays
@@ -155,3 +156,13 @@ def test_the_grid_has_all_kinds():
     assert len(CASES) == 90
     for lanes in (8, 16):
         assert {found[lanes][1] for *_, found in CASES} == {"single", "packet", "interleaved", "stream"}
+
+
+@pytest.mark.parametrize(
+    ("lanes", "count", "stride", "vectors"), [(8, 200, 0, 4), (8, 199, 0, 2), (8, 200, 1, 2), (16, 200, 0, 2)]
+)
+def test_packets_of_dense_rays(lanes, count, stride, vectors):
+    """With 8 lanes, dense rays from one point go in larger packets (notebooks/records/2026-11-23-short-rows.md)."""
+    scene = SimpleNamespace(width=lanes, accelerator=SimpleNamespace(kind="bvh"), instances=(), triangle_count=100)
+    rays = SimpleNamespace(count=count, arrays_or_batch=SimpleNamespace(origin_stride=stride))
+    assert planner.packet_vectors(scene, rays, TRAVERSALS["packet"]) == vectors

@@ -36,6 +36,7 @@ def make_scene(kind: str, triangles: int, cuda: bool, wide: bool, savings: float
         instances=(None,) * 8 if kind.startswith("instances") else (),
         accelerator=SimpleNamespace(kind="kdtree" if kind in ("kdtree", "lazy", "instances kdtree") else "bvh"),
         lazy_tree=object() if kind == "lazy" else None,
+        shares_leaves=False,
         triangle_count=triangles,
         few_rays=FEW_RAYS,
         width=width,

@@ -7,6 +7,7 @@ import pytest
 from test_cli import run
 
 import wrt
+import wrt.execution.expected_kernels
 import wrt.kernels.runtime.launch
 import wrt.rays.coherence
 
@@ -77,6 +78,7 @@ def test_a_scene_and_a_picture_expect_just_the_kernels_that_they_need(monkeypatc
     monkeypatch.setattr(module_compiler, "expect", ahead)
     monkeypatch.setattr(module_compiler, "load_modules", note)
     monkeypatch.setattr(wrt.kernels.runtime.launch, "_loaded", set())
+    monkeypatch.setattr(wrt.execution.expected_kernels, "_expected", set())
     monkeypatch.setattr(wrt.rays.coherence, "_free", deque())
     scene = wrt.Scene(wrt.scenes.build("teapot"), device="cpu")
     wrt.render(scene, wrt.PinholeCamera.framing(scene, 640, 480), ambient_samples=2)

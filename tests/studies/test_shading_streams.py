@@ -11,7 +11,7 @@ import warp as wp
 from click.testing import CliRunner
 
 import wrt
-from wrt.bench.commands import shading_command
+from wrt.bench.commands import bounce_commands
 from wrt.bench.commands.benchmark import bench
 from wrt.bench.commands.command_options import table_console
 from wrt.bench.studies.bounces.shading_streams_comparison import (
@@ -89,7 +89,7 @@ def figures(same: bool = True) -> list[StreamFigures]:
 def test_command(tmp_path, monkeypatch):
     """What is asked for reaches the study, and its figures the tables and the file."""
     asked = {}
-    monkeypatch.setattr(shading_command, "compare_shading", lambda scene, camera, **given: asked.update(given) or figures())
+    monkeypatch.setattr(bounce_commands, "compare_shading", lambda scene, camera, **given: asked.update(given) or figures())
     target = tmp_path / "shading.json"
     arguments = ["shading", "--size", "16", "--balls", "2", "--depth", "2", "--stream", "64", "--json", str(target)]
     done = CliRunner().invoke(bench, arguments)
@@ -102,4 +102,4 @@ def test_command(tmp_path, monkeypatch):
 
 def test_other_answers_are_an_error():
     with pytest.raises(click.ClickException, match="differ"):
-        shading_command.print_shading(figures(same=False), table_console(120))
+        bounce_commands.print_shading(figures(same=False), table_console(120))

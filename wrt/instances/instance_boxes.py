@@ -240,7 +240,7 @@ def build_upper(
     arrays = (forest.child.reshape(-1), order, forest.environments, forest.roots)
     child, order, numbers, roots = (wp.array(values, dtype=int, device=device) for values in arrays)
     zero = wp.vec3()
-    tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), None, parts_depth)
+    tree = UpperTree(None, child, order, zero, zero, width, forest.level_first, common.BuildStats(), parts_depth=parts_depth)
     tree.forest, tree.environments, tree.roots = forest, numbers, roots
     tree = tree.with_boxes(*corners)
     tree.built_cost = forest.cost(tree.host)

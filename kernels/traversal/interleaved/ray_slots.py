@@ -14,10 +14,10 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
 from wrt.kernels.traversal.interleaved.child_order import push_sorted
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
-from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES, Pairs
+from wrt.kernels.traversal.stream.stream_lists import APPEND, Pairs
 from wrt.kernels.traversal.traversal_config import CLOSEST, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
@@ -52,8 +52,8 @@ def slot_words(config: TraversalConfig) -> int:
 
 
 _MEMORY = """
-    struct Slot { float negative[3], in[3], out[3], t_min, t_max; unsigned short near[3], far[3]; int node, top; };
-    int* const first_line = (int*)(((size_t)memory + 63) & ~(size_t)63);
+    struct Slot { float inverse[3], in[3], out[3], t_min, t_max; int near[3], node, top; };
+    int* const first_line = (int*)(((size_t)memory.data + 63) & ~(size_t)63);
     Slot* const slots = (Slot*)first_line;
     int* const keys = first_line + (sizeof(Slot) / 4) * SLOTS;
     int* const stacks = keys + W * SLOTS;
@@ -62,15 +62,14 @@ _MEMORY = """
     int inners = 0, outers = 0, leaves = 0, idles = 0, following = next;
 """
 """C++: the slots. `inner`: those before an inner node; `outer`: those before a leaf or at the end, after this pass; `at_leaf`:
-those before a leaf; `idle`: those without a ray. `negative`: -1 / direction; `near`, `far`: where the planes of a node are that
-a ray meets first and last, in bytes."""
+those before a leaf; `idle`: those without a ray."""
 
 _MOVES = """
     auto wrt_move = [&](int number, int word, int top) {
         Slot& slot = slots[number];
         slot.top = top;
         slot.node = word;
-        const char* const node = bounds + (size_t)(unsigned)(word & ~(word >> 31)) * (24 * W);
+        const char* const node = (const char*)tree.bounds.data + (size_t)(word & ~(word >> 31)) * (24 * W);
         WRT_UNROLLED for (int b = 0; b < 24 * W; b += 64) { WRT_FETCH(node + b); }
         const int inside = word >= 0 ? 1 : 0;
         inner[inners] = number; inners += inside;
@@ -85,12 +84,11 @@ _MOVES = """
     };
     auto wrt_start = [&](int number) {
         Slot& slot = slots[number];
-        const auto& ray = stream[following];
-        WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-            const int back = ray.slabs.inverse.c[a] < 0.0f ? 12 * W : 0;
-            slot.negative[a] = -ray.slabs.inverse.c[a];
+        const auto& ray = rays.data[following];
+        for (int a = 0; a < 3; ++a) {
+            slot.inverse[a] = ray.slabs.inverse.c[a];
             slot.in[a] = ray.slabs.origin_in.c[a]; slot.out[a] = ray.slabs.origin_out.c[a];
-            slot.near[a] = (unsigned short)(4 * W * a + back); slot.far[a] = (unsigned short)(4 * W * (a + 3) - back);
+            slot.near[a] = ray.slabs.inverse.c[a] < 0.0f ? 3 * W : 0;
         }
         slot.t_min = ray.t_min; slot.t_max = ray.best.t + 0.0f;
         slot.node = 0; slot.top = number * STRIDE + 1;
@@ -100,14 +98,14 @@ _MOVES = """
     auto wrt_sort_out = [&]() {
         WRT_SCALAR for (int j = 0; j < outers; ++j) {
             const int number = outer[j], word = slots[number].node, ends = word == EMPTY ? 1 : 0;
-            const char* const leaf = blocks + (size_t)(~word >> 6) * (4 * COMPONENTS * W);
+            const char* const leaf = (const char*)records.data + (size_t)(~word >> 6) * (4 * COMPONENTS * W);
             WRT_UNROLLED for (int b = 0; b < 36 * W; b += 64) { WRT_FETCH(leaf + b); }
-            at_leaf[leaves] = number; pair_rays[leaves] = ray_of[number]; pair_leaves[leaves] = word; leaves += 1 - ends;
+            at_leaf[leaves] = number; pairs.rays.c[leaves] = ray_of[number]; pairs.leaves.c[leaves] = word; leaves += 1 - ends;
             idle[idles] = number; idles += ends;
         }
         outers = 0;
         for (;;) {
-            while (following < count && !(stream[following].best.t >= 0.0f)) ++following;  // invalid rays
+            while (following < count && !(rays.data[following].best.t >= 0.0f)) ++following;  // invalid rays
             if (idles == 0 || following >= count) break;
             wrt_start(idle[--idles]);
         }
@@ -126,7 +124,7 @@ _BEGIN = """
         WRT_SCALAR for (int j = 0; j < waiting; ++j) {
             const int number = at_leaf[j];
             Slot& slot = slots[number];
-            slot.t_max = stream[ray_of[number]].best.t + 0.0f;  // turns -0 into +0: as an integer, -0 is less than any key
+            slot.t_max = rays.data[ray_of[number]].best.t + 0.0f;  // turns -0 into +0: as an integer, -0 is less than any key
             wrt_pop(number, !ORDERED && slot.t_max < 0.0f ? number * STRIDE : slot.top - 1);
         }
     }
@@ -140,26 +138,25 @@ _PASSES = """
         visited += listed;
         WRT_SCALAR for (int j = 0; j < listed; ++j) {
             const Slot& slot = slots[inner[j]];
-            const char* const box = bounds + (size_t)(unsigned)slot.node * (24 * W);
-            WRT_FETCH(children + (size_t)(unsigned)slot.node * W);
-            const float *near_x = (const float*)(box + slot.near[0]), *far_x = (const float*)(box + slot.far[0]);
-            const float *near_y = (const float*)(box + slot.near[1]), *far_y = (const float*)(box + slot.far[1]);
-            const float *near_z = (const float*)(box + slot.near[2]), *far_z = (const float*)(box + slot.far[2]);
-            const float ix = slot.negative[0], iy = slot.negative[1], iz = slot.negative[2];
+            const float* box = tree.bounds.data + (size_t)slot.node * (6 * W);
+            WRT_FETCH(tree.child.data + (size_t)slot.node * W);
+            const float ix = slot.inverse[0], iy = slot.inverse[1], iz = slot.inverse[2];
+            const int sx = slot.near[0], sy = slot.near[1], sz = slot.near[2];
+            const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
+            const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
             const float in_x = slot.in[0], in_y = slot.in[1], in_z = slot.in[2];
             const float out_x = slot.out[0], out_y = slot.out[1], out_z = slot.out[2];
             const float t_min = slot.t_min, t_max = slot.t_max;
             int* const key = keys + W * j;
             int met[L] = {};
             WRT_FOR_LANES(i) {
-                // (origin - plane) * -inverse has the bits of (plane - origin) * inverse, and may take the plane from memory
                 float enter = t_min, leave = t_max, t;
-                t = (in_x - near_x[i]) * ix; enter = t > enter ? t : enter;
-                t = (in_y - near_y[i]) * iy; enter = t > enter ? t : enter;
-                t = (in_z - near_z[i]) * iz; enter = t > enter ? t : enter;
-                t = (out_x - far_x[i]) * ix; leave = t < leave ? t : leave;
-                t = (out_y - far_y[i]) * iy; leave = t < leave ? t : leave;
-                t = (out_z - far_z[i]) * iz; leave = t < leave ? t : leave;
+                t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
+                t = (near_y[i] - in_y) * iy; enter = t > enter ? t : enter;
+                t = (near_z[i] - in_z) * iz; enter = t > enter ? t : enter;
+                t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
+                t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
+                t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
                 const int order = (__builtin_bit_cast(int, enter) & -W) | i;
                 if (ORDERED) key[i] = enter <= leave ? order : -1;
                 met[i] = enter <= leave ? -1 : 0;
@@ -169,7 +166,7 @@ _PASSES = """
         inners = 0;
         WRT_SCALAR for (int j = 0; j < listed; ++j) {
             const int number = inner[j], top = slots[number].top;
-            const int* const child = children + (size_t)(unsigned)slots[number].node * W;
+            const int* const child = tree.child.data + (size_t)slots[number].node * W;
             const unsigned mask = (unsigned)masks[j];
             PUSH
         }
@@ -192,23 +189,6 @@ _PUSH_UNORDERED = """
             wrt_move(number, first, top - (mask ? 0 : 1) + wrt_append(stacks + DEPTH + top, word, mask & (mask - 1u)));
 """
 
-_APART = """
-#if defined(__clang__) && !defined(__CUDA_ARCH__)
-#define WRT_APART __attribute__((noinline))
-#else
-#define WRT_APART
-#endif
-    using Rays = decltype(rays.data);
-    auto wrt_walk = [](const char* bounds, const int* children, const char* blocks, const Rays stream, int count, int* memory,
-                       int& next, int& waiting, int& visited, int* pair_rays, int* pair_leaves) WRT_APART {
-WRT_WALK
-    };
-    return wrt_walk((const char*)tree.bounds.data, tree.child.data, (const char*)records.data, rays.data, count, memory.data,
-                    next, waiting, visited, pairs.rays.c, pairs.leaves.c);
-"""
-"""C++: the walk is a function of its own. Inlined in the kernel, its loops would keep half of their numbers in memory, as the
-kernel has more than there are registers."""
-
 
 @cache
 def walk_to_leaves(config: TraversalConfig) -> wp.Function:
@@ -222,16 +202,20 @@ def walk_to_leaves(config: TraversalConfig) -> wp.Function:
     """
     StreamRay = stream_ray(config.triangle_test)
     width, ordered = config.width, int(config.query == CLOSEST)
-    head = f"""{FOR_LANES}
+    head = f"""{FOR_LANES}{BITS}
     constexpr int W = {width}, SLOTS = {SLOTS}, EMPTY = {int(EMPTY_LANE)};
     constexpr int DEPTH = {stack_depth(config)}, STRIDE = {stack_stride(config)};
     constexpr int COMPONENTS = {TRIANGLE_TESTS[config.triangle_test].record.components};
     constexpr bool ORDERED = {ordered};
-"""
-    helpers = BLOCK_LANES + (push_sorted(width) if ordered else "")
+#if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
+    constexpr int L = 16;
+#else
+    constexpr int L = (W + 7) / 8 * 8;
+#endif
+{lane_bits("L")}{push_sorted(width) if ordered else APPEND}"""
     passes = _PASSES.replace("PUSH", _PUSH_ORDERED if ordered else _PUSH_UNORDERED)
 
-    @wp.func_native(head + _APART.replace("WRT_WALK", helpers + _MEMORY + _MOVES + _BEGIN + passes))
+    @wp.func_native(head + _MEMORY + _MOVES + _BEGIN + passes)
     def walk_native(
         tree: wp.ref[WideNodes],
         records: wp.array(dtype=float),

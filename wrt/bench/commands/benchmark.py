@@ -34,8 +34,8 @@ COMPARISONS = {
     "cluster": ("cluster_command", "cluster_command"),
     "animation": ("animation_command", "animation_command"),
     "auto": ("auto_command", "auto_command"),
-    "bounces": ("bounces_command", "bounces_command"),
-    "shading": ("shading_command", "shading_command"),
+    "bounces": ("bounce_commands", "bounces_command"),
+    "shading": ("bounce_commands", "shading_command"),
 }
 """What can be compared within wrt, by what stands in place of the model: module of this package, and the command in it."""
 
