@@ -109,11 +109,12 @@ def test_threshold_and_extinction(head_on):
     assert (scan.intensity[~found] == 0).all()
 
 
-def test_reflectance_by_instance():
+@pytest.mark.parametrize("form", [list, np.array])
+def test_reflectance_by_instance(form):
     near, far = wall(5.0, 0.0, 100.0), wall(9.0, -100.0, 0.0)
     scene = wrt.Scene([wrt.Instance(near), wrt.Instance(far)], device="cpu")
     pattern = LidarPattern([[np.cos(a), np.sin(a), 0.1] / np.hypot(1, 0.1) for a in (0.1, 0.2, -0.1, -0.2)])
-    scan = Lidar(pattern=pattern, range_exponent=0.0).scan(scene, np.eye(4), reflectance=[0.2, 0.6])
+    scan = Lidar(pattern=pattern, range_exponent=0.0).scan(scene, np.eye(4), reflectance=form([0.2, 0.6]))
     np.testing.assert_array_equal(scan.instance_id, [0, 0, 1, 1])
     np.testing.assert_allclose(scan.intensity, [0.2, 0.2, 0.6, 0.6] * exact(pattern)[:, 0], rtol=1e-5)
 

@@ -344,7 +344,7 @@ def as_reflectance(reflectance: Any, scene: Queries) -> np.ndarray:
         TypeError: not real numbers.
         ValueError: another length, or a negative value.
     """
-    if reflectance == 1.0 and type(reflectance) is float:  # the default, and every scan asks
+    if type(reflectance) is float and reflectance == 1.0:  # the default, and every scan asks
         return WHITE
     values = np.atleast_1d(check_real("reflectance", reflectance))
     count = len(scene.instances) or len(scene.meshes)

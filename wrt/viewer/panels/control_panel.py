@@ -131,9 +131,9 @@ class ControlPanel:
 
     def show_error(self, error: Exception | None) -> None:
         """Says why there is no picture; None for no reason."""
-        self._problem.visible = error is not None
         if error is not None:
             self._problem.content = f"**{type(error).__name__}**: {error}"
+        self._problem.visible = error is not None  # last: a reader in another thread who sees it finds the words
 
 
 def color_bar() -> np.ndarray:
