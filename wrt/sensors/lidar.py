@@ -22,7 +22,7 @@ from wrt.sensors.time_slices import (
     SensorRays,
     TracedSlice,
     as_motions,
-    cut_slices,
+    check_slices,
     for_each_ray,
     no_order,
     no_vectors,
@@ -195,14 +195,15 @@ class Lidar:
         work = _Work(self, scene, path, time, as_reflectance(reflectance, scene), as_noise(self, seed))
         motions = as_motions(motions, scene, begin, end)
         sensors = getattr(path, "shape", ())
-        times = np.broadcast_to(self.pattern.times, (*sensors, *self.pattern.shape))
-        order, parts = cut_slices(times, span, time, slices if motions else 1)
+        check_slices(slices)
+        order, parts = self.pattern.cut(sensors, int(slices) if motions else 1)
+        parts = [part.later(time) for part in parts]
         given = {"mask": mask, "environment": environment}
         each = for_each_ray(given, sensors, len(self.pattern), self.bundle, order, scene.device)
         with use_threads(scene.num_threads):
             relative = not (motions or each) and traversal == AUTO and type(scene).intersect is Queries.intersect
             work.fire(order, relative)
-            given = work.origins, work.directions, self.bundle, times.shape, self.max_range, traversal, each
+            given = work.origins, work.directions, self.bundle, (*sensors, *self.pattern.shape), self.max_range, traversal, each
             rays = SensorRays(*given, relative)
             for found in trace_slices(work.scene, rays, Bodies(motions, parts), parts):
                 work.describe(found)

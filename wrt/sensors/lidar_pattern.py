@@ -13,8 +13,12 @@ from wrt.sensors.checks import check_at_least, check_real
 
 if TYPE_CHECKING:
     from wrt.kernels.sensors.lidar_beams import Beams
+    from wrt.sensors.time_slices import Slice
 
 UNIT_TOLERANCE = 1e-3
+
+MAX_CUTS = 4
+"""Divisions into time slices that are kept."""
 
 
 class LidarPattern:
@@ -62,11 +66,12 @@ class LidarPattern:
                     f"directions must be unit vectors, but have lengths from {lengths.min():g} to {lengths.max():g}"
                 )
         self.structs: dict[str, Beams] = {}  # by device
+        self._cuts: dict[tuple[tuple[int, ...], int], tuple[np.ndarray | None, list[Slice]]] = {}
         self._on_device: dict[str, tuple[wp.array, wp.array, wp.array]] = {}
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickles leave out what is kept for a device."""
-        return vars(self) | {"structs": {}, "_on_device": {}}
+        return vars(self) | {"structs": {}, "_cuts": {}, "_on_device": {}}
 
     def __repr__(self) -> str:
         return f"LidarPattern(shape={self.shape}, {1e3 * self.duration:g} ms)"
@@ -79,6 +84,23 @@ class LidarPattern:
     def span(self) -> tuple[float, float]:
         """Firing times of the first and the last beam, in seconds."""
         return float(self.times.min()), float(self.times.max())
+
+    def cut(self, sensors: tuple[int, ...], slices: int) -> tuple[np.ndarray | None, list[Slice]]:
+        """The order in which beams are traced, and the slices of a scan that starts at 0, as of
+        `wrt.sensors.time_slices.cut_slices`; the last few are kept.
+
+        Args:
+            sensors: leading shape of the sensors.
+            slices: number of time slices.
+        """
+        from wrt.sensors.time_slices import cut_slices
+
+        key = sensors, slices
+        if key not in self._cuts:
+            if len(self._cuts) >= MAX_CUTS:
+                self._cuts.clear()
+            self._cuts[key] = cut_slices(np.broadcast_to(self.times, (*sensors, *self.shape)), self.span, 0.0, slices)
+        return self._cuts[key]
 
     @property
     def duration(self) -> float:

@@ -22,6 +22,7 @@ import numpy as np
 import warp as wp
 
 from wrt.execution.executor import closest_of_relative
+from wrt.instances.instance_boxes import on_device
 from wrt.meshes.placement import check_index
 from wrt.rays.ray_arrays import relative_rays
 from wrt.sensors.trajectory import Trajectory
@@ -56,6 +57,10 @@ class Slice:
     duration: float
     shape: tuple[int, ...] | None
 
+    def later(self, start: float) -> Slice:
+        """The same slice of a scan that begins later."""
+        return Slice(self.begin, self.end, None if self.time is None else self.time + start, self.duration, self.shape)
+
 
 class Bodies:
     """Instances that move: their transforms and velocities in all slices.
@@ -83,7 +88,7 @@ class Bodies:
         motions, state = Motions(), np.zeros((3, instances, 3))
         state[0, self.chosen] = self.transforms[number][:, :3, 3]
         state[1:, self.chosen] = self._velocities[number]
-        motions.pivot, motions.velocity, motions.spin = (wp.array(values, dtype=wp.vec3d, device=device) for values in state)
+        motions.pivot, motions.velocity, motions.spin = (on_device(values, wp.vec3d, device) for values in state)
         return motions
 
 
@@ -291,6 +296,19 @@ def as_motions(motions: Any, scene: Queries, begin: float, end: float) -> Mappin
     return motions
 
 
+def check_slices(slices: Any) -> None:
+    """Refuses a wrong number of slices.
+
+    Raises:
+        TypeError: it is not a whole number.
+        ValueError: it is out of range.
+    """
+    if isinstance(slices, bool) or not isinstance(slices, (int, np.integer)):
+        raise TypeError(f"slices must be a whole number, not {type(slices).__name__}")
+    if not 1 <= slices <= MAX_SLICES:
+        raise ValueError(f"slices is {slices}; it must be from 1 to {MAX_SLICES}")
+
+
 def cut_slices(
     times: np.ndarray, span: tuple[float, float], start: float, slices: int
 ) -> tuple[np.ndarray | None, list[Slice]]:
@@ -303,13 +321,9 @@ def cut_slices(
         slices: number of slices; those without a ray are left out.
 
     Raises:
-        TypeError: `slices` is not a whole number.
-        ValueError: it is out of range.
+        TypeError, ValueError: as `check_slices`.
     """
-    if isinstance(slices, bool) or not isinstance(slices, (int, np.integer)):
-        raise TypeError(f"slices must be a whole number, not {type(slices).__name__}")
-    if not 1 <= slices <= MAX_SLICES:
-        raise ValueError(f"slices is {slices}; it must be from 1 to {MAX_SLICES}")
+    check_slices(slices)
     begin, duration = span[0], span[1] - span[0]
     if slices == 1 or duration == 0.0:
         return None, [Slice(0, times.size, start + begin + duration / 2, duration, None)]
