@@ -119,8 +119,9 @@ def launch(
 
     Raises:
         TypeError: `kernel` is not a kernel or has another first parameter; `num_threads` is not an int.
-        ValueError: there is no such device, or `num_threads` is out of range; a kernel with a scene among its inputs was
-            not made by `kernel`; inside a `wp.Tape`, an array requires gradients and the kernel has none.
+        ValueError: there is no such device, or `num_threads` is out of range; an array on another device; a kernel with a
+            scene among its inputs was not made by `kernel`; inside a `wp.Tape`, an array requires gradients and the kernel has
+            none.
     """
     if not isinstance(kernel, wp.Kernel):
         raise TypeError(f"kernel must be made by wrt.device.kernel or wp.kernel, not {type(kernel).__name__}")
@@ -142,11 +143,26 @@ def launch(
                 "launch it before the tape, or pass wp.clone(array, requires_grad=False); to differentiate hits, call "
                 "wrt.differentiable_hits inside the tape"
             )
+    check_devices(kernel, inputs, target)
     if kernel.is_generic:
         kernel = kernel.add_overload(kernel.infer_argument_types([0, *inputs]))
         launching.load_changed(kernel, target)
     with launching.use_threads(num_threads):
         launching.launch(kernel, count, inputs, device=target, chunk=chunk)
+
+
+def check_devices(kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
+    """Refuses arrays that a device cannot read: repeated launches are packed without Warp's own checks.
+
+    Raises:
+        ValueError: there is one.
+    """
+    for argument, value in zip(kernel.adj.args[1:], inputs, strict=False):
+        if isinstance(value, wp.array) and value.device != device and not wp.can_access(device, value):
+            raise ValueError(
+                f"argument {argument.label!r} of kernel {kernel.key!r} is on {value.device}, and the launch on {device}; copy "
+                f"it there with .to({str(device)!r})"
+            )
 
 
 def has_backward(kernel: wp.Kernel) -> bool:

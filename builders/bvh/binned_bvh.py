@@ -54,7 +54,8 @@ TASKS_PER_THREAD = 4
 """Tasks per thread that define a large node: one with more than the average share of triangles is split by all threads."""
 
 MIN_TASKS = 16
-"""Tasks of a build with few threads: with only 8, two threads end 5 % apart."""
+"""Least number of tasks of a build with several threads, so that few of them end together
+(notebooks/records/2026-11-23-comparison.md)."""
 
 MIN_LARGE = 4096
 """Triangles below which a single thread builds a node: the fixed cost of the launches of a level would exceed the gain."""

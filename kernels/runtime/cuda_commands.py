@@ -1,7 +1,7 @@
 """Launches on CUDA of kernels that were launched before: Warp's checks and conversions of the arguments are spared.
 
-Warp's own launch takes 30 to 40 us of Python for a kernel with structs; here each argument is packed as on the CPU
-(`wrt.kernels.runtime.argument_packing`) and written into a command that Warp recorded once.
+Each argument is packed as on the CPU (`wrt.kernels.runtime.argument_packing`) and written into a command that Warp recorded
+once (notebooks/records/2026-11-23-instances.md).
 """
 
 import ctypes

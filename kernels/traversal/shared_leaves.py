@@ -8,7 +8,7 @@ same crossing in two leaves.
 interval on the ray that contains the t of the hit owns the crossing. All leaves that might be the owner are below boxes that
 contain t, so a search from the root with the range [t, t] finds them. The walk visits all of them: its range contains t.
 
-**Cost.** A search around a point of the ray for each crossing: counts take 1.5 to 2.2 times as long
+**Cost.** A search around a point of the ray for each crossing
 (notebooks/records/2026-11-23-spatial-splits-and-compact-subtrees.md).
 """
 

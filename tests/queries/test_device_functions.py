@@ -303,3 +303,35 @@ def test_launches_inside_a_tape(device):
     tape.backward(grads={y: wp.ones_like(y)})
     np.testing.assert_array_equal(x.grad.numpy(), 2.0 * np.arange(5000.0))
     assert np.isfinite(out.numpy()).any()
+
+
+class Elsewhere(wp.array):
+    """An array that says it is on another device."""
+
+    device = "elsewhere"
+
+
+def test_arrays_on_another_device(monkeypatch):
+    """Also at the second launch, which is packed without Warp's checks: it would read memory of the other device."""
+    x, y = (wp.zeros(4, dtype=float, device="cpu") for _ in range(2))
+    wrt.device.launch(square, 4, [x, y], device="cpu")
+    monkeypatch.setattr(wp, "can_access", lambda device, array: False)
+    y = object.__new__(Elsewhere)
+    with pytest.raises(
+        ValueError, match=r"argument 'y' of kernel 'square' is on elsewhere, and the launch on cpu"
+    ):
+        wrt.device.launch(square, 4, [x, y], device="cpu")
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="needs CUDA")
+def test_host_arrays_in_a_launch_on_cuda():
+    """They are refused, or their memory can be read there."""
+    x, y = (wp.ones(4, dtype=float, device="cuda:0") for _ in range(2))
+    host = wp.full(4, 3.0, dtype=float, device="cpu")
+    wrt.device.launch(square, 4, [x, y], device="cuda:0")
+    if wp.can_access("cuda:0", host):
+        wrt.device.launch(square, 4, [host, y], device="cuda:0")
+        np.testing.assert_array_equal(y.numpy(), 9.0)
+    else:
+        with pytest.raises(ValueError, match="argument 'x' of kernel 'square' is on cpu"):
+            wrt.device.launch(square, 4, [host, y], device="cuda:0")

@@ -46,8 +46,8 @@ class ProjectedBvh:
             inserted (Tessari et al. 2023, suggested in section 7.2). 1 for all triangles.
         spatial_splits: most additional references to triangles, as a share of their number, from 0 to 4. A triangle that
             straddles a plane may be in both children, clipped, where this costs less (Stich et al. 2009, suggested in section
-            7.2), and if the tree costs less. 0 for none. The build takes 5 to 20 times as long, a moved scene builds such a
-            tree anew, and counts of all hits take 1.5 to 2.2 times as long.
+            7.2), and if the tree costs less. 0 for none. The build and counts of all hits take longer, and a moved scene builds
+            such a tree anew (notebooks/records/2026-11-23-spatial-splits-and-compact-subtrees.md).
 
     Raises:
         TypeError: `areas` holds something else.

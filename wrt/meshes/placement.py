@@ -231,6 +231,20 @@ def check_index(index: Any, count: int, what: str) -> int:
     return int(index)
 
 
+def check_indices(index: Any, count: int, what: str) -> np.ndarray:
+    """(M,) indices of meshes or instances, of one index or a sequence of them.
+
+    Raises:
+        TypeError, ValueError: as `check_index`; an empty sequence.
+    """
+    values = np.atleast_1d(np.asarray(index))
+    if not (values.ndim == 1 and values.dtype.kind in "iu" and len(values) and values.min() >= 0 and values.max() < count):
+        values = np.array([check_index(one, count, what) for one in values.tolist()], dtype=np.int64)
+        if not len(values):
+            raise ValueError(f"index is empty; pass the index of an {what}, or several")
+    return values
+
+
 def moved_mesh(mesh: TriangleMesh, vertices: Any) -> TriangleMesh:
     """The mesh with new vertices; its faces are shared.
 

@@ -29,7 +29,7 @@ from wrt.kernels.runtime.launch import kept, use_threads
 from wrt.meshes.instance import Instance, as_instances, check_environment, check_extent, check_mask, check_transforms
 from wrt.meshes.mesh import TriangleMesh
 from wrt.meshes.node_graph import NodeGraph
-from wrt.meshes.placement import check_index, find_center
+from wrt.meshes.placement import check_indices, find_center
 from wrt.scene.mesh_state import MeshState, build_state
 from wrt.state.query_cache import QueryCache
 from wrt.state.scene_state import SceneState, Settings, new_mark
@@ -168,18 +168,8 @@ class InstancedState(SceneState):
             return self._moved(tuple(instances), chosen if len(chosen) == 1 else np.unique(chosen))
 
     def chosen(self, index: Any) -> np.ndarray:
-        """(M,) numbers of the instances that a caller means: an index, or several.
-
-        Raises:
-            TypeError, ValueError: as `wrt.Scene.update`.
-        """
-        values = np.atleast_1d(np.asarray(index))
-        count = len(self.instances)
-        if not (values.ndim == 1 and values.dtype.kind in "iu" and len(values) and values.min() >= 0 and values.max() < count):
-            values = np.array([check_index(one, count, "instance") for one in values.tolist()], dtype=np.int64)
-            if not len(values):
-                raise ValueError("index is empty; pass the index of an instance, or several")
-        return values
+        """(M,) numbers of the instances that a caller means: an index, or several; errors as of `wrt.Scene.update`."""
+        return check_indices(index, len(self.instances), "instance")
 
     def _bent(self, instances: tuple[Instance, ...], chosen: list[int], vertices: Any, policy: UpdatePolicy) -> InstancedState:
         """The state after the vertices of a mesh have moved."""

