@@ -317,9 +317,7 @@ def test_arrays_on_another_device(monkeypatch):
     wrt.device.launch(square, 4, [x, y], device="cpu")
     monkeypatch.setattr(wp, "can_access", lambda device, array: False)
     y = object.__new__(Elsewhere)
-    with pytest.raises(
-        ValueError, match=r"argument 'y' of kernel 'square' is on elsewhere, and the launch on cpu"
-    ):
+    with pytest.raises(ValueError, match=r"argument 'y' of kernel 'square' is on elsewhere, and the launch on cpu"):
         wrt.device.launch(square, 4, [x, y], device="cpu")
 
 
