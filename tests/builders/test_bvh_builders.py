@@ -21,8 +21,6 @@ from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_WIDE_DEPTH
 from wrt.kernels.runtime.launch import use_threads
 
-pytestmark = pytest.mark.width
-
 WIDTHS = (2, 4, 8, 16)
 
 
@@ -107,6 +105,7 @@ def test_invariants(scene_mesh, builder, width):
     check(tree, scene_mesh.vertices, scene_mesh.faces, config)
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("width", [2, 8, 16])
 def test_threads_and_tasks_do_not_show(width, monkeypatch):
     """Bit for bit the same tree, whatever the threads, the chunks, and the size at which subtrees take over."""
@@ -170,6 +169,7 @@ def best_cost(tree, rules, cost, node: int, lanes: int) -> float:
     return (area(node) * cost.traversal + divided(node, lanes)) / area(node)
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("width", [2, 4, 16])
 @pytest.mark.parametrize("block", [0.3, 1.0])
 @pytest.mark.parametrize("name", ["teapot", "stadium", "degenerate"])

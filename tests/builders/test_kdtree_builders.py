@@ -18,8 +18,6 @@ from wrt.builders.triangle_boxes import triangle_boxes
 from wrt.kernels.layout import kdtree_nodes as kdtree
 from wrt.kernels.runtime.launch import use_threads
 
-pytestmark = pytest.mark.width
-
 EXACT = ("in_place", "nested", "sweep", "naive")
 """Builders that evaluate every plane at which a box begins or ends."""
 
@@ -190,6 +188,7 @@ def test_exact_builders_equal_the_reference_with_options(name, options):
     test_exact_builders_equal_the_reference(SCENES[name](), options)
 
 
+@pytest.mark.width
 def test_exact_builders_equal_the_reference_on_the_bunny(bunny):
     reference, _ = build(bunny, "sorting_sweep", width=16)
     for builder in ("in_place", "nested", "sweep"):
@@ -228,6 +227,7 @@ def test_levels_leave_out_no_chunk_for_a_plane_that_is_no_event_of_the_node():
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("threads", [1, 2, 3, 8])
 def test_threads_and_tasks_do_not_show(threads, monkeypatch):
     """Bit for bit the same tree, whatever the threads, the chunks, and the level at which subtrees take over."""
@@ -287,6 +287,7 @@ def test_small_shares_are_enlarged(builder, module, monkeypatch):
     np.testing.assert_array_equal(tree.primitive.numpy(), reference.primitive.numpy())
 
 
+@pytest.mark.width
 @pytest.mark.parametrize("axes", ["longest", "mixed"])
 def test_searched_axes(axes):
     """Large nodes are split along their longest axis, and small ones along any; the hits are those of brute force."""
@@ -388,6 +389,7 @@ def test_medians(axis):
         assert flat.axis[flat.left[0]] == 1
 
 
+@pytest.mark.width
 def test_memory_of_the_tree(bunny):
     """The tree with its records stays within 120 bytes a triangle on the bunny."""
     statistics = wrt.Scene(bunny, device="cpu").statistics()

@@ -15,10 +15,9 @@ from wrt.cli import main
 from wrt.kernels.compilation import target
 from wrt.kernels.simd.lanes import native_width
 
-pytestmark = pytest.mark.width
-
 ZEN_2 = frozenset(target.AVX2 | {"sse2", "clflushopt"})
 ZEN_4 = frozenset(target.AVX512 | {"sse2", "avx512vbmi"})
+QUICKER = " ".join(target.QUICKER)
 
 SHOW = """
 import json, sys
@@ -117,19 +116,19 @@ def test_other_flags_stay(set_cpu):
     set_cpu(ZEN_4)
     wp.config.cpu_compiler_flags = "-march=native -mllvm=-inline-threshold=9"
     target.apply_environment()
-    assert wp.config.cpu_compiler_flags == "-march=native -mllvm=-inline-threshold=9"
+    assert wp.config.cpu_compiler_flags == f"-march=native -mllvm=-inline-threshold=9 {QUICKER}"
     for name, expected in (
-        ("x86-64-v4", "-target-cpu x86-64-v4 -mprefer-vector-width=512 -mllvm=-inline-threshold=9"),
-        ("x86-64-v3", "-target-cpu x86-64-v3 -mllvm=-inline-threshold=9"),
-        ("native", "-march=native -mllvm=-inline-threshold=9"),
+        ("x86-64-v4", "-target-cpu x86-64-v4 -mprefer-vector-width=512"),
+        ("x86-64-v3", "-target-cpu x86-64-v3"),
+        ("native", "-march=native"),
     ):
         for _ in range(2):
             set_cpu(ZEN_4, WRT_TARGET=name)
             target.apply_environment()
-            assert wp.config.cpu_compiler_flags == expected
+            assert wp.config.cpu_compiler_flags == f"{expected} -mllvm=-inline-threshold=9 {QUICKER}"
     wp.config.cpu_compiler_flags = None
     target.apply_environment()
-    assert wp.config.cpu_compiler_flags == "-march=native"
+    assert wp.config.cpu_compiler_flags == f"-march=native {QUICKER}"
 
 
 @pytest.mark.parametrize(
@@ -141,18 +140,19 @@ def test_intel_uses_its_full_registers(vendor, features, wide, set_cpu):
     set_cpu(features, vendor)
     wide_native = "-march=native" + " -mprefer-vector-width=512" * wide
     for given, expected in (
-        (None, wide_native if wide else None),
+        (None, wide_native),
         ("-march=native -mllvm=-inline-threshold=9", f"{wide_native} -mllvm=-inline-threshold=9"),
         ("-march=native -mprefer-vector-width=256", "-march=native -mprefer-vector-width=256"),
         ("-target-cpu x86-64-v3", "-target-cpu x86-64-v3"),
+        ("", ""),
     ):
         wp.config.cpu_compiler_flags = given
         target.apply_environment()
-        assert wp.config.cpu_compiler_flags == expected
+        assert wp.config.cpu_compiler_flags == f"{expected} {QUICKER}".strip()
     wp.config.cpu_compiler_flags = None
     set_cpu(features, vendor, WRT_TARGET="native")
     target.apply_environment()
-    assert wp.config.cpu_compiler_flags == "-march=native" + " -mprefer-vector-width=512" * wide
+    assert wp.config.cpu_compiler_flags == f"{wide_native} {QUICKER}"
 
 
 def test_choices(set_cpu, monkeypatch):
@@ -174,6 +174,7 @@ def test_choices(set_cpu, monkeypatch):
     assert target.lane_width() == 16
 
 
+@pytest.mark.width
 def test_the_suite_runs_as_it_was_asked_to():
     """Whoever starts it with a target gets that target, although the suite has flags of its own."""
     asked = os.environ.get(target.TARGET_VARIABLE) or "native"

@@ -205,36 +205,43 @@ def distances(
     out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
 
 
-@wp.kernel(module="with_gradients")
-def distances_with_gradients(
-    first: int,
-    scene: wrt.device.SceneHandle,
-    origins: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    out: wp.array(dtype=float),
-):
-    """Item: a ray; by a decorator that does not fit."""
-    i = first + wp.tid()
-    out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
+def unsuitable_kernels(module: str) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
+    """Two kernels whose decorators do not fit, and one without ray queries in the first one's module.
 
+    Warp compiles a module as a whole, for each device: once `wp.launch` has added a refused kernel to it, none of its kernels
+    can be compiled for a further device. So each caller has modules of its own.
+    """
 
-@wp.kernel(enable_backward=False, module="fused")
-def distances_fused(
-    first: int,
-    scene: wrt.device.SceneHandle,
-    origins: wp.array(dtype=wp.vec3),
-    directions: wp.array(dtype=wp.vec3),
-    out: wp.array(dtype=float),
-):
-    """Item: a ray; by a decorator that compiles and gives other hits."""
-    i = first + wp.tid()
-    out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
+    @wp.kernel(module=f"{module}_with_gradients")
+    def distances_with_gradients(
+        first: int,
+        scene: wrt.device.SceneHandle,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        out: wp.array(dtype=float),
+    ):
+        """Item: a ray."""
+        i = first + wp.tid()
+        out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
 
+    @wp.kernel(enable_backward=False, module=f"{module}_fused")
+    def distances_fused(
+        first: int,
+        scene: wrt.device.SceneHandle,
+        origins: wp.array(dtype=wp.vec3),
+        directions: wp.array(dtype=wp.vec3),
+        out: wp.array(dtype=float),
+    ):
+        """Item: a ray; this compiles and would give other hits."""
+        i = first + wp.tid()
+        out[i] = wrt.device.closest_hit(scene, origins[i], directions[i], 0.0, wp.inf).t
 
-@wp.kernel(module="with_gradients")
-def fill(numbers: wp.array(dtype=float)):
-    """Item: a number. Of the same module as `distances_with_gradients`."""
-    numbers[wp.tid()] = 3.0
+    @wp.kernel(module=f"{module}_with_gradients")
+    def fill(numbers: wp.array(dtype=float)):
+        """Item: a number."""
+        numbers[wp.tid()] = 3.0
+
+    return distances_with_gradients, distances_fused, fill
 
 
 @wp.kernel(module="unique")
@@ -267,6 +274,7 @@ def test_kernels_with_other_options_are_told_the_decorator(device):
     scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device=device)
     inputs = [scene.handle(), *few_rays(scene), wp.zeros(50, dtype=float, device=device)]
     numbers = wp.ones(5, dtype=float, device=device)
+    distances_with_gradients, distances_fused, fill = unsuitable_kernels("refused_on_" + device.replace(":", "_"))
     for kernel, why in (
         (distances_with_gradients, "gradients and fused multiply-add"),
         (distances_fused, "fused multiply-add"),
