@@ -66,7 +66,7 @@ class Limits(NamedTuple):
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
         instance_share: the same through instances.
-        dense_vectors: rays of a packet, in vectors, of rays from one point that are dense in a BVH of one level.
+        large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
     """
 
     incoherent: float
@@ -75,15 +75,15 @@ class Limits(NamedTuple):
     long_share: float
     short_share: float
     instance_share: float
-    dense_vectors: int
+    large_packet: int
 
 
 LIMITS = {
-    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, dense_vectors=4),
-    16: Limits(100_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, dense_vectors=2),
+    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, large_packet=4),
+    16: Limits(100_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `dense_vectors`:
+(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `large_packet`:
 notebooks/records/2026-11-23-short-rows.md). Fewer lanes are taken for 8; they have not been measured.
 """
 

@@ -112,6 +112,13 @@ def test_rays_that_meet_at_a_light(culling, scale, device):
     assert 0.2 < expected.is_hit.mean() < 1.0
     plan = packet_plan(scene, wrt.Rays(origins, directions), "woop", culling=culling)
     assert_same_hits(scene.intersect(origins, directions, traversal=plan), expected)
+    # rays that end there, a little before, or a little behind: their packets may be bounded from their ends
+    share = np.where(rng.random(len(origins)) < 0.5, 1.0, rng.uniform(0.999, 1.001, len(origins)))
+    for t_min in (0.0, 0.1 / scale):
+        shadow = wrt.Rays(origins, directions, t_min, (share / scale).astype(np.float32))
+        expected = brute_force(scene, shadow).is_hit
+        assert 0.1 < expected.mean() < 0.9
+        np.testing.assert_array_equal(scene.occluded(shadow, traversal=plan), expected)
 
 
 @pytest.mark.width

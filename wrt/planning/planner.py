@@ -15,7 +15,7 @@ from wrt.planning.answer_checks import can_answer, check_answer, check_origins
 from wrt.planning.packet_sample import measure_overlap
 from wrt.planning.plan import ChosenPlan, Plan, plan_for_query, traversal_of
 from wrt.planning.plan_checks import check_plan, fits
-from wrt.state.query_kinds import ALL, AUTO, CLOSEST, COUNT, Query
+from wrt.state.query_kinds import ALL, ANY, AUTO, CLOSEST, COUNT, Query
 from wrt.state.wide_trees import can_be_wide, wide_form_pays, wide_form_savings, wide_width
 from wrt.tables import lookup
 
@@ -31,7 +31,7 @@ DEFAULT_TEST = "woop"
 
 PACKET_VECTORS = 2
 """Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8 with 16 lanes
-(notebooks/records/2026-11-21-plans.md); `Limits.dense_vectors` has the exception.
+(notebooks/records/2026-11-21-plans.md); `Limits.large_packet` has the exception.
 """
 
 ROUGH_RAYS_PER_TRIANGLE = 2.0
@@ -149,7 +149,7 @@ def choose_plan(
     width = wide_width(scene) if chosen.wide else scene.width
     options: dict[str, object] = {}
     if chosen.packets:
-        options["packet"] = packet_vectors(scene, rays, chosen) * width
+        options["packet"] = packet_vectors(scene, rays, query, chosen) * width
         options["culling"] = choose_culling(scene, rays, chosen, test)
     if chosen.streams:
         options["stream"] = stream_size(scene, rays)
@@ -235,10 +235,11 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
     return next((size for size in STREAMS if size <= share), STREAMS[-1])
 
 
-def packet_vectors(scene: SceneState, rays: RayBuffers, traversal: Traversal) -> int:
+def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: Traversal) -> int:
     """Rays of a packet, in vectors of the tree's width."""
     measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
-    return limits_for(scene.width).dense_vectors if measured and is_dense(scene, rays) else PACKET_VECTORS
+    large = is_dense(scene, rays) or (query == ANY and not scene.instances)
+    return limits_for(scene.width).large_packet if measured and large else PACKET_VECTORS
 
 
 def is_dense(scene: SceneState, rays: RayBuffers) -> bool:

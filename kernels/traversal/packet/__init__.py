@@ -57,6 +57,8 @@ class Culling:
         leaf: `wp.func(boxes, node, lane, packet, bounds) -> int`, called once per leaf, whose box is a lane of a node: the
             number of rays that meet the box, or any number above `MAX_FEW_RAYS`. If it is at most `MAX_FEW_RAYS`, the rays
             are listed in `bounds.few`, and no other bounds are updated. 0 skips the leaf.
+        reversible: whether its functions also hold for bounds as seen from the ends of the rays
+            (`wrt.kernels.traversal.packet.rays.reversed_bounds`).
         dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
             among the cullings that fit, and never one whose score is 0.
     """
@@ -70,6 +72,7 @@ class Culling:
     every_ray: bool = False
     start: Callable[[PacketLayout], wp.Function] = no_start
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
+    reversible: bool = False
     dense_score: float = 0.0
     sparse_score: float = 0.0
 
@@ -98,6 +101,7 @@ CULLINGS: dict[str, Culling] = {
             "Boulos, Wald, Shirley: Geometric and arithmetic culling methods for entire ray packets (2006)",
             interval.cull_boxes,
             interval.cull_triangles,
+            reversible=True,
             dense_score=1.0,
             sparse_score=1.0,
         ),
@@ -124,6 +128,7 @@ CULLINGS: dict[str, Culling] = {
             vertices.cull_triangles,
             accurate=True,
             slopes=True,
+            reversible=True,
             dense_score=3.0,
             sparse_score=2.0,
         ),
@@ -135,6 +140,7 @@ CULLINGS: dict[str, Culling] = {
             accurate=True,
             start=transient.start,
             leaf=transient.leaf,
+            reversible=True,
             dense_score=2.0,
             sparse_score=3.0,
         ),

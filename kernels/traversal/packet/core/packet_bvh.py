@@ -162,4 +162,5 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
-    return make_packet_kernel(config, WideNodes, make_walk_packet(config), make_walk(config), MIXED_AXES, walk_memory(config))
+    walks = make_walk_packet(config), make_walk(config)
+    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, walk_memory(config), reversible=True)

@@ -24,6 +24,7 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
 from wrt.kernels.traversal.packet.rays.packet_store import store_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
+from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -167,7 +168,12 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function)
 
 @cache
 def packet_step(
-    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int
+    config: TraversalConfig,
+    Tree: type,
+    walk_packet: wp.Function,
+    walk_ray: wp.Function,
+    mixed_axes: int,
+    reversible: bool = False,
 ) -> wp.Function:
     """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
 
@@ -181,11 +187,14 @@ def packet_step(
             was abandoned.
         walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
         mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
+        reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
     """
     layout = packet_layout(config)
     culling = CULLINGS[config.packet.culling]
     load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
     start_packet = culling.start(layout)
+    reverses = reversible and culling.reversible and config.query == ANY and not config.packet.shared_origin
+    reverse = reverse_bounds(layout) if reverses else None
 
     @wp.func
     def trace_unsplit(
@@ -200,6 +209,8 @@ def packet_step(
         completed = bounds.active == 0 or bounds.mixed_axes <= wp.static(mixed_axes)
         if completed and bounds.active > 0:
             start_packet(tree.low, tree.high, packet, bounds)
+            if wp.static(reverses):
+                reverse(tree.low, tree.high, packet, bounds)
             completed = walk_packet(below, triangles, packet, memory, bounds, work)
         return completed
 
@@ -235,10 +246,16 @@ def packet_step(
 
 @cache
 def make_packet_kernel(
-    config: TraversalConfig, Tree: type, walk_packet: wp.Function, walk_ray: wp.Function, mixed_axes: int, memory_size: int
+    config: TraversalConfig,
+    Tree: type,
+    walk_packet: wp.Function,
+    walk_ray: wp.Function,
+    mixed_axes: int,
+    memory_size: int,
+    reversible: bool = False,
 ) -> wp.Kernel:
-    """The kernel for one specialisation; room: ints of memory for a walk; the other arguments as in `packet_step`."""
-    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes)
+    """The kernel for one specialisation; memory_size: ints of memory for a walk; the other arguments as in `packet_step`."""
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible)
     packet_rays, run, size = config.packet.rays, rays_per_item(config), packet_layout(config).size
 
     def packet_traversal(

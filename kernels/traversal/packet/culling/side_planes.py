@@ -27,14 +27,15 @@ exact_module(__name__)
 _TRIANGLES = f"""
     if (bounds.frame < 0) {{{interval.TRIANGLES}}}
     const float* r = &records.data[(size_t)block * (RECORD * W)];{SIDES}
+    const bool rear = large < 0.0f;  // not `back`: the range may be seen from the rays' ends (`reversed_bounds`)
     int kept[W];
     WRT_FOR_LANES(i) {{
         const float az = r[z * W + i], bz = r[(3 + z) * W + i], cz = r[(6 + z) * W + i];
         float least = az < bz ? az : bz, most = az > bz ? az : bz;
         least = least < cz ? least : cz; most = most > cz ? most : cz;
-        float d = (back ? most : least) - in_z, e = d * large, f = d * small; e = f < e ? f : e;
+        float d = (rear ? most : least) - in_z, e = d * large, f = d * small; e = f < e ? f : e;
         const bool late = e > t_max;
-        d = (back ? least : most) - out_z; e = d * large; f = d * small; e = f > e ? f : e;
+        d = (rear ? least : most) - out_z; e = d * large; f = d * small; e = f > e ? f : e;
         const bool early = e < t_min;
         bool left = true, right = true, below = true, above = true;
         for (int k = 0; k < 3; ++k) {{
