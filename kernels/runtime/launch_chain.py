@@ -29,8 +29,8 @@ from wrt.kernels.runtime.options import exact_module
 exact_module(__name__)
 
 STAGE_WORDS = 8
-"""Words of 64 bits of a stage: entry point, launch bounds, arguments, their bytes, where the end is in them, grain, and the
-nanoseconds that all threads together have spent in it."""
+"""Words of 64 bits of a stage: entry point, launch bounds, arguments, their bytes, where the end is in them, grain, the
+nanoseconds that all threads together have spent in it, and the address of its own numbers of items or 0."""
 
 LONGEST = 8
 """Most tiles of a chunk: some hundredths of a second, after which a Ctrl-C takes effect."""
@@ -49,12 +49,15 @@ class Stage:
         grain: items of a tile that an item of the kernel does; divides the items of a tile, or is all of them.
         end: which argument is the number of the item at which the tile ends, the first item counted; with the name of a field
             if the argument is a struct. None for kernels that do all items of a tile, or do not depend on their number.
+        counts: (tiles,) int32, items of each tile for this stage alone, which is left out where there are none; None for those
+            that are left.
     """
 
     kernel: wp.Kernel
     inputs: Sequence[Any]
     grain: int
     end: tuple[int, str] | None = None
+    counts: wp.array | None = None
 
 
 @wp.func_native(
@@ -65,9 +68,10 @@ class Stage:
     long long before = now();
     alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
     for (int s = begin; s < end; ++s) {{
-        const int left = ((volatile int*)counts.data)[tile];
-        if (left <= 0) break;
         long long* stage = (long long*)stages.data + {STAGE_WORDS} * s;
+        const int left = ((volatile int*)(stage[7] ? (int*)stage[7] : counts.data))[tile];
+        if (left <= 0 && stage[7]) continue;
+        if (left <= 0) break;
         __builtin_memcpy(arguments, (const void*)stage[2], (size_t)stage[3]);
         const int grain = (int)stage[5], items = (left + grain - 1) / grain;
         *(int*)arguments = tile * (size / grain);
@@ -135,11 +139,17 @@ class LaunchChain:
             at += getattr(type(packed.argument(index)), name).offset if name else 0
         bounds, arguments = (ctypes.addressof(part) for part in (packed.bounds, packed.arguments))
         self._packed.append(packed)
-        self._words.append([packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, 0])
+        own = 0 if stage.counts is None else stage.counts.ptr
+        self._words.append([packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, own])
         spent = [*self._stages.numpy()[SPENT::STAGE_WORDS], 0]
         self._stages = wp.array(np.array(self._words, dtype=np.int64).ravel(), dtype=wp.int64, device=self.device)
         self._stages.numpy()[SPENT::STAGE_WORDS] = spent
         return packed
+
+    @property
+    def stages(self) -> wp.array:
+        """The stages for `run_stages`; valid as long as the chain is alive and none is added."""
+        return self._stages
 
     @property
     def seconds(self) -> np.ndarray:

@@ -67,8 +67,12 @@ def expose(
 def display(linear: float):
     """Linear to sRGB, clipped to [0, 1]."""
     x = wp.clamp(linear, 0.0, 1.0)
-    bright = wp.where(x < 1.0, 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055, 1.0)  # rounding must not dim white
-    return wp.where(x <= 0.0031308, 12.92 * x, bright)
+    result = float(1.0)  # rounding must not dim white
+    if x < 1.0:
+        result = 1.055 * wp.pow(x, 1.0 / 2.4) - 0.055
+    if x <= 0.0031308:
+        result = 12.92 * x
+    return result
 
 
 @wp.kernel

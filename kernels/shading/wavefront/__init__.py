@@ -8,7 +8,7 @@
     plain_lamps.py    the lamps for them
     shading_streams.py  rays filtered by what they hit, and one code for each stream
     texture_demand.py the tiles of images that rays need
-    tree_step.py      one step of Whitted's and of distribution ray tracing
+    tree_step.py      one step of Whitted's and of distribution ray tracing (in tiles: `wrt.kernels.shading.ray_trees`)
     ray_queue.py      the rays of a generation, and their compaction: count, scan, fill, or tile by tile
     picture.py        radiance of samples -> the film, its noise, and layers
 

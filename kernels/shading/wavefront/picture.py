@@ -85,10 +85,17 @@ def toned(x: float, mapping: int):
 
 
 @wp.kernel
-def map_tones(first: int, mean: wp.array(dtype=wp.vec3), exposure: float, mapping: int, image: wp.array(dtype=wp.vec3)):
-    """Writes a pixel's colour for display. Item: a pixel."""
+def map_tones(
+    first: int,
+    film: wp.array(dtype=wp.vec3),
+    samples: int,
+    exposure: float,
+    mapping: int,
+    image: wp.array(dtype=wp.vec3),
+):
+    """Writes the colour for display of the mean of a pixel's samples. Item: a pixel."""
     i = first + wp.tid()
-    value = exposure * mean[i]
+    value = exposure * (film[i] / float(samples))
     image[i] = wp.vec3(toned(value[0], mapping), toned(value[1], mapping), toned(value[2], mapping))
 
 

@@ -39,7 +39,7 @@ from wrt.kernels.simd.lanes import FOR_LANES
 MOST_LAMPS = 8
 """Scenes with more lamps have no plain rays: each lamp costs all lanes."""
 
-_CONSTANTS = f"""
+CONSTANTS = f"""
     constexpr float OFFSET = {float(OFFSET)!r}f, INSET = {float(INSET)!r}f;
     constexpr float PI = 3.141592653589793f, TWO_PI = 6.283185307179586f;
     constexpr int DIFFUSE = {DIFFUSE}, MIRROR = {MIRROR}, DIELECTRIC = {DIELECTRIC};
@@ -57,7 +57,7 @@ _BEGIN = """
     const bool is_sobol = source.sampler == SOBOL;
 """
 
-_KINDS = """
+KINDS = """
     const auto& sky = lights.sky;
     const bool has_sky = lights.sky_entry >= 0;
     const bool is_even = sky.width == 1 && sky.height == 1 && sky.rows <= 1 && sky.columns <= 1;
@@ -101,7 +101,7 @@ _KINDS = """
 """
 """C++: which rays are plain, by what happens to them: paths end where nothing is hit, and in the last generation."""
 
-_RECORDS = """
+RECORDS = """
     struct Record { V3 corner, edge1, edge2, normal, inverse_heights; vf sliver; };
     const auto* table = scene.shaded.records.data;
     auto records_of = [&](const int* faces) {
@@ -198,7 +198,7 @@ _COLLECT = """
 """
 """C++: `crossed_lights` and `sky_light`, added to the samples; that is all where no path goes on."""
 
-_POINTS = """
+POINTS = """
     const Record face = records_of(face_of);
     const vi has_area = dot(face.normal, face.normal) != 0.0f, is_front = dot(face.normal, direction) <= 0.0f;
     matte = matte & has_area; mirror = mirror & has_area;
@@ -314,7 +314,7 @@ _WRITE = """
 def make_shade_plain(width: int) -> Any:
     """`shade_plain` for so many lanes."""
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = (_CONSTANTS, _BEGIN, lane_words(width), _KINDS, _RECORDS, _COLLECT, _POINTS, LAMPS, GATHER, _SCATTER, _WRITE)
+    parts = (CONSTANTS, _BEGIN, lane_words(width), KINDS, RECORDS, _COLLECT, POINTS, LAMPS, GATHER, _SCATTER, _WRITE)
 
     @wp.func_native(f"{head}{''.join(parts)}\n#endif\n")
     def shade_plain(

@@ -73,7 +73,11 @@ class TreeStep:
     ambient: wp.vec3
     """Radiance of the constant ambient light."""
     lamp: int
-    """The lamp that this step samples; -1 for none. `shade_by_lamp` samples the others."""
+    """The first lamp that this step samples."""
+    lamp_end: int
+    """The first one after them: `lamp` for none. `shade_by_lamp` samples the others."""
+    unlit: int
+    """A lamp that is not sampled; -1 for none."""
 
 
 @wp.struct
@@ -85,17 +89,27 @@ class Child:
     is_transmitted: bool
 
 
+@wp.struct
+class ShadowList:
+    """Which light the shadow rays of a list may bring."""
+
+    ray: wp.array(dtype=int)
+    """(S,) the place of the lit ray in its queue."""
+    lamp: wp.array(dtype=int)
+    """(S,) the lamp."""
+
+
 @wp.func
-def queue_branch(slot: wp.array(dtype=int), i: int):
-    """Number of a ray among those of its sample in the queue."""
+def queue_branch(slot: wp.array(dtype=int), begin: int, i: int):
+    """Number of a ray among those of its sample in a queue that begins at `begin`."""
     branch = int(0)
     own = slot[i]
-    is_same = bool(i > 0)
+    is_same = bool(i > begin)
     while is_same:
         is_same = slot[i - branch - 1] == own
         if is_same:
             branch += 1
-            if i - branch == 0:
+            if i - branch == begin:
                 is_same = False
     return branch
 
@@ -244,6 +258,64 @@ def write_lamp_light(
     rays.shadow_direction[i] = found.segment
 
 
+@wp.func(inline=True)
+def shade_ray(
+    i: int,
+    begin: int,
+    child: int,
+    entry: int,
+    step: TreeStep,
+    scene: LitScene,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    hits: HitBatch,
+    rays: Gathered,
+    following: RayQueue,
+    goes_on: wp.array(dtype=int),
+    listed: ShadowList,
+):
+    """Does the step of ray i of a queue that begins at `begin`.
+
+    Writes the light that needs no shadow ray to place i, and the rays that follow to the places 2 `child` and 2 `child` + 1.
+    Light and shadow rays of lamps go to place `entry`; or, if the list has room, those that may bring light to the places
+    from `entry` on. Returns the place after them.
+    """
+    ray = ray_at_hit(scene, queue, hits, i)
+    emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
+    place = int(entry)
+    if not step.is_last:
+        goes_on[2 * child] = 0
+        goes_on[2 * child + 1] = 0
+    if ray.primitive < 0:
+        emitted += sky_light(scene, ray.weight, 0.0, ray.direction)
+    else:
+        point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
+        look = point_look(scene, point)
+        cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
+        emitted += surface_light(scene, look.number, ray.weight, 0.0, point, cosine, ray.t)
+        boundary = boundary_of(scene, look, ray.media, point.is_front)
+        look.ratio = boundary.ratio
+        if not is_single(look) and look.kind != DIELECTRIC:
+            emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - look.metallic) * look.color), step.ambient)
+        if not step.is_last:
+            branch = queue_branch(queue.slot, begin, i)
+            key = sample_key(source, wave, ray.slot)
+            if boundary.is_real and not is_single(look):
+                for lamp in range(step.lamp, step.lamp_end):
+                    if lamp != step.unlit:
+                        write_lamp_light(step, lamp, scene, source, key, branch, ray, point, look, place, rays)
+                        lit = rays.lit[place]
+                        if listed.ray.shape[0] > 0 and (lit[0] != 0.0 or lit[1] != 0.0 or lit[2] != 0.0):
+                            listed.ray[place] = i
+                            listed.lamp[place] = lamp
+                            place += 1
+            key.pixel += wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
+            send_children(step, source, key, ray, point, look, boundary, child, following, goes_on)
+    rays.emitted[i] = emitted
+    return place
+
+
 @wp.kernel
 def tree_step(
     first: int,
@@ -259,40 +331,19 @@ def tree_step(
     rays: Gathered,
     following: RayQueue,
     goes_on: wp.array(dtype=int),
+    listed: ShadowList,
 ):
     """Writes the light of rays that needs no shadow ray, that of the lamp `step.lamp`, and the rays that follow. Item: a group
-    of the rays start .. stop - 1."""
+    of the rays start .. stop - 1. `listed` is empty."""
     begin = start + (first + wp.tid()) * group
     end = wp.min(begin + group, stop)
     fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, end))
     for i in range(begin, end):
         fetch_hits(scene, hits, i + AHEAD, wp.min(i + AHEAD + 1, end))
-        ray = ray_at_hit(scene, queue, hits, i)
-        emitted = crossed_lights(scene, ray.weight, 0.0, ray.origin, ray.direction, ray.t)
         if not step.is_last:
-            goes_on[2 * i] = 0
-            goes_on[2 * i + 1] = 0
             rays.lit[i] = wp.vec3()
             rays.shadow_direction[i] = wp.vec3()
-        if ray.primitive < 0:
-            emitted += sky_light(scene, ray.weight, 0.0, ray.direction)
-        else:
-            point = shading_point(scene.shaded, ray.primitive, ray.uv, ray.direction)
-            look = point_look(scene, point)
-            cosine = wp.abs(wp.dot(point.face_normal, ray.direction))
-            emitted += surface_light(scene, look.number, ray.weight, 0.0, point, cosine, ray.t)
-            boundary = boundary_of(scene, look, ray.media, point.is_front)
-            look.ratio = boundary.ratio
-            if not is_single(look) and look.kind != DIELECTRIC:
-                emitted += wp.cw_mul(wp.cw_mul(ray.weight, (1.0 - look.metallic) * look.color), step.ambient)
-            if not step.is_last:
-                branch = queue_branch(queue.slot, i)
-                key = sample_key(source, wave, ray.slot)
-                if step.lamp >= 0 and boundary.is_real and not is_single(look):
-                    write_lamp_light(step, step.lamp, scene, source, key, branch, ray, point, look, i, rays)
-                key.pixel += wp.uint32(branch) * MIX_1  # rays of one sample and generation differ
-                send_children(step, source, key, ray, point, look, boundary, i, following, goes_on)
-        rays.emitted[i] = emitted
+        shade_ray(i, 0, i, i, step, scene, source, wave, queue, hits, rays, following, goes_on, listed)
 
 
 @wp.kernel
@@ -327,5 +378,5 @@ def shade_by_lamp(
                 look.ratio = boundary.ratio
                 if boundary.is_real:
                     key = sample_key(source, wave, ray.slot)
-                    branch = queue_branch(queue.slot, i)
+                    branch = queue_branch(queue.slot, 0, i)
                     write_lamp_light(step, entry, scene, source, key, branch, ray, point, look, i, rays)

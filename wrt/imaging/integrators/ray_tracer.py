@@ -17,12 +17,13 @@ from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
-from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
+from wrt.kernels.traversal.traversal_scores import limits_for
+from wrt.planning.plan import Plan, config_for_layout, traversal_config, traversal_of
 from wrt.planning.planner import find_plan, is_changing
 from wrt.rays.ray_arrays import Layout, RayArrays
 from wrt.rays.ray_buffers import RayBuffers
 from wrt.state.device_hits import DeviceHits
-from wrt.state.query_kinds import ANY, CLOSEST, Query
+from wrt.state.query_kinds import ANY, AUTO, CLOSEST, Query
 from wrt.state.scene_state import SceneState
 
 STREAM = 2048
@@ -118,7 +119,19 @@ class RayTracer:
         return True
 
     def stage(
-        self, kind: str, origins: wp.array, directions: wp.array, count: int, tile: int, hits: HitBatch, similar: bool
+        self,
+        kind: str,
+        origins: wp.array,
+        directions: wp.array,
+        count: int,
+        tile: int,
+        hits: HitBatch,
+        similar: bool,
+        *,
+        sample: tuple[wp.array, wp.array] | None = None,
+        parted: bool = False,
+        endless: bool = False,
+        counts: wp.array | None = None,
     ) -> Stage:
         """The tracing of rays as a stage of a chain.
 
@@ -129,10 +142,16 @@ class RayTracer:
             tile: rays of a tile.
             hits: what is written.
             similar: whether neighbouring rays are similar.
+            sample: origins and directions of the rays that are there, if they are others.
+            parted: whether neighbouring rays were similar, but go different ways now.
+            endless: whether rays of kind "any" end nowhere, in place of t = 1.
+            counts: as of `Stage`.
         """
-        end, shared = self._infinity if kind == CLOSEST else self._one, len(origins) < len(directions)
+        end = self._infinity if kind == CLOSEST or endless else self._one
+        shared = len(origins) < len(directions)
         rays = self._rays(origins, directions, count, end, similar, not similar, shared)
-        plan = find_plan(self._state, rays, self._queries[kind]).carried_out
+        known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)
+        plan = self._plan_of_parted(known, kind) if parted else find_plan(self._state, known, self._queries[kind]).carried_out
         traversal = traversal_of(plan)
         if traversal.streams:
             plan = replace(plan, stream=min(plan.stream, STREAM))
@@ -141,4 +160,13 @@ class RayTracer:
         batch.run = tile if traversal.streams else traversal.rays_per_item(config)
         work = no_work(traversal.counters, self._state.device.alias)
         kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
-        return Stage(kernel, inputs, batch.run, (RAYS, "count"))
+        return Stage(kernel, inputs, batch.run, (RAYS, "count"), counts)
+
+    def _plan_of_parted(self, rays: RayBuffers, kind: str) -> Plan:
+        """A plan for incoherent rays in the order of rays that were similar, which meet more of the same nodes than others."""
+        query = self._queries[kind]
+        plan = find_plan(self._state, rays, query).carried_out
+        limits = limits_for(self._state.width)
+        if query.traversal == AUTO and plan.traversal == "interleaved" and self._state.triangle_count < limits.coherent:
+            plan = find_plan(self._state, rays, query._replace(traversal="stream")).carried_out
+        return plan

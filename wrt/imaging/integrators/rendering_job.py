@@ -26,6 +26,7 @@ from wrt.kernels.shading.wavefront.camera_rays import FILTERS, CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import SAMPLERS
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.materials.material import Material
+from wrt.memory import empty
 from wrt.scene.scene import Scene
 
 __all__ = ["LAYERS", "Rendering"]
@@ -106,17 +107,24 @@ class Rendering:
             self._lit.schlick = settings.fresnel == FRESNEL[1]
             self._lit.materials, self._tiles = tiled_materials(found, device, settings.texture_memory)
             self._take_state()
-            self._film = wp.zeros(self.pixels, dtype=wp.vec3, device=device)
-            self._squares = wp.zeros(self.pixels, dtype=float, device=device)
+            self._film, self._squares = self._new_film()
         self._tile = min(self.pixels, settings.wave)
         if SQUARE * SQUARE < self._tile < self.pixels:
             self._tile -= self._tile % (SQUARE * SQUARE)
-        self._order = wp.array(square_order(camera.width, camera.height), dtype=int, device=device)
+        order = square_order(camera.width, camera.height)
+        self._order = wp.array(order, dtype=int, device=device, copy=not device.is_cpu)
         self._pass = max(1, min(settings.wave // self._tile, self.samples)) if motion is None else 1
         source = pixel_samples(SAMPLERS.index(settings.sampler), self.samples, settings.seed, device)
         ambient = self._ambient()
         slots = self._tile * self._pass
         self._wave = self.wave_type(self._lit, device, integrator, settings, source, ambient, slots, self._tiles)
+
+    def _new_film(self) -> tuple[wp.array, wp.array]:
+        """The film, and the sums of squares, of no samples."""
+        film, squares = (empty(self.pixels, dtype, self._scene.device) for dtype in (wp.vec3, wp.float32))
+        film.zero_()
+        squares.zero_()
+        return film, squares
 
     def _ambient(self) -> Sequence[float]:
         if self.settings.ambient is not None:
@@ -161,7 +169,7 @@ class Rendering:
                 if self._motion is not None:
                     self._motion.move(self._scene, (self.done + 0.5) / self.samples)
                     self._take_state()
-                kept = wp.clone(self._film), wp.clone(self._squares)
+                kept = (wp.clone(self._film), wp.clone(self._squares)) if self.done else None
                 try:
                     for first in range(0, self.pixels, self._tile):
                         pixels = min(self._tile, self.pixels - first)
@@ -169,7 +177,7 @@ class Rendering:
                         if progress is not None:
                             progress(self.done * self.pixels + (first + pixels) * count, self.samples * self.pixels)
                 except BaseException:
-                    self._film, self._squares = kept
+                    self._film, self._squares = self._new_film() if kept is None else kept
                     raise
                 self.done += count
         return self
@@ -208,7 +216,7 @@ class Rendering:
         """The result of a kernel over the pixels, from what the film holds."""
         if self.done == 0:
             raise ValueError("the picture has no samples yet; call advance() first")
-        out = wp.empty(self.pixels, dtype=dtype, device=self._scene.device)
+        out = empty(self.pixels, dtype, self._scene.device)
         with use_threads(self._scene.num_threads):
             launch(kernel, self.pixels, [*inputs, out], device=self._scene.device, chunk=4096)
         return out
@@ -247,9 +255,8 @@ class Rendering:
         if mapping not in picture.TONE_MAPPINGS:
             raise ValueError(f"unknown tone_mapping {mapping!r}; choose from {', '.join(picture.TONE_MAPPINGS)}")
         factor = self.settings.exposure if exposure is None else exposure
-        mean = self._of_pixels(picture.mean_of_samples, wp.vec3, self._film, self.done)
         number = picture.TONE_MAPPINGS.index(mapping)
-        return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, mean, float(factor), number))
+        return self._shaped(self._of_pixels(picture.map_tones, wp.vec3, self._film, self.done, float(factor), number))
 
     @property
     def layers(self) -> dict[str, np.ndarray]:

@@ -17,9 +17,11 @@ import numpy as np
 import warp as wp
 
 from wrt.imaging.integrators.path_chain import PathChain, Paths
+from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
 from wrt.imaging.integrators.texture_tiles import TextureTiles
+from wrt.imaging.integrators.tree_chain import FIRST_SAMPLES, MOST_LAMPS, TreeChain, Trees
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
@@ -87,8 +89,9 @@ class Wave:
             self._step.threshold = settings.threshold
             self._step.roulette = settings.roulette
             self._step.ambient = wp.vec3(*map(float, ambient))
+            self._step.unlit = -1
         self.ray_count = 0
-        self._chain: PathChain | None = None
+        self._chain: PathChain | TreeChain | None = None
         self._chain_tracer: RayTracer | None = None
         self._make_room(slots)
 
@@ -109,9 +112,11 @@ class Wave:
     def follow_in_tiles(
         self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, from_one_point: bool
     ) -> bool:
-        """Follows the paths of so many samples tile by tile, if that is possible: paths on the CPU, with whole textures."""
-        if not self._is_path or self._tiles is not None or self._device.is_cuda:
+        """Follows so many samples tile by tile, if that is possible: on the CPU, with whole textures."""
+        if self._tiles is not None or self._device.is_cuda:
             return False
+        if not self._is_path:
+            return self._follow_trees_in_tiles(tracer, camera, wave, count, from_one_point)
         if self._chain_tracer is not tracer:
             self._chain_tracer = tracer
             rays = self.queue, self.scratch, self.gathered, self.goes_on
@@ -120,6 +125,25 @@ class Wave:
         if self._chain is None:
             return False
         self.ray_count += self._chain.run(camera, wave, count)
+        return True
+
+    def _follow_trees_in_tiles(
+        self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, from_one_point: bool
+    ) -> bool:
+        if self._chain_tracer is not tracer:
+            self._chain_tracer, lamps = tracer, self._lamps()
+            can = tracer.makes_stages(count) and len(lamps) <= MOST_LAMPS
+            trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lamps)
+            self._chain = TreeChain(trees, tracer, from_one_point) if can else None
+            if can:  # plans are made of camera rays
+                self.start(camera, wave, min(count, FIRST_SAMPLES))
+        if self._chain is None:
+            return False
+        traced = self._chain.run(camera, wave, count, (self.queue.origin, self.queue.direction))
+        if traced < 0:
+            self._chain = None
+            return False
+        self.ray_count += traced
         return True
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
@@ -162,8 +186,8 @@ class Wave:
 
     def _follow_trees(self, tracer: RayTracer, hits: DeviceHits) -> None:
         lamps, sky = [] if self._step.is_last else self._lamps(), self.scene.lights.sky_entry
-        self._step.lamp = lamps[0] if lamps else -1
-        self._run_step(tree_step.tree_step, hits)
+        self._step.lamp, self._step.lamp_end = (lamps[0], lamps[0] + 1) if lamps else (0, 0)
+        self._run_step(tree_step.tree_step, hits, tree_step.ShadowList())
         self._gather(self._shadows(tracer, lamps[0] != sky) if lamps else self._none, True)
         for entry in lamps[1:]:
             found = hits.struct()
@@ -176,10 +200,10 @@ class Wave:
         lights = self.scene.lights
         return [entry for entry in range(lights.count) if self._step.distributed or entry != lights.sky_entry]
 
-    def _run_step(self, kernel: wp.Kernel, hits: DeviceHits) -> None:
+    def _run_step(self, kernel: wp.Kernel, hits: DeviceHits, *more: Any) -> None:
         found = hits.struct()
         inputs = (self._step, self.scene, self.samples, self._wave, self.queue, found, self.gathered, self.scratch)
-        self.run_groups(kernel, found, *inputs, self.goes_on)
+        self.run_groups(kernel, found, *inputs, self.goes_on, *more)
 
     def _shadows(self, tracer: RayTracer, similar: bool) -> wp.array:
         """Which shadow rays are blocked. Those of camera rays' hits to a lamp are similar; to the sky they go all ways."""
@@ -221,14 +245,6 @@ class Wave:
 
     def _run(self, kernel: wp.Kernel, count: int, *inputs: Any) -> None:
         launch(kernel, count, inputs, device=self._device, chunk=CHUNK)
-
-
-def new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
-    """A queue of so many rays; what it holds is undefined."""
-    queue = ray_queue.RayQueue()
-    queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
-    queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))
-    return queue
 
 
 def pixel_samples(sampler: int, samples: int, seed: int, device: wp.Device) -> PixelSamples:

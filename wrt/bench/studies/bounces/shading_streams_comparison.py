@@ -15,8 +15,9 @@ import warp as wp
 
 from wrt.bench.core.paired_timing import Contender, take_turns
 from wrt.imaging.cameras import PinholeCamera
+from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.rendering_job import Rendering
-from wrt.imaging.integrators.wavefront import GROUP, Wave, new_queue
+from wrt.imaging.integrators.wavefront import GROUP, Wave
 from wrt.imaging.lights.lamps import PointLight
 from wrt.imaging.lights.sky_image import Sky
 from wrt.kernels.layout.ray_batch import HitBatch

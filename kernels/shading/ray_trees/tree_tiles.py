@@ -1,0 +1,306 @@
+"""The kernels of a tile of trees, which one thread carries out one after the other.
+
+A tile has `room` places for the rays of a generation, in each of two queues that take turns, and `room` places for shadow rays.
+The step appends the rays that follow to the other queue, so none are moved afterwards, and writes only those shadow rays that
+may bring light. Mirrors and smooth glass have none.
+
+The memory of a tile is used again for the next one, and so stays in the caches of its core. There are as many of these tile
+memories as threads; a thread takes a free one for each tile.
+"""
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.board import on_cpu
+from wrt.kernels.runtime.launch_chain import run_stages
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.shading.ray_trees.plain_trees import WIDTH, shade_plain_trees
+from wrt.kernels.shading.wavefront.camera_rays import CameraModel, start_lanes, start_ray
+from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
+from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
+from wrt.kernels.shading.wavefront.scene_light import LitScene, sky_light
+from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep, shade_ray
+
+exact_module(__name__)
+
+
+@wp.struct
+class TileMemories:
+    """The state of the tile memories, an entry each, and of the loop over tiles."""
+
+    taken: wp.array(dtype=int)
+    """1 while a thread works there."""
+    first_sample: wp.array(dtype=int)
+    """Number of the first sample in the wave."""
+    fitting: wp.array(dtype=int)
+    """Samples that are tried together."""
+    fewest: wp.array(dtype=int)
+    """The fewest that were, in the wave."""
+    left: wp.array(dtype=int)
+    """Rays of the generation to be traced."""
+    shaded: wp.array(dtype=int)
+    """Rays of the generation whose light is to be summed."""
+    shadows: wp.array(dtype=int)
+    """Shadow rays to be traced."""
+    most: wp.array(dtype=int)
+    """The largest generation so far; above `room` if rays found no place."""
+    traced: wp.array(dtype=int)
+    """Rays so far of the samples that are tried."""
+    total: wp.array(dtype=int)
+    """Rays of the wave so far."""
+    failed: wp.array(dtype=int)
+    """1 if the rays of a single sample found no place; other samples are left out then."""
+
+
+@wp.func
+def shifted_queue(queue: RayQueue, by: int):
+    """A queue whose place i is place i + by of this one."""
+    own = RayQueue()
+    count = queue.slot.shape[0]
+    own.origin = wp.array(ptr=queue.origin.ptr + wp.uint64(12 * by), shape=(count,), dtype=wp.vec3)
+    own.direction = wp.array(ptr=queue.direction.ptr + wp.uint64(12 * by), shape=(count,), dtype=wp.vec3)
+    own.weight = wp.array(ptr=queue.weight.ptr + wp.uint64(12 * by), shape=(count,), dtype=wp.vec3)
+    own.density = wp.array(ptr=queue.density.ptr + wp.uint64(4 * by), shape=(count,), dtype=float)
+    own.slot = wp.array(ptr=queue.slot.ptr + wp.uint64(4 * by), shape=(count,), dtype=int)
+    own.media = wp.array(ptr=queue.media.ptr + wp.uint64(8 * by), shape=(count,), dtype=wp.uint64)
+    return own
+
+
+@wp.kernel
+def start_tile(
+    first: int,
+    room: int,
+    stop: int,
+    camera: CameraModel,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    radiance: wp.array(dtype=wp.vec3),
+    memories: TileMemories,
+):
+    """Writes the camera rays of a tile, which end at place `stop`, and clears the radiance of its samples. Item: a tile memory."""
+    memory = first + wp.tid()
+    here = memories.first_sample[memory]
+    end = here + stop - memory * room
+    own = shifted_queue(queue, memory * room - here)
+    while here < end:
+        done = int(0)
+        if here + WIDTH <= end:
+            done = start_lanes(here, camera, source, wave, own, radiance)
+        if done == 0:
+            start_ray(here, camera, source, wave, own, radiance)
+            done = 1
+        here += done
+
+
+@wp.func_native("""
+    int to = place;
+    unsigned any = 0;
+    for (int k = 2 * begin; k < 2 * end; ++k) any |= (unsigned)goes_on.data[k];
+    if (!any) return to;
+    for (int k = 2 * begin; k < 2 * end; ++k) {  // a branch would be taken at random: rays that end are overwritten
+        queue.origin.data[to] = scratch.origin.data[k];
+        queue.direction.data[to] = scratch.direction.data[k];
+        queue.weight.data[to] = scratch.weight.data[k];
+        queue.slot.data[to] = scratch.slot.data[k];
+        queue.media.data[to] = scratch.media.data[k];
+        to += goes_on.data[k];
+    }
+    return to;
+""")
+def append_rays(begin: int, end: int, scratch: RayQueue, goes_on: wp.array(dtype=int), queue: RayQueue, place: int) -> int:
+    """Copies those of the rays 2 begin .. 2 end - 1 that go on to the places from `place` on; returns the first one after them.
+    It may write to the place after those of the rays."""
+    ...
+
+
+@wp.kernel
+def shade_tile(
+    first: int,
+    room: int,
+    stop: int,
+    step: TreeStep,
+    lamps: int,
+    scene: LitScene,
+    source: PixelSamples,
+    wave: Wave,
+    queue: RayQueue,
+    hits: HitBatch,
+    rays: Gathered,
+    scratch: RayQueue,
+    goes_on: wp.array(dtype=int),
+    following: RayQueue,
+    listed: ShadowList,
+    memories: TileMemories,
+):
+    """Writes light, shadow rays and the next generation of a tile, whose rays end at the place `stop`. Item: a tile memory. `lamps`
+    is the number of lamps that are sampled at a hit."""
+    memory = first + wp.tid()
+    begin = memory * room
+    end = begin + room
+    child = memory * WIDTH
+    to = int(begin)
+    entry = int(begin)
+    here = int(begin)
+    fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, stop))
+    while here < stop and to + 2 * WIDTH <= end and entry + lamps * WIDTH <= end:
+        fetch_hits(scene, hits, here + AHEAD, wp.min(here + AHEAD + WIDTH, stop))
+        last = wp.min(here + WIDTH, stop)
+        done = wp.uint32(0)
+        if here + WIDTH <= stop:
+            done = shade_plain_trees(here, begin, child, step, scene, source, wave, queue, hits, rays, scratch, goes_on)
+        for i in range(here, last):
+            if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
+                at = child + i - here
+                entry = shade_ray(i, begin, at, entry, step, scene, source, wave, queue, hits, rays, scratch, goes_on, listed)
+        if not step.is_last:
+            to = append_rays(child, child + last - here, scratch, goes_on, following, to)
+        here = last
+    memories.shaded[memory] = stop - begin
+    memories.left[memory] = to - begin
+    memories.shadows[memory] = entry - begin
+    memories.most[memory] = wp.max(memories.most[memory], wp.max(to, entry) - begin)
+    memories.traced[memory] += stop - begin
+    if not step.is_last:
+        memories.traced[memory] += lamps * (stop - begin)
+    if here < stop:
+        memories.most[memory] = room + 1
+        memories.shaded[memory] = 0
+        memories.left[memory] = 0
+        memories.shadows[memory] = 0
+
+
+@wp.kernel
+def end_tile(
+    first: int,
+    room: int,
+    stop: int,
+    scene: LitScene,
+    queue: RayQueue,
+    blocked: wp.array(dtype=wp.bool),
+    rays: Gathered,
+    memories: TileMemories,
+):
+    """Writes the light of the last generation of a tile, whose rays end at place `stop`, where no surface sends any: only the
+    sky does. Item: a tile memory."""
+    memory = first + wp.tid()
+    begin = memory * room
+    for i in range(begin, stop):
+        emitted = wp.vec3()
+        if not blocked[i]:
+            emitted += sky_light(scene, queue.weight[i], 0.0, queue.direction[i])
+        rays.emitted[i] = emitted
+    memories.shaded[memory] = stop - begin
+    memories.shadows[memory] = 0
+    memories.left[memory] = 0
+    memories.traced[memory] += stop - begin
+
+
+@wp.func_native("""
+    const int shadow_end = begin + shadows;
+    int shadow = begin;
+    for (int i = begin; i < stop;) {
+        const int own = slot.data[i];
+        int end = i, shadow_of = shadow;
+        while (end < stop && slot.data[end] == own) ++end;
+        while (shadow < shadow_end && listed.ray.data[shadow] < end) ++shadow;
+        wp::vec3 sum = rays.radiance.data[own];
+        auto add = [&](const wp::vec3& light) { sum.c[0] += light.c[0]; sum.c[1] += light.c[1]; sum.c[2] += light.c[2]; };
+        if (shadow_of == shadow) {
+            for (int j = i; j < end; ++j) add(rays.emitted.data[j]);
+        } else for (int lamp = 0; lamp < lamps; ++lamp) {  // as many passes as `gather` makes
+            for (int j = i, k = shadow_of; j < end; ++j) {
+                if (lamp == 0) add(rays.emitted.data[j]);
+                for (; k < shadow && listed.ray.data[k] == j; ++k)
+                    if (listed.lamp.data[k] == first_lamp + lamp && !blocked.data[k]) add(rays.lit.data[k]);
+            }
+        }
+        rays.radiance.data[own] = sum;
+        i = end;
+    }
+""")
+def gather_range(
+    begin: int,
+    stop: int,
+    shadows: int,
+    first_lamp: int,
+    lamps: int,
+    slot: wp.array(dtype=int),
+    blocked: wp.array(dtype=wp.bool),
+    rays: Gathered,
+    listed: ShadowList,
+):
+    """Adds the light of the rays begin .. stop - 1 to their samples, in the order of `ray_queue.gather`: lamp by lamp."""
+    ...
+
+
+@wp.kernel
+def gather_tile(
+    first: int,
+    room: int,
+    stop: int,
+    first_lamp: int,
+    lamps: int,
+    slot: wp.array(dtype=int),
+    blocked: wp.array(dtype=wp.bool),
+    rays: Gathered,
+    listed: ShadowList,
+    memories: TileMemories,
+):
+    """Adds the light of a generation of a tile to its samples; `lamps` lamps from `first_lamp` on. Item: a tile memory."""
+    memory = first + wp.tid()
+    gather_range(memory * room, stop, memories.shadows[memory], first_lamp, lamps, slot, blocked, rays, listed)
+
+
+@wp.func_native(
+    on_cpu("""
+    for (int memory = 0;; memory = memory + 1 < (int)taken.shape[0] ? memory + 1 : 0) {
+        int is_free = 0;
+        if (__atomic_load_n(taken.data + memory, __ATOMIC_RELAXED) == 0
+            && __atomic_compare_exchange_n(taken.data + memory, &is_free, 1, false, __ATOMIC_ACQUIRE, __ATOMIC_RELAXED))
+            return memory;
+    }
+""")
+)
+def take_memory(taken: wp.array(dtype=int)) -> int:
+    """A free tile memory, which is taken; waits for one if there are more threads."""
+    ...
+
+
+@wp.func_native(on_cpu("__atomic_store_n(taken.data + memory, 0, __ATOMIC_RELEASE);"))
+def leave_memory(taken: wp.array(dtype=int), memory: int) -> int:
+    """Makes a tile memory free; returns 0."""
+    ...
+
+
+@wp.kernel
+def follow_tiles(
+    first: int, stages: wp.array(dtype=wp.int64), stage_count: int, room: int, size: int, count: int, memories: TileMemories
+):
+    """Follows the samples of a tile through all stages, as many at a time as find place. Item: a tile of `size` of the `count`
+    samples."""
+    here = (first + wp.tid()) * size
+    end = wp.min(here + size, count)
+    memory = take_memory(memories.taken)
+    fitting = memories.fitting[memory]
+    while here < end and memories.failed[memory] == 0:
+        samples = wp.min(fitting, end - here)
+        memories.first_sample[memory] = here
+        memories.left[memory] = samples
+        memories.most[memory] = samples
+        memories.traced[memory] = 0
+        run_stages(stages, 0, stage_count, memories.left, room, memory)
+        most = memories.most[memory]
+        if most <= room or samples == 1:
+            memories.total[memory] += memories.traced[memory]
+            here += samples
+            if 4 * most <= room and samples == fitting:
+                fitting = wp.min(2 * fitting, size)
+            if most > room:
+                memories.failed[memory] = 1
+        else:
+            fitting = samples / 2
+            memories.fewest[memory] = wp.min(memories.fewest[memory], fitting)
+    memories.fitting[memory] = fitting
+    leave_memory(memories.taken, memory)

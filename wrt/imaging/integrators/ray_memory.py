@@ -1,0 +1,18 @@
+"""Memory for the rays of a generation."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrt.kernels.shading.wavefront import ray_queue
+from wrt.memory import empty
+
+__all__ = ["new_queue"]
+
+
+def new_queue(count: int, device: wp.Device) -> ray_queue.RayQueue:
+    """A queue of so many rays; what it holds is undefined."""
+    queue = ray_queue.RayQueue()
+    queue.origin, queue.direction, queue.weight = (empty(count, wp.vec3, device) for _ in range(3))
+    queue.density, queue.slot, queue.media = (empty(count, dtype, device) for dtype in (wp.float32, wp.int32, wp.uint64))
+    return queue

@@ -1,0 +1,195 @@
+"""Trees of rays in tiles that stay in the cache: all generations of some hundred samples, then the next ones.
+
+A thread follows the samples of a tile from the camera to the end, as of paths (`wrt.imaging.integrators.path_chain`). A sample
+has more rays in a generation than before, so a tile has places for more rays than samples. Where they do not suffice, its
+samples are done in halves. The memory of a tile belongs to a thread, which uses it again for the next tile
+(`wrt.kernels.shading.ray_trees.tree_tiles`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from wrt.imaging.integrators.ray_memory import new_queue
+from wrt.kernels.runtime.argument_packing import PackedKernel
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
+from wrt.kernels.runtime.launch_chain import LONGEST, LaunchChain, Stage
+from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, MIRROR
+from wrt.kernels.shading.ray_trees import tree_tiles
+from wrt.kernels.shading.wavefront import ray_queue
+from wrt.kernels.shading.wavefront.camera_rays import CameraModel
+from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.scene_light import LitScene
+from wrt.kernels.shading.wavefront.tree_step import ShadowList, TreeStep
+from wrt.memory import empty
+from wrt.state.device_hits import DeviceHits
+from wrt.state.query_kinds import ANY, CLOSEST
+
+if TYPE_CHECKING:
+    from wrt.imaging.integrators.ray_tracer import RayTracer
+
+SIZE, ROOM = 4096, 16384
+"""Samples of a tile at most, and its places for rays of a generation."""
+
+FIRST_SAMPLES = 1 << 17
+"""Camera rays of which plans are made at most: plans depend on the number of rays, and these are as many as matter."""
+
+MOST_LAMPS = 16
+"""Lamps up to which shadow rays find place: each lamp may take a place for each ray."""
+
+STOP = 2
+"""Which argument of the kernels of a tile says where the rays end, the number of the first item counted."""
+
+
+@dataclass
+class Trees:
+    """How the trees of samples are followed.
+
+    Attributes:
+        scene: with materials and lights.
+        samples: random numbers.
+        step: of any generation.
+        depth: generations at most.
+        radiance: (slots,) sums of the samples of a wave.
+        lamps: entries of the lamps that are sampled at each hit, in ascending order.
+    """
+
+    scene: LitScene
+    samples: PixelSamples
+    step: TreeStep
+    depth: int
+    radiance: wp.array
+    lamps: list[int]
+
+    @property
+    def surfaces_end_dark(self) -> bool:
+        """Whether the surfaces and lamps that rays of the last generation may meet give no light: mirrors and glass do not. Any
+        hit then tells as much as the closest."""
+        materials, lights = self.scene.materials, self.scene.lights
+        send_on = np.isin(materials.kind.numpy(), (int(MIRROR), int(DIELECTRIC))).all()
+        return bool(send_on and lights.areas == 0 and not materials.emission.numpy().any())
+
+    def step_of(self, generation: int) -> TreeStep:
+        """The step of a generation."""
+        step = TreeStep()
+        for name in ("distributed", "threshold", "roulette", "ambient"):
+            setattr(step, name, getattr(self.step, name))
+        step.generation, step.is_last = generation, generation + 1 >= self.depth
+        step.lamp = step.lamp_end = 0
+        step.unlit = -1
+        if self.lamps and not step.is_last:
+            step.lamp, step.lamp_end = self.lamps[0], self.lamps[-1] + 1
+            left_out = set(range(step.lamp, step.lamp_end)) - set(self.lamps)  # the sky at most
+            step.unlit = left_out.pop() if left_out else -1
+        return step
+
+
+class TreeChain:
+    """The generations of trees of rays, tile by tile, for waves of one rendering.
+
+    Args:
+        trees: what is followed.
+        tracer: of the rays.
+        from_one_point: whether all camera rays start at the same point.
+
+    Attributes:
+        ends_by_any_hit: whether rays of the last generation are traced to any hit.
+    """
+
+    def __init__(self, trees: Trees, tracer: RayTracer, from_one_point: bool) -> None:
+        self._trees, self._tracer, self._one_point = trees, tracer, from_one_point
+        self.ends_by_any_hit = trees.surfaces_end_dark and trees.depth > 1
+        self._device = device = trees.radiance.device
+        self._size = min(SIZE, ROOM, max(64, len(trees.radiance) // (8 * get_num_threads())))
+        self._memories = tree_tiles.TileMemories()
+        threads = get_num_threads()
+        for name in tree_tiles.TileMemories.vars:
+            setattr(self._memories, name, wp.zeros(threads, dtype=int, device=device))
+        self._chain: LaunchChain | None = None
+        self._launch: PreparedLaunch | None = None
+        self._of_wave: list[tuple[PackedKernel, int]] = []
+
+    @property
+    def fewest_samples(self) -> int:
+        """The fewest samples of the last wave that were tried together, because more found no place."""
+        return int(self._memories.fewest.numpy().min())
+
+    def run(self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array] | None) -> int:
+        """Follows so many samples, and returns the number of rays; -1 if those of a single sample find no place.
+
+        Args:
+            camera: the camera.
+            samples: of the wave.
+            count: number of samples.
+            sample: origins and directions of camera rays, at least `FIRST_SAMPLES` or `count` of them; of the first wave.
+        """
+        if self._chain is None:
+            self._chain = self._begin(camera, samples, min(count, FIRST_SAMPLES), sample)
+        else:
+            for packed, index in self._of_wave:
+                packed.replace(index, samples)
+        memories = self._memories
+        memories.fitting.fill_(self._size)
+        memories.fewest.fill_(self._size)
+        memories.total.zero_()
+        memories.failed.zero_()
+        inputs = [self._chain.stages, len(self._chain), ROOM, self._size, count, memories]
+        if self._launch is None:
+            self._launch = PreparedLaunch(tree_tiles.follow_tiles, inputs, self._device)
+        self._launch.update(inputs)
+        self._launch.run(-(-count // self._size), Chunks(chunk=1, longest=LONGEST), self)
+        return -1 if memories.failed.numpy().any() else int(memories.total.numpy().sum())
+
+    def _begin(
+        self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array]
+    ) -> LaunchChain:
+        """Makes the stages."""
+        trees, tracer, device, memories = self._trees, self._tracer, self._device, self._memories
+        scene, places = trees.scene, ROOM * len(memories.left)
+        queues = [new_queue(places, device) for _ in range(2)]
+        scratch = new_queue(2 * tree_tiles.WIDTH * len(memories.left), device)
+        goes_on = empty(len(scratch.slot), wp.int32, device)
+        rays, listed = ray_queue.Gathered(), ShadowList()
+        rays.radiance = trees.radiance
+        for name in ("emitted", "lit", "shadow_origin", "shadow_direction"):
+            setattr(rays, name, empty(places, wp.vec3, device))
+        listed.ray, listed.lamp = (empty(places, wp.int32, device) for _ in range(2))
+        found, blocked = DeviceHits.new(CLOSEST, places, device), DeviceHits.new(ANY, places, device)
+        hits = found.struct()
+        chain = LaunchChain(ROOM, memories.left, device)
+        chain.keep = (queues, scratch, goes_on, rays, listed, found, blocked)
+        self._of_wave.clear()
+        inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories]
+        self._of_wave.append((chain.add(Stage(tree_tiles.start_tile, inputs, ROOM, (STOP, ""))), 5))
+        eye = wp.array(sample[0].numpy()[:1].copy(), dtype=wp.vec3, device=device) if self._one_point else None
+        for generation in range(trees.depth):
+            queue, following, is_first = queues[generation % 2], queues[1 - generation % 2], generation == 0
+            origins = eye if is_first and self._one_point else queue.origin
+            if generation + 1 == trees.depth and self.ends_by_any_hit:
+                options = {"parted": True, "endless": True}
+                shadows = blocked.struct()
+                chain.add(tracer.stage(ANY, queue.origin, queue.direction, count, ROOM, shadows, False, **options))
+                inputs = [ROOM, 0, scene, queue, blocked.occluded, rays, memories]
+                chain.add(Stage(tree_tiles.end_tile, inputs, ROOM, (STOP, "")))
+                inputs = [ROOM, 0, 0, 0, queue.slot, blocked.occluded, rays, listed, memories]
+                chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
+                break
+            seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
+            options = {"sample": seen, "parted": not is_first}
+            chain.add(tracer.stage(CLOSEST, origins, queue.direction, count, ROOM, hits, is_first, **options))
+            step = trees.step_of(generation)
+            lamps = 0 if step.is_last else len(trees.lamps)
+            inputs = [ROOM, 0, step, lamps, scene, trees.samples, samples, queue, hits, rays]
+            inputs += [scratch, goes_on, following, listed, memories]
+            self._of_wave.append((chain.add(Stage(tree_tiles.shade_tile, inputs, ROOM, (STOP, ""))), 7))
+            if lamps:
+                shadows = rays.shadow_origin, rays.shadow_direction
+                options = {"parted": True, "counts": memories.shadows}
+                chain.add(tracer.stage(ANY, *shadows, count, ROOM, blocked.struct(), False, **options))
+            inputs = [ROOM, 0, step.lamp, step.lamp_end - step.lamp, queue.slot, blocked.occluded, rays, listed, memories]
+            chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
+        return chain
