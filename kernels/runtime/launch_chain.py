@@ -10,10 +10,15 @@ that carries it out has a tile as its item: `launch` divides tiles among threads
 **Numbers of items.** A tile's items may become fewer. The number that are left is in memory, and a kernel of the chain may
 lower it. A stage learns it from one of its arguments, an int that holds the end of the tile's items (`Stage.end`).
 
+**Ways.** Two kernels may give the same answers, and which is faster may depend on the items: on how many are left, and on what
+they are. A stage may have both. The first tiles are shared among them; then a tile goes the way that has taken less time for an
+item so far, and now and then the other one, since items change from tile to tile.
+
 CPU only, on systems with native helpers (`wrt.kernels.runtime.pool.is_available`).
 """
 
 import ctypes
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,15 +33,28 @@ from wrt.kernels.runtime.options import exact_module
 
 exact_module(__name__)
 
-STAGE_WORDS = 8
-"""Words of 64 bits of a stage: entry point, launch bounds, arguments, their bytes, where the end is in them, grain, the
-nanoseconds that all threads together have spent in it, and the address of its own numbers of items or 0."""
+WAY_WORDS = 9
+"""Words of 64 bits of a way: entry point (0: there is none), launch bounds, arguments, their bytes, where the end is in them,
+grain, the nanoseconds that all threads together have spent on it, the items of the tiles that have gone it, and the address of
+the stage's own numbers of items, or 0."""
+
+WAYS = 2
+"""Most ways of a stage."""
+
+MAX_STAGES = 64
+"""Stages for whose words there is room at first."""
+
+TRIED_ITEMS, TRIED_TILE = 8192, 32
+"""Items that have to go each way before one is preferred; and of so many tiles, one goes the other way later on."""
+
+CLOCK = getattr(time, "CLOCK_THREAD_CPUTIME_ID", 3)
+"""The clock that times stages: a thread's own, which stands still while other programs have the CPU."""
 
 LONGEST = 8
 """Most tiles of a chunk: some hundredths of a second, after which a Ctrl-C takes effect."""
 
-SPENT = 6
-"""Which of them counts the nanoseconds."""
+SPENT, ITEMS = 6, 7
+"""Which words count nanoseconds and items."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +82,24 @@ class Stage:
     on_cpu(f"""
     typedef void (*entry_t)(void*, void*);
     int wrt_clock(int, long*) __asm__("clock_gettime");
-    auto now = []() {{ long t[2]; wrt_clock(1, t); return (long long)t[0] * 1000000000 + (long long)t[1]; }};
+    auto now = []() {{ long t[2]; wrt_clock({CLOCK}, t); return (long long)t[0] * 1000000000 + (long long)t[1]; }};
     long long before = now();
     alignas(64) unsigned char arguments[{MAX_ARGUMENT_BYTES}];
     for (int s = begin; s < end; ++s) {{
-        long long* stage = (long long*)stages.data + {STAGE_WORDS} * s;
-        const int left = ((volatile int*)(stage[7] ? (int*)stage[7] : counts.data))[tile];
-        if (left <= 0 && stage[7]) continue;
+        long long* stage = (long long*)stages.data + {WAYS * WAY_WORDS} * s;
+        const bool has_own = stage[8] != 0;
+        const int left = ((volatile int*)(has_own ? (int*)stage[8] : counts.data))[tile];
+        if (left <= 0 && has_own) continue;
         if (left <= 0) break;
+        long long* other = stage + {WAY_WORDS};
+        if (other[0] != 0) {{
+            const double items = (double)stage[7], other_items = (double)other[7];
+            bool is_other = (double)other[6] * items < (double)stage[6] * other_items;
+            if (tile % {TRIED_TILE} == {TRIED_TILE - 1}) is_other = !is_other;
+            if (other_items < {TRIED_ITEMS}) is_other = items >= other_items;
+            else if (items < {TRIED_ITEMS}) is_other = false;
+            if (is_other) stage = other;
+        }}
         __builtin_memcpy(arguments, (const void*)stage[2], (size_t)stage[3]);
         const int grain = (int)stage[5], items = (left + grain - 1) / grain;
         *(int*)arguments = tile * (size / grain);
@@ -82,6 +110,7 @@ class Stage:
         ((entry_t)stage[0])(&bounds, arguments);
         const long long after = now();
         __atomic_fetch_add(stage + 6, after - before, __ATOMIC_RELAXED);
+        __atomic_fetch_add(stage + 7, (long long)left, __ATOMIC_RELAXED);
         before = after;
     }}
 """)
@@ -112,20 +141,36 @@ class LaunchChain:
 
     def __init__(self, size: int, counts: wp.array, device: wp.Device) -> None:
         self.size, self.counts, self.device = size, counts, device
-        self._packed: list[PackedKernel] = []
-        self._words: list[list[int]] = []
+        self._packed: list[list[PackedKernel]] = []
         self._launch: PreparedLaunch | None = None
-        self._stages = wp.empty(0, dtype=wp.int64, device=device)
+        self._stages = wp.zeros(MAX_STAGES * WAYS * WAY_WORDS, dtype=wp.int64, device=device)
 
     def __len__(self) -> int:
         return len(self._packed)
 
-    def add(self, stage: Stage) -> PackedKernel:
-        """Adds a stage to the end; the result's arguments may be changed between two runs.
+    def add(self, *ways: Stage) -> list[PackedKernel]:
+        """Adds a stage to the end; the arguments of the results, one for each way, may be changed between two runs.
+
+        Args:
+            ways: one stage, or two that give the same answers, the likely faster one first.
 
         Raises:
-            ValueError: the grain does not divide the tile, or the arguments are too large.
+            ValueError: a grain does not divide the tile, or the arguments are too large.
         """
+        if not 0 < len(ways) <= WAYS:
+            raise ValueError(f"a stage has 1 to {WAYS} ways, not {len(ways)}")
+        packed, rows = zip(*map(self._pack, ways), strict=True)
+        number, words = len(self), self._words
+        if number == len(words):
+            more = np.concatenate([words, np.zeros_like(words)])
+            self._stages = wp.array(more.ravel(), dtype=wp.int64, device=self.device)
+            words = self._words
+        words[number, : len(rows)] = rows
+        self._packed.append([*packed])
+        return [*packed]
+
+    def _pack(self, stage: Stage) -> tuple[PackedKernel, tuple[int, ...]]:
+        """A way, ready to be run, and its words."""
         if self.size % stage.grain:
             raise ValueError(f"a grain of {stage.grain} items does not divide tiles of {self.size}")
         load([stage.kernel], self.device)
@@ -138,13 +183,13 @@ class LaunchChain:
             at = getattr(type(packed.arguments), f"p{index}").offset
             at += getattr(type(packed.argument(index)), name).offset if name else 0
         bounds, arguments = (ctypes.addressof(part) for part in (packed.bounds, packed.arguments))
-        self._packed.append(packed)
         own = 0 if stage.counts is None else stage.counts.ptr
-        self._words.append([packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, own])
-        spent = [*self._stages.numpy()[SPENT::STAGE_WORDS], 0]
-        self._stages = wp.array(np.array(self._words, dtype=np.int64).ravel(), dtype=wp.int64, device=self.device)
-        self._stages.numpy()[SPENT::STAGE_WORDS] = spent
-        return packed
+        return packed, (packed.entry, bounds, arguments, bytes_of, at, stage.grain, 0, 0, own)
+
+    @property
+    def _words(self) -> np.ndarray:
+        """(stages for which there is room, ways, words of a way) int64."""
+        return self._stages.numpy().reshape(-1, WAYS, WAY_WORDS)
 
     @property
     def stages(self) -> wp.array:
@@ -153,8 +198,13 @@ class LaunchChain:
 
     @property
     def seconds(self) -> np.ndarray:
-        """(stages,) float64, seconds that all threads together have spent in each stage."""
-        return self._stages.numpy()[SPENT::STAGE_WORDS] * 1e-9
+        """(stages,) float64, seconds of CPU time that all threads together have spent in each stage."""
+        return self._words[: len(self), :, SPENT].sum(axis=1) * 1e-9
+
+    @property
+    def items(self) -> np.ndarray:
+        """(stages, ways) int64, the items of the tiles that have gone each way of each stage."""
+        return self._words[: len(self), :, ITEMS].copy()
 
     def run(self, start: int, stop: int, begin: int = 0) -> None:
         """Runs the stages from number `begin` on for the tiles start .. stop - 1."""

@@ -33,7 +33,7 @@ def scene():
 
 
 def made(scene, integrator, **options):
-    return wrt.Rendering(scene, CAMERA, integrator=integrator, lights=LIGHTS, **({"samples": 6} | options))
+    return wrt.Rendering(scene, CAMERA, integrator=integrator, **({"samples": 6, "lights": LIGHTS} | options))
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)
@@ -56,15 +56,18 @@ def test_threads_waves_and_steps_do_not_show(scene, integrator, sampler):
 
 
 @pytest.mark.parametrize("sample_lights", [True, False])
-def test_tiles_of_paths_do_not_show(scene, sample_lights, monkeypatch):
+@pytest.mark.parametrize("lights", [LIGHTS, LIGHTS[1:], [wrt.Sky(1.0)]])
+def test_tiles_of_paths_do_not_show(scene, sample_lights, lights, monkeypatch):
     """Tile by tile or generation by generation: the same picture and as many rays. Tiles once read the origin of all camera
-    rays where the first tile had written that of its next ray."""
+    rays where the first tile had written that of its next ray. Under a sky without flat or round lamps, the last generation is
+    only asked whether it hits anything."""
     monkeypatch.setattr(path_chain, "TILE", 512)
     monkeypatch.setattr(path_chain, "FIRST_SAMPLES", 1024)
-    in_tiles = made(scene, "path", sample_lights=sample_lights, wave=3000).advance()
+    options = {"sample_lights": sample_lights, "lights": lights, "depth": 4, "wave": 3000}
+    in_tiles = made(scene, "path", **options).advance()
     assert in_tiles._wave._chain is not None
     monkeypatch.setattr(Wave, "follow_in_tiles", lambda *_: False)
-    by_generations = made(scene, "path", sample_lights=sample_lights, wave=3000).advance()
+    by_generations = made(scene, "path", **options).advance()
     np.testing.assert_array_equal(in_tiles.linear, by_generations.linear)
     assert in_tiles.rays == by_generations.rays
 

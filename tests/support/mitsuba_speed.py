@@ -1,10 +1,15 @@
 """Measures path tracing beside Mitsuba 3, in turns in one process: paths a second, and the brightness of both pictures.
 
-    python tests/support/mitsuba_speed.py cornell,atrium,bunny=MODEL.ply [scalar_rgb,llvm_ad_rgb] [ROUNDS]
+    python tests/support/mitsuba_speed.py cornell,atrium,bunny=MODEL.ply [scalar_rgb,llvm_ad_rgb] [ROUNDS] [ROULETTE]
 
 Mitsuba must be importable; "llvm_ad_rgb" needs a libLLVM that works (DRJIT_LIBLLVM_PATH names it; 19 does, 16 does not). All
 pictures have 256 x 256 pixels and paths of at most 6 rays, the Cornell box 64 samples a pixel, the others 16. The atrium has a
 sky of one colour and a sun, the bunny of clear glass a sky and a round lamp. The first round of each is not counted.
+
+Mitsuba has Embree build its tree with high quality, and so the atrium's here is built with reinsertion. ROULETTE is "default":
+Russian roulette decides about the fifth ray of a path and later ones, in Mitsuba about the sixth; "same": about the fifth in
+both; or "none". Only with "none" do both follow paths through glass equally far, since Mitsuba's roulette leaves out how
+refraction changes radiance.
 """
 
 from __future__ import annotations
@@ -23,6 +28,12 @@ from wrt.scenes.shapes import plane
 SIZE, DEPTH = 256, 6
 
 GREY = wrt.Material(color=0.8)
+
+TREES = {"atrium": wrt.Bvh(reinsertion=3)}
+"""Trees of scenes that are not built with the default one."""
+
+RR_DEPTH = {"default": 5, "same": 4, "none": 1000}
+"""Mitsuba's `rr_depth` by kind of roulette."""
 
 
 def cornell(_model: str) -> tuple[Any, ...]:
@@ -48,19 +59,19 @@ def bunny(model: str) -> tuple[Any, ...]:
     return meshes, wrt.PinholeCamera.framing(mesh, SIZE, SIZE, up=(0, 0, 1)), {"sky": 1.0, "lamp": lamp}, 16
 
 
-def own(meshes: Any, camera: Any, lights: Any, samples: int):
+def own(meshes: Any, camera: Any, lights: Any, samples: int, tree: Any = "auto", roulette: bool = True):
     """A function that makes our picture."""
     made = None
     if lights is not None:
         made = [wrt.Sky(lights["sky"])]
         made += [wrt.DirectionalLight(*lights["sun"])] if "sun" in lights else []
         made += [wrt.AreaLight.sphere(*lights["lamp"])] if "lamp" in lights else []
-    scene = wrt.Scene(meshes)
-    options = {"lights": made, "integrator": "path", "samples": samples, "depth": DEPTH, "smooth": False}
+    scene = wrt.Scene(meshes, tree)
+    options = {"lights": made, "integrator": "path", "samples": samples, "depth": DEPTH, "smooth": False, "roulette": roulette}
     return lambda seed: wrt.Rendering(scene, camera, seed=seed, **options).advance().linear
 
 
-def peer(variant: str, folder: Path, meshes: Any, camera: Any, lights: Any, samples: int):
+def peer(variant: str, folder: Path, meshes: Any, camera: Any, lights: Any, samples: int, rr_depth: int = 5):
     """A function that makes Mitsuba's."""
     import mitsuba as mi
 
@@ -69,7 +80,7 @@ def peer(variant: str, folder: Path, meshes: Any, camera: Any, lights: Any, samp
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
     scene: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": 5},
+        "integrator": {"type": "path", "max_depth": DEPTH, "rr_depth": rr_depth},
         "sensor": {
             "type": "perspective",
             "fov": float(camera.fov),
@@ -111,15 +122,15 @@ def peer(variant: str, folder: Path, meshes: Any, camera: Any, lights: Any, samp
     return render
 
 
-def main(names: str, variants: str = "scalar_rgb", rounds: int = 3) -> None:
+def main(names: str, variants: str = "scalar_rgb", rounds: int = 3, roulette: str = "default") -> None:
     """Prints a line a scene and contender."""
     for given in names.split(","):
         name, _, model = given.partition("=")
         case = {"cornell": cornell, "atrium": atrium, "bunny": bunny}[name](model)
         with tempfile.TemporaryDirectory() as folder:
-            runs = {"wrt": own(*case)}
+            runs = {"wrt": own(*case, TREES.get(name, "auto"), roulette != "none")}
             for variant in variants.split(","):
-                runs[variant] = peer(variant, Path(folder), *case)
+                runs[variant] = peer(variant, Path(folder), *case, RR_DEPTH[roulette])
             times: dict[str, list[float]] = {contender: [] for contender in runs}
             mean = {}
             for seed in range(rounds + 1):
@@ -133,4 +144,4 @@ def main(names: str, variants: str = "scalar_rgb", rounds: int = 3) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:3], **({"rounds": int(sys.argv[3])} if len(sys.argv) > 3 else {}))
+    main(*sys.argv[1:3], *map(int, sys.argv[3:4]), *sys.argv[4:5])

@@ -1,8 +1,8 @@
 """Lights as arrays.
 
 A light is an entry of the table. All emissive triangles of the scene together are one entry, and so is the sky. A path chooses
-an entry by power. Lights of the table other than emissive triangles are not part of the scene: rays pass through them, and
-collect their radiance on the way.
+an entry by power; it need not choose the sky. Lights of the table other than emissive triangles are not part of the scene: rays
+pass through them, and collect their radiance on the way.
 """
 
 import warp as wp
@@ -40,7 +40,7 @@ class Lights:
     shape: wp.array(dtype=wp.vec4)
     """(L,) cosines at which a spot begins to fade and ends; area or radius; whether both sides emit."""
     sums: wp.array(dtype=float)
-    """(L + 1,) cumulative probability, from 0 to 1."""
+    """(L + 1,) cumulative probability, from 0 to 1. That of a sky may be 0: it is then found by scattering alone."""
     areas: int
     """Number of flat and round lights that are not part of the scene; they come first in the table."""
     far: float

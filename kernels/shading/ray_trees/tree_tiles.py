@@ -79,7 +79,8 @@ def start_tile(
     radiance: wp.array(dtype=wp.vec3),
     memories: TileMemories,
 ):
-    """Writes the camera rays of a tile, which end at place `stop`, and clears the radiance of its samples. Item: a tile memory."""
+    """Writes the camera rays of a tile, which end at place `stop`, and clears the radiance of its samples. Item: a tile
+    memory."""
     memory = first + wp.tid()
     here = memories.first_sample[memory]
     end = here + stop - memory * room
@@ -134,8 +135,8 @@ def shade_tile(
     listed: ShadowList,
     memories: TileMemories,
 ):
-    """Writes light, shadow rays and the next generation of a tile, whose rays end at the place `stop`. Item: a tile memory. `lamps`
-    is the number of lamps that are sampled at a hit."""
+    """Writes light, shadow rays and the next generation of a tile, whose rays end at the place `stop`. Item: a tile
+    memory. `lamps` is the number of lamps that are sampled at a hit."""
     memory = first + wp.tid()
     begin = memory * room
     end = begin + room

@@ -194,6 +194,17 @@ def follow_path(
 
 
 @wp.kernel
+def mark_hits(first: int, stop: int, group: int, blocked: wp.array(dtype=wp.bool), hits: HitBatch):
+    """Writes triangle 0, or -1 for a miss, as what rays hit that were only asked whether they hit anything.
+
+    Item: a group of rays before `stop`.
+    """
+    begin = (first + wp.tid()) * group
+    for i in range(begin, wp.min(begin + group, stop)):
+        hits.primitive[i] = wp.where(blocked[i], 0, -1)
+
+
+@wp.kernel
 def path_step(
     first: int,
     start: int,

@@ -6,8 +6,8 @@ others: camera rays, closest hits, the step, shadow rays, and the sums of light 
 of generations instead reads and writes more than 500 bytes of memory for each path and generation
 (notebooks/records/2026-11-23-light-tiles.md).
 
-Plans for similar rays are made from a sample of them. So some first tiles are carried out stage by stage, and the others as
-described.
+Plans for similar rays are made from a sample of them. So the stages before such rays are carried out for some first tiles
+before the chain is complete.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from wrt.imaging.lights.device_lights import samples_sky
+from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.runtime.launch_chain import LaunchChain, Stage
@@ -38,14 +40,14 @@ TILES_PER_THREAD = 8
 """Tiles of a wave that a thread has at least, if they need not be smaller than `LEAST_TILE`."""
 
 FIRST_SAMPLES = 1 << 17
-"""Samples that are carried out stage by stage: plans depend on the number of rays, and these are as many as matter."""
+"""Samples whose first stages are carried out one by one: plans depend on the number of rays, of which no more matter."""
 
 SORTED_TRIANGLES = 1024
 """Triangles of a scene from which the paths of a tile are sorted by the octants of their directions."""
 
 STOP_OF_START, STOP = 1, 2
-"""Which argument of `start_rays`, and of `path_step` and `settle_tile`, says where the paths end, the number of the first item
-counted."""
+"""Which argument of `start_rays` and `mark_hits`, and of `path_step` and `settle_tile`, says where the paths end, the number of
+the first item counted."""
 
 WAVE_OF_START, WAVE_OF_STEP = 5, 7
 """Which argument of `start_rays` and of `path_step` is the wave."""
@@ -139,36 +141,50 @@ class PathChain:
         return wp.array(point.astype(np.float32)[None], dtype=wp.vec3, device=self._left.device)
 
     def _begin(self, camera: CameraModel, samples: ray_queue.Wave, tiles: int, count: int) -> LaunchChain:
-        """Makes the stages, and carries each one out for some tiles, which hold so many samples."""
+        """Makes the stages, and carries them out for some tiles, which hold so many samples: before the plan for similar rays
+        is made, which samples them, and at the end."""
         chain = LaunchChain(self._tile, self._left, self._left.device)
         self._of_wave.clear()
 
-        def add(stage: Stage, wave_at: int = 0) -> None:
-            packed = chain.add(stage)
+        def add(*ways: Stage, wave_at: int = 0) -> None:
+            packed = chain.add(*ways)
             if wave_at:
-                self._of_wave.append((packed, wave_at))
-            chain.run(0, tiles, len(chain) - 1)
+                self._of_wave += [(way, wave_at) for way in packed]
 
+        def trace(
+            kind: str, origins: wp.array, directions: wp.array, found: HitBatch, similar: bool, are_segments: bool
+        ) -> None:
+            nonlocal done
+            if similar:
+                chain.run(0, tiles, done)
+                done = len(chain)
+            add(*tracer.stages(kind, origins, directions, count, self._tile, found, similar, are_segments))
+
+        done = 0
         paths, tracer, group = self._paths, self._tracer, self._paths.group
         scene, queue, scratch, rays, goes_on = paths.scene, paths.queue, paths.scratch, paths.gathered, paths.goes_on
         hits, has_shadows = self._hits.struct(), paths.step.samples_lights and scene.lights.count > 0
         blocked = self._blocked.occluded if has_shadows else wp.empty(0, dtype=wp.bool, device=self._left.device)
         by_octant = scene.shaded.records.shape[0] >= SORTED_TRIANGLES
         inputs: list[Any] = [0, group, camera, paths.samples, samples, queue, rays.radiance]
-        add(Stage(start_rays, inputs, group, (STOP_OF_START, "")), WAVE_OF_START)
+        add(Stage(start_rays, inputs, group, (STOP_OF_START, "")), wave_at=WAVE_OF_START)
+        only_sky = scene.lights.areas == 0 and scene.lights.triangle_entry < 0
         for generation in range(paths.depth):
-            similar = generation == 0
+            step, similar = paths.step_of(generation), generation == 0
             origins = self._eye(camera) if similar and self._one_point else queue.origin
-            add(tracer.stage(CLOSEST, origins, queue.direction, count, self._tile, hits, similar))
-            step = paths.step_of(generation)
+            if step.is_last and only_sky and not similar:  # then all that counts is whether rays hit anything
+                trace(ANY, origins, queue.direction, self._blocked.struct(), False, False)
+                add(Stage(path_step.mark_hits, [0, group, self._blocked.occluded, hits], group, (STOP_OF_START, "")))
+            else:
+                trace(CLOSEST, origins, queue.direction, hits, similar, False)
             inputs = [0, 0, group, step, scene, paths.samples, samples, queue, hits, rays, scratch, goes_on]
-            add(Stage(path_step.path_step, inputs, group, (STOP, "")), WAVE_OF_STEP)
+            add(Stage(path_step.path_step, inputs, group, (STOP, "")), wave_at=WAVE_OF_STEP)
             if step.is_last:
                 break
             if has_shadows:
-                shadows = rays.shadow_origin, rays.shadow_direction
-                similar = similar and scene.lights.sky_entry < 0
-                add(tracer.stage(ANY, *shadows, count, self._tile, self._blocked.struct(), similar))
+                shadows = rays.shadow_origin, rays.shadow_direction, self._blocked.struct()
+                trace(ANY, *shadows, similar and not samples_sky(scene.lights), True)
             inputs = [self._tile, 0, blocked, rays, scratch, goes_on, queue, by_octant, self._left, self._traced]
             add(Stage(ray_queue.settle_tile, inputs, self._tile, (STOP, "")))
+        chain.run(0, tiles, done)
         return chain

@@ -17,8 +17,7 @@ from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
-from wrt.kernels.traversal.traversal_scores import limits_for
-from wrt.planning.plan import Plan, config_for_layout, traversal_config, traversal_of
+from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
 from wrt.planning.planner import find_plan, is_changing
 from wrt.rays.ray_arrays import Layout, RayArrays
 from wrt.rays.ray_buffers import RayBuffers
@@ -28,6 +27,13 @@ from wrt.state.scene_state import SceneState
 
 STREAM = 2048
 """Rays of a stream at most, where tiles of them stay in the cache."""
+
+PARTED = "stream", "interleaved"
+"""Traversals of rays that have parted. Which is faster depends on how far they have, and on how many are left of a tile
+(notebooks/records/2026-11-23-light-tiles.md)."""
+
+LEAST_TRIANGLES = 1024
+"""Triangles of a scene from which either may be the faster one. With fewer, streams are."""
 
 ROUND = 1 << 12
 """Plans are made for numbers of rays rounded up to a power of two, not below this, so that few are made."""
@@ -103,7 +109,7 @@ class RayTracer:
         return RayBuffers(given, shape, True, np.float32, coherent, scattered, [])
 
     def makes_stages(self, count: int) -> bool:
-        """Whether rays of all kinds can be traced tile by tile: see `stage`. Not where a plan orders many rays at once (as
+        """Whether rays of all kinds can be traced tile by tile: see `stages`. Not where a plan orders many rays at once (as
         similar rays go through instances), and where it may change."""
         state = self._state
         if (
@@ -118,7 +124,7 @@ class RayTracer:
                 return False
         return True
 
-    def stage(
+    def stages(
         self,
         kind: str,
         origins: wp.array,
@@ -127,46 +133,45 @@ class RayTracer:
         tile: int,
         hits: HitBatch,
         similar: bool,
+        are_segments: bool,
         *,
         sample: tuple[wp.array, wp.array] | None = None,
-        parted: bool = False,
-        endless: bool = False,
         counts: wp.array | None = None,
-    ) -> Stage:
-        """The tracing of rays as a stage of a chain.
+    ) -> list[Stage]:
+        """The tracing of rays as a stage of a chain, in one or two ways.
 
         Args:
-            kind: "closest" or "any"; the latter as of `blocked`.
+            kind: "closest" or "any".
             origins, directions: (N,) vec3 as of `closest`; origins (1,) if all are the same.
             count: rays that are there: if they are similar, a sample of them is traced.
             tile: rays of a tile.
             hits: what is written.
             similar: whether neighbouring rays are similar.
+            are_segments: whether rays end at t = 1, as those of `blocked` do.
             sample: origins and directions of the rays that are there, if they are others.
-            parted: whether neighbouring rays were similar, but go different ways now.
-            endless: whether rays of kind "any" end nowhere, in place of t = 1.
             counts: as of `Stage`.
         """
-        end = self._infinity if kind == CLOSEST or endless else self._one
-        shared = len(origins) < len(directions)
+        end, shared = self._one if are_segments else self._infinity, len(origins) < len(directions)
         rays = self._rays(origins, directions, count, end, similar, not similar, shared)
         known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)
-        plan = self._plan_of_parted(known, kind) if parted else find_plan(self._state, known, self._queries[kind]).carried_out
-        traversal = traversal_of(plan)
-        if traversal.streams:
-            plan = replace(plan, stream=min(plan.stream, STREAM))
-        config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
-        batch = rays.given.batch()
-        batch.run = tile if traversal.streams else traversal.rays_per_item(config)
-        work = no_work(traversal.counters, self._state.device.alias)
-        kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
-        return Stage(kernel, inputs, batch.run, (RAYS, "count"), counts)
-
-    def _plan_of_parted(self, rays: RayBuffers, kind: str) -> Plan:
-        """A plan for incoherent rays in the order of rays that were similar, which meet more of the same nodes than others."""
         query = self._queries[kind]
-        plan = find_plan(self._state, rays, query).carried_out
-        limits = limits_for(self._state.width)
-        if query.traversal == AUTO and plan.traversal == "interleaved" and self._state.triangle_count < limits.coherent:
-            plan = find_plan(self._state, rays, query._replace(traversal="stream")).carried_out
-        return plan
+        plan = find_plan(self._state, known, query).carried_out
+        plans = [plan]
+        if (
+            not similar
+            and query.traversal == AUTO
+            and self._state.triangle_count >= LEAST_TRIANGLES
+            and plan.traversal in PARTED
+        ):
+            plans += [replace(plan, traversal=name) for name in PARTED if name != plan.traversal]
+        batch, made = rays.given.batch(), []
+        for plan in plans:
+            traversal = traversal_of(plan)
+            if traversal.streams:
+                plan = replace(plan, stream=min(plan.stream, STREAM))
+            config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
+            batch.run = tile if traversal.streams else traversal.rays_per_item(config)
+            work = no_work(traversal.counters, self._state.device.alias)
+            kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
+            made.append(Stage(kernel, inputs, batch.run, (RAYS, "count"), counts))
+        return made

@@ -164,32 +164,30 @@ class TreeChain:
         chain.keep = (queues, scratch, goes_on, rays, listed, found, blocked)
         self._of_wave.clear()
         inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories]
-        self._of_wave.append((chain.add(Stage(tree_tiles.start_tile, inputs, ROOM, (STOP, ""))), 5))
+        self._of_wave.append((chain.add(Stage(tree_tiles.start_tile, inputs, ROOM, (STOP, "")))[0], 5))
         eye = wp.array(sample[0].numpy()[:1].copy(), dtype=wp.vec3, device=device) if self._one_point else None
         for generation in range(trees.depth):
             queue, following, is_first = queues[generation % 2], queues[1 - generation % 2], generation == 0
             origins = eye if is_first and self._one_point else queue.origin
             if generation + 1 == trees.depth and self.ends_by_any_hit:
-                options = {"parted": True, "endless": True}
-                shadows = blocked.struct()
-                chain.add(tracer.stage(ANY, queue.origin, queue.direction, count, ROOM, shadows, False, **options))
+                ends = blocked.struct()
+                chain.add(*tracer.stages(ANY, queue.origin, queue.direction, count, ROOM, ends, False, False))
                 inputs = [ROOM, 0, scene, queue, blocked.occluded, rays, memories]
                 chain.add(Stage(tree_tiles.end_tile, inputs, ROOM, (STOP, "")))
                 inputs = [ROOM, 0, 0, 0, queue.slot, blocked.occluded, rays, listed, memories]
                 chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
                 break
             seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
-            options = {"sample": seen, "parted": not is_first}
-            chain.add(tracer.stage(CLOSEST, origins, queue.direction, count, ROOM, hits, is_first, **options))
+            chain.add(*tracer.stages(CLOSEST, origins, queue.direction, count, ROOM, hits, is_first, False, sample=seen))
             step = trees.step_of(generation)
             lamps = 0 if step.is_last else len(trees.lamps)
             inputs = [ROOM, 0, step, lamps, scene, trees.samples, samples, queue, hits, rays]
             inputs += [scratch, goes_on, following, listed, memories]
-            self._of_wave.append((chain.add(Stage(tree_tiles.shade_tile, inputs, ROOM, (STOP, ""))), 7))
+            self._of_wave.append((chain.add(Stage(tree_tiles.shade_tile, inputs, ROOM, (STOP, "")))[0], 7))
             if lamps:
                 shadows = rays.shadow_origin, rays.shadow_direction
-                options = {"parted": True, "counts": memories.shadows}
-                chain.add(tracer.stage(ANY, *shadows, count, ROOM, blocked.struct(), False, **options))
+                found_blocked, own = blocked.struct(), memories.shadows
+                chain.add(*tracer.stages(ANY, *shadows, count, ROOM, found_blocked, False, True, counts=own))
             inputs = [ROOM, 0, step.lamp, step.lamp_end - step.lamp, queue.slot, blocked.occluded, rays, listed, memories]
             chain.add(Stage(tree_tiles.gather_tile, inputs, ROOM, (STOP, ""), memories.shaded))
         return chain

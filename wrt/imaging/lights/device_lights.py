@@ -14,7 +14,7 @@ from wrt.kernels.shading.emitters import light_table
 from wrt.kernels.shading.emitters.environment import Environment
 from wrt.scene.scene import Scene
 
-__all__ = ["Light", "check_lights", "device_lights"]
+__all__ = ["Light", "check_lights", "device_lights", "samples_sky"]
 
 Light = PointLight | SpotLight | DirectionalLight | AreaLight | Sky
 
@@ -22,6 +22,10 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 EVEN_SHARE = 0.25
 """Share of the choices of a light that do not depend on its power, for lights that are weak but near."""
+
+EVEN_SKY_SHARE = 0.7
+"""Share of the choices below which a path never chooses a sky of one colour: scattering samples such a sky as well as can be,
+and the lamps are then chosen more often (notebooks/records/2026-11-23-light-tiles.md)."""
 
 FLAT = {"rectangle": light_table.PARALLELOGRAM, "triangle": light_table.TRIANGLE, "sphere": light_table.SPHERE}
 
@@ -91,8 +95,19 @@ def device_lights(scene: Scene, lights: Sequence[Light], emission: np.ndarray, o
         even = np.full(len(rows), 1.0 / len(rows))
         total = weights.sum()
         share = even if not total > 0.0 else EVEN_SHARE * even + (1.0 - EVEN_SHARE) * weights / total
+        is_even_sky = sky is not None and sky.texels.shape[:2] == (1, 1)
+        if is_even_sky and len(rows) > 1 and share[table.sky_entry] < EVEN_SKY_SHARE:
+            share[table.sky_entry] = 0.0
         table.sums = wp.array(_sums(share), dtype=float, device=device)
     return table
+
+
+def samples_sky(table: Any) -> bool:
+    """Whether a path may choose the sky of a table on the CPU as its lamp."""
+    if table.sky_entry < 0:
+        return False
+    low, high = table.sums.numpy()[table.sky_entry : table.sky_entry + 2]
+    return bool(high > low)
 
 
 def _row(kind: int, position: Any = 0.0, power: float = 0.0, **values: Any) -> dict[str, Any]:
