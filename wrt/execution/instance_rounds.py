@@ -51,10 +51,10 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
         hits: receives the answers.
         query: the query.
     """
-    clear(hits, query)
     if traversal_of(plan).packets:
         trace_packets(scene, plan, rays, hits, query)
         return
+    clear(hits, query)
     for begin in range(0, rays.count, BLOCK):
         rounds = Rounds(scene, plan, rays, query, begin)
         rounds.list_instances(again=False)
@@ -63,20 +63,17 @@ def trace_rounds(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits
 
 
 def trace_packets(scene: SceneState, plan: Plan, rays: RayBatch, hits: DeviceHits, query: str) -> None:
-    """The same in packets that traverse both levels; `hits` must be cleared."""
+    """The same in packets that traverse both levels."""
     from wrt.kernels.traversal.packet.core.packet_kernel import rays_per_item
     from wrt.kernels.traversal.two_level.instance_packets import make_kernel
 
     config = traversal_config(plan, scene, query, False)
+    # rays from one point have one origin in each instance, too
+    config = replace(config, packet=replace(config.packet, shared_origin=rays.origin_stride == 0))
     kernel = specialise(partial(make_kernel, levels=stack_levels(scene.tree.depth)), config)
     grain = rays_per_item(config)
-    size = -(-min(rays.count, BLOCK) // grain) * grain
-    own, found = new_rays(size, scene.device), DeviceHits.new(query, size, scene.device).struct()
-    work = counter_rows(no_work(traversal_of(plan).counters, scene.device.alias))
-    for begin in range(0, rays.count, BLOCK):
-        inputs = [begin, scene.upper(), scene.lower(plan, rays), rays, own, found, hits.struct(), work]
-        items = -(-min(rays.count - begin, BLOCK) // grain)
-        launch(kernel, items, inputs, device=scene.device, chunk=max(1, 1024 // grain))
+    inputs = [scene.upper(), scene.lower(plan, rays), rays, hits.struct()]
+    launch(kernel, -(-rays.count // grain), inputs, device=scene.device, chunk=max(1, 1024 // grain))
 
 
 def clear(hits: DeviceHits, query: str) -> None:

@@ -2,8 +2,9 @@
 
 The upper tree is culled by intervals over the packet's rays (`wrt.kernels.traversal.packet.culling.interval_culling`), with the
 slack that `wrt.kernels.traversal.two_level.instance_single` derives. At an instance all rays of the packet are transformed in
-one loop, to the same bits as a single ray. They form a packet of the instance, which is traced as in a scene of one mesh: it is
-culled, and split where its rays diverge. Its hits shorten the rays, and the packet's range, before the next instance.
+lanes (`wrt.kernels.traversal.two_level.instance_rays`), to the same bits as a single ray. They form a packet of the instance,
+which is traced as in a scene of one mesh: it is culled, and split where its rays diverge. Its hits shorten the rays, and the
+packet's range, before the next instance.
 
 **Cost.** Rays that miss the instance are transformed in vain, but nothing is sorted or listed, and the upper tree costs a
 packet about as much as it costs a single ray.
@@ -17,23 +18,35 @@ import warp as wp
 
 from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
-from wrt.kernels.layout.instance_maps import Placement, ray_environment, ray_mask
-from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch, load_ray
+from wrt.kernels.layout.instance_maps import Placement, object_ray, ray_environment
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.simd.boxes import INFINITY
-from wrt.kernels.simd.lanes import FOR_LANES
-from wrt.kernels.traversal.leaf import CounterRows, Counters
+from wrt.kernels.traversal.leaf import Counters
+from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import occluder_cache as occluder
 from wrt.kernels.traversal.packet.core import packet_bvh as packet
-from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, packet_step, rays_per_item
+from wrt.kernels.traversal.packet.core import packet_splitting
+from wrt.kernels.traversal.packet.core.packet_kernel import packet_layout, ray_continuation, rays_per_item, trace_packet
 from wrt.kernels.traversal.packet.culling.interval_culling import cull_boxes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.traversal.two_level.instance_rays import (
+    ROWS,
+    PacketMemory,
+    is_active,
+    keep_ranges,
+    keep_rays,
+    load_instance,
+    merge_hits,
+    set_arrays,
+    store_candidate,
+    store_rays,
+)
 from wrt.kernels.traversal.two_level.instance_single import BvhPart, InstanceTree, root_of
 
 exact_module(__name__)
@@ -44,93 +57,12 @@ NO_GROUP = wp.constant(-2)
 
 @wp.struct
 class InstanceBatch:
-    """What the packets of a batch share: both levels of the scene, the rays, and memory for rays and hits in object space."""
+    """What the packets of a batch share: both levels of the scene, the rays and their hits."""
 
     top: InstanceTree
     parts: wp.array(dtype=BvhPart)
     rays: RayBatch
-    object_rays: RayBatch
-    """Receives the rays of a packet in the space of an instance, from the packet's `slot` on."""
-    object_hits: HitBatch
-    """Receives their hits."""
     hits: HitBatch
-    counters: CounterRows
-
-
-@wp.struct
-class PacketMemory:
-    """Local memory of a run of packets, used by one packet after the other."""
-
-    number: wp.array(dtype=int)
-    """(P,) number of each ray in the batch."""
-    bound: wp.array(dtype=float)
-    """(P,) t of the best hit of each ray, or its t_max; -inf if it is invalid or done."""
-    waiting: wp.array(dtype=float)
-    """(P,) t_max of each ray whose environment is still to be traced; -inf for the others. Used with environments only."""
-    packet: wp.array(dtype=float)
-    """The packet (`wrt.kernels.traversal.packet.rays.packet_layout`), first of the scene, then of an instance."""
-    walk: wp.array(dtype=int)
-    """Memory for the walk through an instance."""
-
-
-_SET = "memory.number = number; memory.bound = bound; memory.waiting = waiting; memory.packet = packet; memory.walk = walk;"
-
-
-@wp.func_native(_SET)
-def set_arrays(
-    memory: wp.ref[PacketMemory],
-    number: wp.array(dtype=int),
-    bound: wp.array(dtype=float),
-    waiting: wp.array(dtype=float),
-    packet: wp.array(dtype=float),
-    walk: wp.array(dtype=int),
-):
-    """Makes the struct use local arrays; Warp assigns them to no field of a struct."""
-    ...
-
-
-_TRANSFORM = """
-    const double *m = &place.to_object.data[0][0];
-    const double px = place.origin.c[0], py = place.origin.c[1], pz = place.origin.c[2];
-    const double cx = rays.center.c[0], cy = rays.center.c[1], cz = rays.center.c[2];
-    float* to_origin = (float*)(object_rays.origins.data + slot);
-    float* to_direction = (float*)(object_rays.directions.data + slot);
-    for (int k = 0; k < P; ++k) {
-        const int i = number.data[k];
-        wp::vec3 o = rays.origins.data[i * rays.origin_stride], d = rays.directions.data[i * rays.direction_stride];
-        wrt_direction(d.c[0], d.c[1], d.c[2]);
-        const double x = ((double)o.c[0] - cx) - px, y = ((double)o.c[1] - cy) - py, z = ((double)o.c[2] - cz) - pz;
-        const double dx = d.c[0], dy = d.c[1], dz = d.c[2];
-        for (int a = 0; a < 3; ++a) {
-            to_origin[3 * k + a] = (float)((m[3 * a] * x + m[3 * a + 1] * y) + m[3 * a + 2] * z);
-            to_direction[3 * k + a] = (float)((m[3 * a] * dx + m[3 * a + 1] * dy) + m[3 * a + 2] * dz);
-        }
-        object_rays.t_min.data[slot + k] = rays.t_min.data[i * rays.t_min_stride];
-        object_rays.t_max.data[slot + k] = bound.data[k];
-    }
-"""
-
-
-@cache
-def transform_packet(packet_rays: int) -> wp.Function:
-    """`wp.func(rays, number, bound, place, slot, object_rays)`: transforms P rays of a batch, by their numbers, to the space of
-    an instance.
-
-    The arithmetic is that of `wrt.kernels.layout.instance_maps.object_ray`. object_rays: receives the rays from `slot` on, from
-    their t_min up to `bound`.
-    """
-
-    @wp.func_native(f"{FOR_LANES}    constexpr int P = {packet_rays};\n{DIRECTION_LANES}{_TRANSFORM}")
-    def transform_packet_native(
-        rays: RayBatch,
-        number: wp.array(dtype=int),
-        bound: wp.array(dtype=float),
-        place: Placement,
-        slot: int,
-        object_rays: RayBatch,
-    ): ...
-
-    return transform_packet_native
 
 
 @cache
@@ -139,23 +71,17 @@ def packet_loader(config: TraversalConfig) -> wp.Function:
 
     bounds: receives the bounds of the packet, with the slack of the upper tree.
     """
-    load, packet_rays = load_packet(packet_layout(config), slopes=False), config.packet.rays
+    layout = packet_layout(config)
+    keep, load, keep_bounds = keep_rays(layout), load_packet(layout, slopes=False), keep_ranges(layout)
 
     @wp.func
     def load_and_bound(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], begin: int, bounds: wp.ref[PacketBounds]):
         size = wp.max(wp.max(wp.abs(batch.top.tree.low)), wp.max(wp.abs(batch.top.tree.high)))
-        farthest = float(0.0)
-        for k in range(packet_rays):
-            memory.number[k] = ray_at(batch.rays, wp.min(begin + k, batch.rays.count - 1), packet_rays)
-            memory.bound[k] = -INFINITY
-            if begin + k < batch.rays.count:
-                ray = load_ray(batch.rays, memory.number[k])
-                if ray.valid:
-                    memory.bound[k] = ray.t_max
-                    farthest = wp.max(farthest, wp.max(wp.abs(ray.origin)))
+        farthest = keep(batch.rays, begin, memory)
         # each ray's reach in this box is at least `stretch` times its reach in the scene
         corner = batch.top.stretch * (size + farthest)
         load(batch.rays, begin, wp.vec3(-corner, -corner, -corner), wp.vec3(corner, corner, corner), memory.packet, bounds)
+        keep_bounds(memory)
 
     return load_and_bound
 
@@ -198,68 +124,66 @@ def next_group(config: TraversalConfig) -> wp.Function:
 
 
 @cache
-def merge_packet_hits(config: TraversalConfig) -> wp.Function:
-    """`wp.func(batch, memory, placement, slot) -> t_max`: merges the hits of a packet in an instance.
-
-    Shortens the rays, and returns the greatest t at which a hit still counts.
-    """
-    packet_rays, any_hit = config.packet.rays, config.query == ANY
+def trace_left_rays(config: TraversalConfig) -> wp.Function:
+    """`wp.func(batch, memory, placement, part, work)`: traces the rays of a packet in an instance that could not be traced
+    together, one by one."""
+    layout = packet_layout(config)
+    needs_single_ray, active = packet_splitting.needs_single_ray(layout), is_active(layout)
+    continue_ray = ray_continuation(config, WideNodes, make_walk(config))
+    store, packet_rays = store_candidate(layout, config.query == ANY), config.packet.rays
+    own_origins = 0 if config.packet.shared_origin else 1
 
     @wp.func
-    def merge(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], placement: Placement, slot: int):
-        t_max = float(-INFINITY)
+    def trace(
+        batch: wp.ref[InstanceBatch],
+        memory: wp.ref[PacketMemory],
+        placement: Placement,
+        part: wp.ref[BvhPart],
+        work: wp.ref[Counters],
+    ):
         for k in range(packet_rays):
-            i = memory.number[k]
-            if memory.bound[k] >= 0.0:
-                if wp.static(any_hit):
-                    if batch.object_hits.occluded[slot + k]:
-                        batch.hits.occluded[i] = True
-                        memory.bound[k] = -INFINITY
-                elif batch.object_hits.primitive[slot + k] >= 0:
-                    t = batch.object_hits.t[slot + k]
-                    primitive = placement.first + batch.object_hits.primitive[slot + k]
-                    if t < batch.hits.t[i] or (t == batch.hits.t[i] and primitive < batch.hits.primitive[i]):
-                        batch.hits.t[i] = t
-                        batch.hits.primitive[i] = primitive
-                        batch.hits.uv[i] = batch.object_hits.uv[slot + k]
-                        memory.bound[k] = t
-                t_max = wp.max(t_max, memory.bound[k])
-        return t_max
+            if needs_single_ray(memory.packet, k) and active(memory, k):
+                at = k * wp.static(own_origins)
+                ray = Ray()
+                ray.direction = wp.vec3(
+                    memory.scene[k], memory.scene[k + wp.static(packet_rays)], memory.scene[k + wp.static(2 * packet_rays)]
+                )
+                ray.t_min = memory.scene[k + wp.static(3 * packet_rays)]
+                origin = wp.vec3d(
+                    memory.origin[at],
+                    memory.origin[at + wp.static(packet_rays)],
+                    memory.origin[at + wp.static(2 * packet_rays)],
+                )
+                ray = object_ray(placement, origin, ray, ray.t_max)
+                i = memory.number[k]
+                best = continue_ray(part.tree, part.triangles, memory.packet, k, ray, batch.hits, i, work)
+                store(memory, k, best)
 
-    return merge
+    return trace
 
 
 @cache
 def make_visit(config: TraversalConfig) -> wp.Function:
-    """`wp.func(batch, memory, instance, slot, work) -> t_max`: traces the packet through one instance."""
-    step = packet_step(config, WideNodes, packet.make_walk_packet(config), make_walk(config), packet.MIXED_AXES)
-    cache_leaf = occluder.cache_leaf(packet_layout(config))
-    transform, merge, packet_rays = transform_packet(config.packet.rays), merge_packet_hits(config), config.packet.rays
+    """`wp.func(batch, memory, instance, work) -> t_max`: traces the packet through one instance."""
+    layout = packet_layout(config)
+    load = load_instance(layout, CULLINGS[config.packet.culling].slopes)
+    trace = trace_packet(config, WideNodes, packet.make_walk_packet(config), packet.MIXED_AXES)
+    cache_leaf, trace_left, merge = (
+        occluder.cache_leaf(layout),
+        trace_left_rays(config),
+        merge_hits(layout, config.query == ANY),
+    )
 
     @wp.func
-    def visit(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], instance: int, slot: int, work: wp.ref[Counters]):
+    def visit(batch: wp.ref[InstanceBatch], memory: wp.ref[PacketMemory], instance: int, work: wp.ref[Counters]):
         placement = batch.top.placements[instance]
         part = batch.parts[placement.geometry]
-        transform(batch.rays, memory.number, memory.bound, placement, slot, batch.object_rays)
-        if batch.rays.mask.shape[0] > 0:
-            for k in range(packet_rays):
-                if (placement.mask & ray_mask(batch.rays, memory.number[k])) == wp.uint32(0):
-                    batch.object_rays.t_max[slot + k] = -INFINITY
-        batch.object_rays.count = slot + wp.static(packet_rays)
+        bounds = PacketBounds()
+        load(memory, batch.rays, placement, part.tree.low, part.tree.high, bounds)
         cache_leaf(memory.packet, 0)  # the last packet's leaf is in another instance's tree
-        step(
-            part.tree,
-            part.tree,
-            part.triangles,
-            batch.object_rays,
-            slot,
-            memory.packet,
-            memory.walk,
-            batch.object_hits,
-            batch.counters,
-            work,
-        )
-        return merge(batch, memory, placement, slot)
+        if not trace(part.tree, part.tree, part.triangles, memory.packet, memory.walk, bounds, work):
+            trace_left(batch, memory, placement, part, work)
+        return merge(memory, placement.first)
 
     return visit
 
@@ -271,44 +195,39 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
     levels: greatest number of inner nodes on a path of the upper tree.
     """
     load_and_bound, visit, cull = packet_loader(config), make_visit(config), cull_boxes(packet_layout(config))
-    next_root = next_group(config)
+    next_root, store = next_group(config), store_rays(packet_layout(config), config.query == ANY)
     width, packet_rays, size, run = config.width, config.packet.rays, packet_layout(config).size, rays_per_item(config)
     row, nearest = levels * config.width, nearest_child(config.width)
 
     def packets_through_instances(
         first: int,
-        block: int,
         top: InstanceTree,
         parts: wp.array(dtype=BvhPart),
         rays: RayBatch,
-        object_rays: RayBatch,
-        object_hits: HitBatch,
         hits: HitBatch,
-        counters: CounterRows,
     ):
         batch = InstanceBatch()
         batch.top = top
         batch.parts = parts
         batch.rays = rays
-        batch.object_rays = object_rays
-        batch.object_hits = object_hits
         batch.hits = hits
-        batch.counters = counters
         number = wp.zeros(shape=(packet_rays,), dtype=int)
         bound = wp.zeros(shape=(packet_rays,), dtype=float)
         waiting = wp.zeros(shape=(packet_rays,), dtype=float)
+        scene = wp.zeros(shape=(wp.static(len(ROWS) * packet_rays),), dtype=float)
+        origin = wp.zeros(shape=(wp.static(3 * packet_rays),), dtype=wp.float64)
         room = wp.zeros(shape=(size,), dtype=float)
         walk = wp.zeros(shape=(wp.static(packet.walk_memory(config)),), dtype=int)
         memory = PacketMemory()
-        set_arrays(memory, number, bound, waiting, room, walk)
+        set_arrays(memory, number, bound, waiting, scene, origin, room, walk)
         keys = wp.zeros(shape=(row,), dtype=int)
         path = wp.zeros(shape=(levels,), dtype=int)
         work = Counters()
-        slot = (first + wp.tid()) * wp.static(run)
-        end = wp.min(slot + wp.static(run), rays.count - block)
-        while slot < end:
+        begin = (first + wp.tid()) * wp.static(run)
+        end = wp.min(begin + wp.static(run), rays.count)
+        while begin < end:
             bounds = PacketBounds()
-            load_and_bound(batch, memory, block + slot, bounds)
+            load_and_bound(batch, memory, begin, bounds)
             turn = int(0)
             root = next_root(batch, memory, turn, bounds)
             while root >= 0:
@@ -326,7 +245,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                             key = cull(top.tree.bounds, child, memory.packet, bounds, keys, level * wp.static(width))
                         else:
                             instance = load_int(top.order, bvh.first_block(child) * wp.static(width))
-                            bounds.t_max = visit(batch, memory, instance, slot, work)
+                            bounds.t_max = visit(batch, memory, instance, work)
                             key = nearest(keys, level * wp.static(width))
                     else:
                         level -= 1
@@ -334,6 +253,7 @@ def make_kernel(config: TraversalConfig, levels: int) -> wp.Kernel:
                             key = nearest(keys, level * wp.static(width))
                 turn += 1
                 root = next_root(batch, memory, turn, bounds)
-            slot += wp.static(packet_rays)
+            store(memory, rays, begin, hits)
+            begin += wp.static(packet_rays)
 
     return specialised_kernel(packets_through_instances)

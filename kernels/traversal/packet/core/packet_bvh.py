@@ -12,7 +12,8 @@ last packet (`wrt.kernels.traversal.packet.core.occluder_cache`).
 **Diverging rays.** Rays of a packet need not share an origin or signs. If the directions have both signs along all three axes,
 the bounds of boxes are useless. A packet whose rays have diverged, because neighbouring pixels see different surfaces, may
 visit half of the scene. Its traversal is abandoned after `MAX_STEPS_PER_RAY` steps per ray. Such packets are split by their
-origins (`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`).
+origins (`wrt.kernels.traversal.packet.core.packet_splitting`); rays that still diverge are traced one by one (`single_bvh`),
+and so are those of a packet from one point, after `MAX_STEPS_UNSPLIT` steps per ray. All keep the hits found until then.
 
 References:
     I. Wald, P. Slusallek, C. Benthin, M. Wagner: Interactive rendering with coherent ray tracing. Eurographics 2001.
@@ -48,8 +49,12 @@ MIXED_AXES = 2
 """Greatest number of axes with both signs for which a packet is traversed as a whole."""
 
 MAX_STEPS_PER_RAY = 3
-"""Steps per ray (nodes and leaves) after which a packet's traversal is abandoned: about the cost of tracing its rays one by one
+"""Steps per ray (nodes and leaves) after which the traversal of a packet that can be split is abandoned
 (notebooks/records/2026-11-21-packets.md)."""
+
+MAX_STEPS_UNSPLIT = 10
+"""The same for rays from one point, which cannot be split: about the cost of tracing them one by one
+(notebooks/records/2026-11-23-scans.md)."""
 
 
 def walk_memory(config: TraversalConfig) -> int:
@@ -98,7 +103,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     mailbox_size = MAILBOXES[config.mailbox].size
     cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.query == ANY
     width, counting = config.width, config.counters
-    row, max_steps = config.stack.levels * config.width, MAX_STEPS_PER_RAY * config.packet.rays
+    row = config.stack.levels * config.width
+    max_steps = (MAX_STEPS_UNSPLIT if config.packet.shared_origin else MAX_STEPS_PER_RAY) * config.packet.rays
 
     @wp.func
     def walk(

@@ -10,10 +10,10 @@ from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.ray_batch import HitBatch, RayBatch, load_ray
+from wrt.kernels.layout.ray_batch import HitBatch, Ray, RayBatch, load_ray
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.lanes import count_bits
-from wrt.kernels.traversal.leaf import CounterRows, Counters, start, store_best
+from wrt.kernels.traversal.leaf import Candidate, CounterRows, Counters, improves, start, store_best
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_splitting
@@ -92,16 +92,60 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
 
 
 @cache
+def load_hit(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, k, best)`: the best hit so far of an active ray of a packet."""
+    body = "    best.t = t[k]; best.primitive = ((const int*)primitive)[k]; best.u = u[k]; best.v = v[k];\n"
+
+    @wp.func_native(layout.head + body)
+    def load_hit_native(packet: wp.array(dtype=float), k: int, best: wp.ref[Candidate]): ...
+
+    return load_hit_native
+
+
+@cache
+def ray_continuation(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
+    """`wp.func(tree, triangles, packet, k, ray, hits, i, work) -> best`: traces ray k of a packet, a valid one, up to its best
+    hit so far; walk_ray: see `trace_single_rays`."""
+    load, any_hit = load_hit(packet_layout(config)), config.query == ANY
+
+    @wp.func
+    def continue_ray(
+        tree: wp.ref[Tree],
+        triangles: wp.ref[TriangleBlocks],
+        packet: wp.array(dtype=float),
+        k: int,
+        ray: Ray,
+        hits: wp.ref[HitBatch],
+        i: int,
+        work: wp.ref[Counters],
+    ):
+        best = Candidate()
+        load(packet, k, best)
+        ray.t_max = best.t
+        if wp.static(any_hit):
+            if best.primitive < 0:
+                best = walk_ray(tree, triangles, ray, hits, i, work)
+        else:
+            found = walk_ray(tree, triangles, ray, hits, i, work)
+            if found.primitive >= 0 and improves(found.t, found.primitive, ray.t_min, best):
+                best = found
+        return best
+
+    return continue_ray
+
+
+@cache
 def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function) -> wp.Function:
     """`wp.func(tree, triangles, rays, begin, packet, hits, counters, work)`: traces the rays of the packet at `begin` one by
     one.
 
-    These are all of its rays, or those for which `packet_splitting.needs_single_ray` is true. walk_ray: `wp.func(tree,
-    triangles, ray, hits, i, work) -> best`. `work` is the work done for the packet so far; it is added to that of the first
-    ray.
+    These are all of its rays, or those for which `packet_splitting.needs_single_ray` is true. They keep what the packet has
+    found, and search up to there. walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`. `work` is the work done for
+    the packet so far; it is added to that of the first ray.
     """
     store, counting, packet_rays = store_best(config), config.counters, config.packet.rays
     needs_single_ray = packet_splitting.needs_single_ray(packet_layout(config))
+    continue_ray = ray_continuation(config, Tree, walk_ray)
 
     @wp.func
     def trace(
@@ -121,7 +165,7 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
             ray = load_ray(rays, i)
             best = start(ray.t_max)
             if ray.valid:
-                best = walk_ray(tree, triangles, ray, hits, i, work)
+                best = continue_ray(tree, triangles, packet, place - begin, ray, hits, i, work)
             store(hits, i, best)
             if wp.static(counting):
                 counters.rows[place] = work
@@ -167,31 +211,15 @@ def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function)
 
 
 @cache
-def packet_step(
-    config: TraversalConfig,
-    Tree: type,
-    walk_packet: wp.Function,
-    walk_ray: wp.Function,
-    mixed_axes: int,
-    reversible: bool = False,
+def trace_packet(
+    config: TraversalConfig, Tree: type, walk_packet: wp.Function, mixed_axes: int, reversible: bool = False
 ) -> wp.Function:
-    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
+    """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet that is loaded, split if
+    necessary.
 
-    below: the tree, or the subtree that contains all hits of the packet. packet: memory for it. memory: memory for its walk.
-    `work` is the work done for it so far.
-
-    Args:
-        config: the specialisation.
-        Tree: struct of the tree.
-        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal
-            was abandoned.
-        walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
-        mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
-        reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
+    False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). Arguments as of `packet_step`.
     """
-    layout = packet_layout(config)
-    culling = CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
+    layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     start_packet = culling.start(layout)
     reverses = reversible and culling.reversible and config.query == ANY and not config.packet.shared_origin
     reverse = reverse_bounds(layout) if reverses else None
@@ -214,8 +242,36 @@ def packet_step(
             completed = walk_packet(below, triangles, packet, memory, bounds, work)
         return completed
 
-    single_rays, counting, parts = trace_single_rays(config, Tree, walk_ray), config.counters, not config.packet.shared_origin
-    trace = trace_parts(config, Tree, trace_unsplit) if parts else trace_unsplit
+    return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit)
+
+
+@cache
+def packet_step(
+    config: TraversalConfig,
+    Tree: type,
+    walk_packet: wp.Function,
+    walk_ray: wp.Function,
+    mixed_axes: int,
+    reversible: bool = False,
+) -> wp.Function:
+    """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
+
+    below: the tree, or the subtree that contains all hits of the packet. packet: memory for it. memory: memory for its walk.
+    `work` is the work done for it so far.
+
+    Args:
+        config: the specialisation.
+        Tree: struct of the tree.
+        walk_packet: `wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal
+            was abandoned.
+        walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
+        mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
+        reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
+    """
+    layout, parts = packet_layout(config), not config.packet.shared_origin
+    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.query == ANY)
+    single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
+    trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible)
 
     @wp.func
     def step(

@@ -15,7 +15,7 @@ from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
-_LOAD = """
+_FETCH = """
     const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];
     // in memory of their own, so that no component of the packet may lie in their way
     float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
@@ -37,8 +37,11 @@ _LOAD = """
     else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
     fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
     fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
-    auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
     const bool ranged = rays.t_min_stride || rays.t_max_stride;
+"""
+
+_FILL = """
+    auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
     auto reach = [&](float x, float y, float z) {
         float far = WRT_ABS(low.c[0] - x), f;
         f = WRT_ABS(high.c[0] - x); far = f > far ? f : far;
@@ -83,6 +86,17 @@ _LOAD = """
 """
 
 
+def fill_head(layout: PacketLayout, slopes: bool) -> str:
+    """C++ for the head of a function that contains `fill_packet` and ends in `BOUND`, after `PacketLayout.head`."""
+    return f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}" + bounding_head(layout, slopes)
+
+
+def fill_packet(layout: PacketLayout) -> str:
+    """C++ that fills the components of a packet from arrays of P floats: directions to_x, to_y, to_z; t_min and t_max least,
+    most; origins from_x, from_y, from_z, or ox0, oy0, oz0 if it is shared. low, high: bounds of the tree."""
+    return _FILL.replace("WRT_PREPARE", TRIANGLE_TESTS[layout.triangle_test].packet_form.prepare)
+
+
 @cache
 def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`ray_numbers`); low, high: bounds of the
@@ -91,11 +105,9 @@ def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     slopes: whether slopes are bounded (`Culling.slopes`). Invalid rays and places beyond the end of the batch are inactive:
     their t is -inf, which no hit improves.
     """
-    form = TRIANGLE_TESTS[layout.triangle_test].packet_form
-    constants = f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}"
-    head = layout.head + constants + NUMBERS + bounding_head(layout, slopes)
+    head = layout.head + fill_head(layout, slopes) + NUMBERS
 
-    @wp.func_native(head + _LOAD.replace("WRT_PREPARE", form.prepare) + BOUND)
+    @wp.func_native(head + _FETCH + fill_packet(layout) + BOUND)
     def load_packet_native(
         rays: RayBatch,
         first: int,
