@@ -32,7 +32,7 @@ ENGINE_TESTS = ("woop", "moeller_trumbore", "komatsu")
 """Triangle tests on which everything around them is tested: by hand, by steps, and with an origin that must be shared. What
 the engine does with a test is the same for all others; `test_triangle_tests.py` shows that they fit in."""
 
-OTHER_WAYS_TO_PACKETS = ("repacked_packet", "mlrta", "aepsa", "omnidirectional", "queued")
+OTHER_WAYS_TO_PACKETS = ("repacked_packet", "multi_frusta", "mlrta", "aepsa", "omnidirectional", "queued")
 """Traversals that meet leaves by the steps of "packet" (`wrt.kernels.traversal.packet.core.packet_kernel`), or of "single":
 what they do with one triangle test, and with an origin that must be shared, is the same for all."""
 

@@ -75,7 +75,8 @@ def trees(triangles: int) -> dict[str, wrt.KdTree | wrt.Bvh]:
 def traversals(scene: wrt.Scene, query: str) -> list[str]:
     """Those that answer a query on the scene's tree."""
     kind, lazy = scene.accelerator.kind, scene.lazy_tree is not None
-    return [n for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind) and not (lazy and way.wide)]
+    able = {n: way for n, way in TRAVERSALS.items() if kind in way.trees and way.supports(query, kind)}
+    return [n for n, way in able.items() if not (lazy and way.wide) and not way.needs_shared_origin]
 
 
 def check_inside(scene: wrt.Scene, body: Body, rng: np.random.Generator, count: int, ways: tuple[str, str]) -> dict[str, int]:

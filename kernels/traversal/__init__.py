@@ -24,6 +24,7 @@ from dataclasses import dataclass, field
 import warp as wp
 
 from wrt.kernels.traversal import brute_force as brute
+from wrt.kernels.traversal.frusta import eye_frusta
 from wrt.kernels.traversal.interleaved import interleaved_bvh
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.lockstep import lockstep_kernel as lockstep
@@ -68,6 +69,9 @@ class Traversal:
         kernels: config -> kernel for each supported tree kind: "kdtree", "bvh" or "none" (all triangles).
         rays_per_item: config -> number of consecutive rays that one item of the kernel traces; the last item may have fewer.
         packets: whether rays are traced in packets: `packet` of the config applies.
+        packet_vectors: vectors of rays of a packet, where the traversal determines it; 0 if it depends on the query.
+        needs_shared_origin: whether all rays of a batch must start at the same point.
+        front_faces: whether it can cull back faces, though it does not answer every query.
         mailbox: whether `mailbox` of the config applies, on a kd-tree.
         streams: whether rays are traced in streams: `stream` of the config applies.
         wide: whether it traverses the wide form of a kd-tree, which has the layout of a BVH
@@ -93,6 +97,9 @@ class Traversal:
     kernels: Mapping[str, Callable[[TraversalConfig], wp.Kernel]]
     rays_per_item: Callable[[TraversalConfig], int] = one_ray
     packets: bool = False
+    packet_vectors: int = 0
+    needs_shared_origin: bool = False
+    front_faces: bool = False
     mailbox: bool = False
     streams: bool = False
     wide: bool = False
@@ -115,9 +122,9 @@ class Traversal:
     def culls_backfaces(self, tree: str) -> bool:
         """Whether it can cull back faces on a tree kind.
 
-        Traversals that answer every query can, because they test hits one by one.
+        Traversals that answer every query can, because they test hits one by one; so can those that say so (`front_faces`).
         """
-        return tree in self.kernels and self.supports(ALL, tree)
+        return tree in self.kernels and (self.front_faces or self.supports(ALL, tree))
 
     def supports_through_instances(self, query: str, tree: str, is_cuda: bool) -> bool:
         """Whether it answers a query through instances whose trees are of a kind."""
@@ -197,6 +204,17 @@ TRAVERSALS: dict[str, Traversal] = {
             packet_kernel.rays_per_item,
             packets=True,
             orders=(AS_GIVEN, CELLS, TILES),
+        ),
+        Traversal(
+            "multi_frusta",
+            "Benthin, Wald: Efficient ray traced soft shadows using multi-frusta tracing (2009), for rays from one point",
+            {"bvh": eye_frusta.make_kernel},
+            eye_frusta.rays_per_item,
+            packets=True,
+            packet_vectors=1,
+            needs_shared_origin=True,
+            front_faces=True,
+            orders=(AS_GIVEN, TILES),
         ),
         Traversal(
             "mlrta",

@@ -144,31 +144,35 @@ _CLAMP = """
     unsigned kept = wrt_bits(hit) & mask;
     if (CULLING) for (int i = 0; i < W; ++i) {
         if (!(kept >> i & 1u)) continue;
-        const float ax = r[i], ay = r[W + i], az = r[2 * W + i], bx = r[3 * W + i], by = r[4 * W + i], bz = r[5 * W + i];
-        const float cx = r[6 * W + i], cy = r[7 * W + i], cz = r[8 * W + i];
-        FRONT
-        kept &= front ? ~0u : ~(1u << i);
+        double normal[3];
+        wrt_normal(r + i, W, normal);
+        kept &= wrt_front(normal, ix, iy, iz) ? ~0u : ~(1u << i);
     }
     return kept;
 """
 
-_FRONT = """
+FRONT = """
+    auto wrt_normal = [](const float* r, int apart, double* normal) {  // r: the nine components of a triangle
+        const float ax = r[0], ay = r[apart], az = r[2 * apart], bx = r[3 * apart], by = r[4 * apart], bz = r[5 * apart];
+        const float cx = r[6 * apart], cy = r[7 * apart], cz = r[8 * apart];
         const double ux = (double)bx - ax, uy = (double)by - ay, uz = (double)bz - az;
         const double vx = (double)cx - ax, vy = (double)cy - ay, vz = (double)cz - az;
-        const double along_x = (uy * vz - uz * vy) * (double)(1.0f / slabs.inverse.c[0]);
-        const double along_y = (uz * vx - ux * vz) * (double)(1.0f / slabs.inverse.c[1]);
-        const double along_z = (ux * vy - uy * vx) * (double)(1.0f / slabs.inverse.c[2]);
-        const bool front = (along_x + along_y) + along_z < 0.0;
+        normal[0] = uy * vz - uz * vy; normal[1] = uz * vx - ux * vz; normal[2] = ux * vy - uy * vx;
+    };
+    auto wrt_front = [](const double* normal, float ix, float iy, float iz) {
+        const double along_x = normal[0] * (double)(1.0f / ix), along_y = normal[1] * (double)(1.0f / iy);
+        const double along_z = normal[2] * (double)(1.0f / iz);
+        return (along_x + along_y) + along_z < 0.0;
+    };
 """
-"""C++ that sets `front` from the vertices ax .. cz; the direction is derived from `RaySlabs`, which every traversal has."""
+"""C++ of `comes_from_front`: the normal of a triangle, and the side from which a ray with 1 / direction ix, iy, iz comes. The
+direction is derived from its inverse, which every traversal has."""
 
 
-@wp.func_native(f"""
-    const float ax = corners.a.c[0], ay = corners.a.c[1], az = corners.a.c[2];
-    const float bx = corners.b.c[0], by = corners.b.c[1], bz = corners.b.c[2];
-    const float cx = corners.c.c[0], cy = corners.c.c[1], cz = corners.c.c[2];
-    {_FRONT}
-    return front;
+@wp.func_native(f"""{FRONT}
+    double normal[3];
+    wrt_normal((const float*)&corners, 1, normal);
+    return wrt_front(normal, slabs.inverse.c[0], slabs.inverse.c[1], slabs.inverse.c[2]);
 """)
 def comes_from_front(slabs: wp.ref[RaySlabs], corners: wp.ref[Corners]) -> bool:
     """Whether a ray comes from the side from which a triangle is wound counter-clockwise; false if it is seen edge-on."""
@@ -186,9 +190,9 @@ def clamp_block(record: Record, width: int, cull_backfaces: bool = False) -> wp.
     constants = (
         f"    constexpr int W = {width}, COMPONENTS = {record.components}; constexpr bool CULLING = {int(cull_backfaces)};"
     )
-    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL).replace("FRONT", _FRONT)
+    code = _CLAMP.replace("VERTEX_BOX", vertex_box("r", "i")).replace("BOX_INTERVAL", BOX_INTERVAL)
 
-    @wp.func_native(FOR_LANES + constants + lane_bits() + code)
+    @wp.func_native(FOR_LANES + constants + lane_bits() + FRONT + code)
     def clamp_block_native(
         records: wp.array(dtype=float),
         block: int,

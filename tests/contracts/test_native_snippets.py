@@ -42,6 +42,8 @@ def make_all_kernels() -> list[wp.Kernel]:
     kernels = [
         way.kernels[tree](TraversalConfig("woop", WIDTH, query)) for way, tree, query in answers if way.supports(query, tree)
     ]
+    fronts = TraversalConfig("woop", WIDTH, cull_backfaces=True)
+    kernels += [way.kernels["bvh"](fronts) for way in TRAVERSALS.values() if way.front_faces]
     packets, streams, single = (TRAVERSALS[name].kernels for name in ("packet", "stream", "single"))
     for name, test in TRIANGLE_TESTS.items():
         kernels += [make["bvh"](TraversalConfig(name, WIDTH)) for make in (packets, streams, single)]

@@ -88,7 +88,7 @@ CLOSEST_BLOCKS = BLOCKS - 1
 def loops(layout: PacketLayout) -> wp.Kernel:
     """The loops that every packet goes through; which one is `stage`. Item: a packet."""
     load, store, store_any = load_packet(layout), store_packet(layout, False), store_packet(layout, True)
-    closest, any_hit = packet_block.test_block(layout, False), packet_block.test_block(layout, True)
+    closest, any_hit = packet_block.test_block(layout, False, False), packet_block.test_block(layout, True, False)
     rays = layout.rays
 
     def run(loop: Loop, stage: int):

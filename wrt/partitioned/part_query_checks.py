@@ -31,6 +31,10 @@ def check_traversal(query: Query) -> None:
     if tree not in traversal.trees:
         able = ", ".join(name for name, entry in TRAVERSALS.items() if tree in entry.trees)
         raise ValueError(f"traversal {traversal.name!r} does not walk a bvh, the tree of each part; choose from auto, {able}")
+    if traversal.needs_shared_origin:
+        raise ValueError(
+            f"traversal {traversal.name!r} takes rays from one point, and those in a part have their own; choose auto"
+        )
     test = (
         TRIANGLE_TESTS[DEFAULT_TEST]
         if query.triangle_test == AUTO

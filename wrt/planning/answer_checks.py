@@ -142,14 +142,17 @@ def check_culling(cull_backfaces: bool, traversal: Traversal, tree: str) -> None
         raise ValueError(f"traversal {traversal.name!r} does not cull back faces on a {tree}; choose from auto, {able}")
 
 
-def check_origins(test: TriangleTest, rays: RayBuffers) -> None:
-    """Refuses rays that a triangle test does not support.
+def check_origins(test: TriangleTest, traversal: Traversal, rays: RayBuffers) -> None:
+    """Refuses rays that a triangle test or a traversal does not support.
 
     Raises:
-        ValueError: the test needs a shared origin, and each ray has its own.
+        ValueError: one of them needs a shared origin, and each ray has its own.
     """
-    if test.needs_shared_origin and not shares_origin(rays.arrays_or_batch):
-        raise ValueError(
-            f"triangle_test {test.name!r} needs rays that share their origin; pass a single point as origins, such as "
-            "(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose triangle_test='woop'"
-        )
+    if shares_origin(rays.arrays_or_batch):
+        return
+    for argument, entry, other in (("triangle_test", test, "woop"), ("traversal", traversal, "auto")):
+        if entry.needs_shared_origin:
+            raise ValueError(
+                f"{argument} {entry.name!r} needs rays that share their origin; pass a single point as origins, such as "
+                f"(0, 0, 1) or np.broadcast_to(point, directions.shape), or choose {argument}={other!r}"
+            )

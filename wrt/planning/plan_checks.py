@@ -38,7 +38,7 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     """
     traversal = lookup(TRAVERSALS, plan.traversal, "plan.traversal")
     test = lookup(TRIANGLE_TESTS, plan.triangle_test, "plan.triangle_test")
-    check_origins(test, rays)
+    check_origins(test, traversal, rays)
     if plan.accelerator not in traversal.trees:
         raise ValueError(
             f"plan.traversal {traversal.name!r} does not walk a {plan.accelerator}; it walks {', '.join(traversal.trees)}"
@@ -52,6 +52,10 @@ def check_plan(plan: Plan, scene: SceneState, rays: RayBuffers, query: str) -> P
     if plan.shared_origin and (rays.arrays_or_batch.origin_stride != 0 or scene.instances):
         raise ValueError(
             "plan.shared_origin is true, but each ray has its own origin; broadcast one origin, in a scene without instances"
+        )
+    if traversal.needs_shared_origin and not plan.shared_origin and rays.count > 1:
+        raise ValueError(
+            f"plan.shared_origin is false, but traversal {traversal.name!r} takes rays from one point; make it true"
         )
     lookup(MAILBOXES, plan.mailbox, "plan.mailbox")
     if plan.mailbox != "none" and not traversal.has_mailbox(plan.accelerator):

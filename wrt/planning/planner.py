@@ -141,9 +141,9 @@ def choose_plan(
 ) -> Plan:
     """A new plan for these rays; arguments and errors as in `make_plan`."""
     test = lookup(TRIANGLE_TESTS, default_test(scene, query) if triangle_test == AUTO else triangle_test, "triangle_test")
-    check_origins(test, rays)
     name, reason = choose_traversal(scene, rays, query, cull_backfaces) if traversal == AUTO else (traversal, "as given")
     chosen = lookup(TRAVERSALS, name, "traversal")
+    check_origins(test, chosen, rays)
     accelerator = tree_for(chosen, scene)
     check_answer(scene, query, chosen, accelerator, test, cull_backfaces)
     width = wide_width(scene) if chosen.wide else scene.width
@@ -237,6 +237,8 @@ def stream_size(scene: SceneState, rays: RayBuffers) -> int:
 
 def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: Traversal) -> int:
     """Rays of a packet, in vectors of the tree's width."""
+    if traversal.packet_vectors:
+        return traversal.packet_vectors
     measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
     large = is_dense(scene, rays) or (query == ANY and not scene.instances)
     return limits_for(scene.width).large_packet if measured and large else PACKET_VECTORS

@@ -23,8 +23,8 @@ meets every box that one of its rays meets; triangle test and consistency rule a
 component may be flushed to 0 (`wrt.kernels.layout.ray_batch`, short directions) counts as one of both signs.
 
 **Differences from the paper.** The children of a wide node are in the lanes, as elsewhere in this project. Back faces are not
-culled at leaves, because `occluded` is hit by both sides. Eye rays are left to packets with a shared origin, which are nearly
-as fast (notebooks/records/2026-11-22-light-speed.md).
+culled at leaves, because `occluded` is hit by both sides. Eye rays have a traversal of their own
+(`wrt.kernels.traversal.frusta.eye_frusta`).
 
 References:
     C. Benthin, I. Wald: Efficient ray traced soft shadows using multi-frusta tracing. High Performance Graphics 2009.

@@ -102,7 +102,7 @@ class Engine(Peer):
     def answers(self, rays: Workload) -> bool:
         """Whether its traversal and its triangle test, if they are not on "auto", answer the workload's query."""
         test, way = TRIANGLE_TESTS.get(self.triangle_test), TRAVERSALS.get(self.traversal)
-        if test is not None and test.needs_shared_origin and not rays.shares_origin:
+        if not rays.shares_origin and any(entry is not None and entry.needs_shared_origin for entry in (test, way)):
             return False
         if rays.query not in (ALL, INSIDE):
             return True

@@ -6,6 +6,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
+from wrt.kernels.traversal.leaf import FRONT
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
@@ -21,6 +22,7 @@ _BLOCK = """
         const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
         float low[3], high[3];
         WRT_BOX
+        WRT_NORMAL
         WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {
             if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
             WRT_TRIANGLE
@@ -35,7 +37,7 @@ _BLOCK = """
                     WRT_SLABS
                     at = at > enter ? at : enter;
                     at = at < leave ? at : leave;
-                    const bool within = (inside[i] != 0) & (enter <= leave) & (at >= t_min[k]);
+                    const bool within = (inside[i] != 0) & (enter <= leave) & (at >= t_min[k])WRT_FACES;
                     if (ANY_HIT) {  // the first will do, and nobody asks for its weights
                         const bool hit = within & (at <= t[k]);
                         t[k] = hit ? -INF : t[k];
@@ -69,18 +71,25 @@ SHORTEN = """
 """C++ that updates `bounds.t_max` after rays have found hits. ANY_HIT: whether the query is any-hit."""
 
 
-def block_constants(layout: PacketLayout, any_hit: bool) -> str:
+_NORMAL = "double normal[3]; wrt_normal(corner, W, normal);"
+_FACES = " & wrt_front(normal, ix, iy, iz)"
+
+
+def block_constants(layout: PacketLayout, any_hit: bool, cull_backfaces: bool = False) -> str:
     """C++ for the head of a function that contains `block_code`, after the constants of the layout."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
-    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}"
+    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}" + (
+        FRONT if cull_backfaces else ""
+    )
 
 
-def block_code(layout: PacketLayout) -> str:
+def block_code(layout: PacketLayout, cull_backfaces: bool = False) -> str:
     """C++ of `test_block`: its variables have the names of that function's parameters and of the packet's components."""
     form = TRIANGLE_TESTS[layout.triangle_test].packet_form
     pieces = {"WRT_TRIANGLE": form.triangle, "WRT_INSIDE": form.inside, "WRT_HIT": form.hit, "WRT_SLABS": SLABS}
     pieces["WRT_SHORTEN"] = SHORTEN
     pieces["WRT_BOX"] = vertex_box("corner", "0")
+    pieces |= {"WRT_NORMAL": _NORMAL, "WRT_FACES": _FACES} if cull_backfaces else {"WRT_NORMAL": "", "WRT_FACES": ""}
     body = _BLOCK
     for name, piece in pieces.items():
         body = body.replace(name, piece)
@@ -88,13 +97,13 @@ def block_code(layout: PacketLayout) -> str:
 
 
 @cache
-def test_block(layout: PacketLayout, any_hit: bool) -> wp.Function:
+def test_block(layout: PacketLayout, any_hit: bool, cull_backfaces: bool) -> wp.Function:
     """`wp.func(records, ids, block, mask, packet, bounds)`: tests the triangles in `mask`; shortens rays and `bounds.t_max`.
 
-    In any-hit queries a ray with a hit gets t = -inf.
+    In any-hit queries a ray with a hit gets t = -inf. If back faces are culled, triangles are hit only from their front.
     """
 
-    @wp.func_native(layout.head + block_constants(layout, any_hit) + block_code(layout))
+    @wp.func_native(layout.head + block_constants(layout, any_hit, cull_backfaces) + block_code(layout, cull_backfaces))
     def packet_block(
         records: wp.array(dtype=float),
         ids: wp.array(dtype=int),

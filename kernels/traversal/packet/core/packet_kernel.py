@@ -18,6 +18,7 @@ from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import packet_splitting
 from wrt.kernels.traversal.packet.core.packet_block import test_block
+from wrt.kernels.traversal.packet.culling.back_faces import keep_front_faces
 from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tested
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
@@ -51,7 +52,8 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
     on."""
     layout = packet_layout(config)
     cull_triangles = CULLINGS[config.packet.culling].triangles(layout)
-    test_triangles = test_block(layout, config.query == ANY)
+    culling, keep_fronts = config.cull_backfaces, keep_front_faces(layout)
+    test_triangles = test_block(layout, config.query == ANY, culling)
     count_active, lanes_per_triangle = active_lanes(layout), lanes_tested(layout)
     filter_tested = MAILBOXES[config.mailbox].filter(config.width)
     width, counting = config.width, config.counters
@@ -73,6 +75,8 @@ def leaf_step(config: TraversalConfig) -> wp.Function:
         rest = int(count)
         while rest > 0:
             kept = cull_triangles(triangles.records, block, bounds)
+            if wp.static(culling):
+                kept = kept & keep_fronts(triangles.records, block, bounds)
             mask = filter_tested(triangles.primitive, block, kept, mailbox)
             if wp.static(counting):
                 used = wp.uint32((wp.uint32(1) << wp.uint32(wp.min(rest, wp.static(width)))) - wp.uint32(1))

@@ -36,3 +36,13 @@ def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
     def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
 
     return store_packet_native
+
+
+@cache
+def clear_packet(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet)`: no ray has a hit."""
+
+    @wp.func_native(layout.head + "    WRT_FOR(P, k) { ((int*)primitive)[k] = -1; t[k] = INF; u[k] = v[k] = 0.0f; }\n")
+    def clear_packet_native(packet: wp.array(dtype=float)): ...
+
+    return clear_packet_native
