@@ -27,17 +27,29 @@ class Boxes:
     high: wp.array2d(dtype=float)
 
 
+@wp.func_native("""
+    const int* face = (const int*)&faces.data[i];
+    const size_t n = boxes.low.shape[1];
+    const float* p[3];
+    for (int corner = 0; corner < 3; ++corner) p[corner] = (const float*)&vertices.data[face[corner]];
+    for (int axis = 0; axis < 3; ++axis) {
+        const float a = p[0][axis], b = p[1][axis], c = p[2][axis];
+        const float least = b < c ? b : c, most = b > c ? b : c;
+        boxes.low.data[axis * n + i] = (a < least ? a : least) + 0.0f;
+        boxes.high.data[axis * n + i] = (a > most ? a : most) + 0.0f;
+    }
+""")
+def store_box(vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes, i: int):
+    """Writes the box of triangle i. Warp's indexing would take most of the time.
+
+    Adding 0 turns -0 into +0, so that equal positions have equal bits."""
+    ...
+
+
 @wp.kernel
 def compute_boxes(first: int, vertices: wp.array(dtype=wp.vec3), faces: wp.array(dtype=wp.vec3i), boxes: Boxes):
-    """Item: a triangle. Writes its box. Adding 0 turns -0 into +0, so that equal positions have equal bits."""
-    i = first + wp.tid()
-    face = faces[i]
-    a = vertices[face[0]]
-    b = vertices[face[1]]
-    c = vertices[face[2]]
-    for axis in range(3):
-        boxes.low[axis, i] = wp.min(a[axis], wp.min(b[axis], c[axis])) + 0.0
-        boxes.high[axis, i] = wp.max(a[axis], wp.max(b[axis], c[axis])) + 0.0
+    """Item: a triangle. Writes its box."""
+    store_box(vertices, faces, boxes, first + wp.tid())
 
 
 @dataclass

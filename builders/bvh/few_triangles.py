@@ -4,8 +4,9 @@
 the arguments of launches, and to describe every intermediate result (notebooks/records/2026-11-23-small-scenes.md).
 
 **Idea.** A `FewTriangles` has everything for up to `capacity` triangles: work arrays, and the kernels of all phases with packed
-arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another. They are the
-kernels of `wrt.builders.bvh.binned_bvh`, and one task builds the whole tree, as it does there. So the trees are the same.
+arguments. A build writes what differs, which are numbers and addresses, and calls the kernels one after another, most of them
+from compiled code (`wrt.builders.bvh.phases.few_steps`). They are the kernels of `wrt.builders.bvh.binned_bvh`, and one task
+builds the whole tree, as it does there. So the trees are the same.
 
 **Limits.** On the CPU, without reinsertion. Up to `MOST` triangles, which several threads would not build faster.
 """
@@ -13,6 +14,7 @@ kernels of `wrt.builders.bvh.binned_bvh`, and one task builds the whole tree, as
 from __future__ import annotations
 
 import ctypes
+from struct import Struct
 from time import perf_counter
 
 import numpy as np
@@ -33,8 +35,10 @@ from wrt.builders.bvh.phases.collapse import (
     scan_level,
     write_nodes,
 )
+from wrt.builders.bvh.phases.few_steps import run_collapse, run_steps, steps_of
 from wrt.builders.tree import BuildStats, Bvh
 from wrt.builders.triangle_boxes import Boxes, compute_boxes
+from wrt.kernels.layout.bvh_nodes import MAX_WIDE_DEPTH
 from wrt.kernels.layout.mesh_placement import make_shift
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import load, specialise
@@ -42,6 +46,9 @@ from wrt.kernels.runtime.workspace import give_back, host_view, take
 
 MOST = MIN_LARGE
 """Most triangles of such a build."""
+
+POINT = Struct("3f")
+"""The coordinates of a vec3: a slice of it would take ten calls."""
 
 LEAST_CAPACITY = 1024
 """Least number of triangles for which work arrays are made."""
@@ -59,7 +66,7 @@ class FewTriangles:
     def __init__(self, config: BvhConfig, dtype: type, capacity: int) -> None:
         device, width = wp.get_device("cpu"), config.cost.width
         shift, build, solve, pick = make_kernels(dtype)
-        load([shift, compute_boxes, *kernels(config, capacity)], device)
+        load([shift, compute_boxes, run_steps, *kernels(config, capacity)], device)
         self.capacity, self.width = capacity, width
         boxes = Boxes()
         boxes.low, boxes.high = (wp.empty((3, capacity), dtype=float, device=device) for _ in range(2))
@@ -89,12 +96,18 @@ class FewTriangles:
         self.scan = packed(scan_level, 0, 0, wide, totals)
         self.list = packed(list_children, 0, width, wide)
         self.write = packed(write_nodes, tree, rules.cost.width_bits, wide, floats, numbers, numbers)
+        level_first, levels = empty(MAX_WIDE_DEPTH + 2, int), empty(1, int)
+        self.to_references = packed(run_steps, steps_of([self.shift, self.boxes, self.references]))
+        searching = steps_of([self.solve, self.pick, self.scan, self.list])
+        self.to_levels = packed(run_collapse, searching, totals, level_first, levels)
+        self.levels = ctypes.c_int32.from_address(levels.ptr)
+        self.level_first = (ctypes.c_int32 * len(level_first)).from_address(level_first.ptr)
         self.given, self.points = self.shift.argument(2), self.shift.argument(3)
         self.corners, self.faces = self.boxes.argument(1), self.boxes.argument(2)
         self.nodes = [self.write.argument(index) for index in (4, 5, 6)]
         self.root = (ctypes.c_float * 8).from_address(tree.box.ptr)
         self.task = (ctypes.c_int32 * 5).from_address(tasks.ptr)
-        self.source = ctypes.c_int32.from_address(wide.source.ptr)
+        ctypes.c_int32.from_address(wide.source.ptr).value = 0  # the root, in every build
         self.totals = (ctypes.c_int32 * 2).from_address(totals.ptr)
         work = [
             boxes.low,
@@ -115,16 +128,14 @@ class FewTriangles:
     ) -> Bvh:
         """Writes `relative` and builds the tree; arguments as of `build_few`."""
         start, count = perf_counter(), len(faces)
-        self.place(center, vertices, faces, relative)
         root, task = self.root, self.task
-        root[0:3], root[4:7] = low[:], [-value for value in high]
+        root[0:3], root[4:7] = POINT.unpack(low), [-value for value in POINT.unpack(high)]
         task[0:5] = 0, 0, count, 0, 0
-        arguments = self.references.arguments
-        arguments.p2 = arguments.p3 = count
-        self.references.call_own_range(0, 1)
+        self.place(center, vertices, faces, relative)
+        self.to_references.call()
         referenced = perf_counter()
         self.subtree.arguments.p4 = count
-        self.subtree.call_own_range(0, 1)
+        self.subtree.call()
         built = perf_counter()
         bounds, child, primitive, level_first = self.collapse()
         stats = BuildStats(
@@ -139,37 +150,29 @@ class FewTriangles:
         return Bvh(bounds, child, primitive, low, high, self.width, tuple(level_first), stats)
 
     def place(self, center: wp.vec3d, vertices: np.ndarray, faces: wp.array, relative: wp.array) -> None:
-        """Writes vertices relative to the centre, and the boxes of triangles."""
+        """Writes what the kernels up to the references depend on: vertices relative to the centre, boxes, references."""
         points, count = len(vertices), len(faces)
         self.shift.arguments.p1 = center
         self.given.data = vertices.__array_interface__["data"][0]
         self.points.data = self.corners.data = relative.ptr
         self.given.shape[0] = self.points.shape[0] = self.corners.shape[0] = points
         self.faces.data, self.faces.shape[0] = faces.ptr, count
-        self.shift.call_own_range(0, points)
-        self.boxes.call_own_range(0, count)
+        for bounds, items in ((self.shift.bounds, points), (self.boxes.bounds, count)):
+            bounds.shape[0] = bounds.size = items
+        arguments = self.references.arguments
+        arguments.p2 = arguments.p3 = count
 
     def collapse(self) -> tuple[wp.array, wp.array, wp.array, list[int]]:
         """Bounds, child words, leaf lists and levels of the wide tree (`wrt.builders.bvh.phases.collapse`)."""
-        pick, scan, children, totals = self.pick, self.scan, self.list, self.totals
-        self.solve.call_own_range(0, 1)
-        self.source.value = 0
-        totals[0:2] = 1, 0
-        level_first, nodes = [0], 1
-        while (first := level_first[-1]) < nodes:
-            pick.arguments.p1 = scan.arguments.p1 = children.arguments.p1 = first
-            scan.arguments.p2 = nodes
-            pick.call_own_range(0, nodes - first)
-            scan.call_own_range(0, 1)
-            children.call_own_range(0, nodes - first)
-            level_first.append(nodes)
-            nodes = totals[0]
-        lanes, width = nodes * self.width, self.width
-        block = np.empty((7 * nodes + totals[1]) * width, dtype=np.int32)
+        self.to_levels.call()
+        level_first, width = self.level_first[: self.levels.value + 1], self.width
+        nodes, blocks = self.totals
+        lanes = nodes * width
+        block = np.empty((7 * nodes + blocks) * width, dtype=np.int32)
         arrays = (
             host_view(block, wp.float32, 0, 6 * lanes),
             host_view(block, wp.int32, 24 * lanes, lanes),
-            host_view(block, wp.int32, 28 * lanes, totals[1] * width),
+            host_view(block, wp.int32, 28 * lanes, blocks * width),
         )
         for field, array in zip(self.nodes, arrays, strict=True):
             field.data, field.shape[0] = array.ptr, array.size

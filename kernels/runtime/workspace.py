@@ -97,7 +97,7 @@ def write(array: wp.array, values: np.ndarray) -> None:
 
 
 def host_view(values: np.ndarray, dtype: Any, begin: int = 0, count: int | None = None) -> wp.array:
-    """A flat Warp array on the CPU of the memory of a contiguous NumPy array, in half the time of Warp's own conversion.
+    """A flat Warp array on the CPU of the memory of a contiguous NumPy array, without Warp's checks.
 
     Args:
         values: what the memory belongs to; the view keeps it alive.
@@ -106,9 +106,38 @@ def host_view(values: np.ndarray, dtype: Any, begin: int = 0, count: int | None 
         count: number of elements; None for the rows of `values`.
     """
     begin += values.__array_interface__["data"][0]
-    view = wp.array(ptr=begin, dtype=dtype, shape=len(values) if count is None else count, device=_cpu())
-    view.used = values
+    count = len(values) if count is None else count
+    common, size = _attributes(dtype)
+    if common is None:
+        view = wp.array(ptr=begin, dtype=dtype, shape=count, device=_cpu())
+        view.used = values
+        return view
+    view = object.__new__(wp.array)
+    own = {"ptr": begin, "shape": (count,), "size": count, "capacity": count * size, "used": values}
+    view.__dict__.update(common, **own)
     return view
+
+
+@cache
+def _attributes(dtype: Any) -> tuple[dict[str, Any] | None, int]:
+    """What all flat views of a type have in common, and the bytes of an element.
+
+    None for the first if views of Warp's making differ in other ways than those that `host_view` knows.
+    """
+    size = wp.types.type_size_in_bytes(dtype)
+    made = [vars(wp.array(ptr=64 * count, dtype=dtype, shape=count, device=_cpu())) for count in (1, 3)]
+    for count, attributes in zip((1, 3), made, strict=True):
+        known = {"ptr": 64 * count, "shape": (count,), "size": count, "capacity": count * size}
+        if any(attributes.pop(name, None) != value for name, value in known.items()):
+            return None, size
+    return (made[0] if made[0] == made[1] else None), size
+
+
+def set_flat(struct: Any, name: str, view: wp.array) -> None:
+    """Sets a field of a struct to a flat array on the CPU of the field's type, without Warp's checks."""
+    struct.__dict__[name] = view
+    packed = getattr(struct.__ctype__(), name)
+    packed.data, packed.ndim, packed.shape[0], packed.strides[0] = view.ptr or 0, 1, view.size, view.strides[0]
 
 
 @cache

@@ -16,7 +16,8 @@ from wrt.builders.bvh import binned_bvh
 from wrt.kernels.runtime import workspace
 from wrt.kernels.runtime.launch import use_threads
 from wrt.kernels.runtime.launch_loop import Step
-from wrt.kernels.runtime.workspace import Workspace, kept_workspace, read_ints, write
+from wrt.kernels.runtime.workspace import Workspace, host_view, kept_workspace, read_ints, set_flat, write
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
 
 @pytest.fixture(autouse=True)
@@ -183,3 +184,32 @@ def test_the_known_box_of_a_scene_is_that_of_its_triangles(dtype):
             used = placed.vertices.numpy()[placed.faces.numpy().ravel()]
             np.testing.assert_array_equal(np.array(tree.low, np.float32), used.min(axis=0))
             np.testing.assert_array_equal(np.array(tree.high, np.float32), used.max(axis=0))
+
+
+@pytest.mark.parametrize("dtype", [wp.float32, wp.int32, wp.vec3, wp.vec3i])
+def test_views_of_host_memory_are_those_of_warp(dtype, monkeypatch):
+    """They are made without Warp's own code, as long as that makes no others than today."""
+    values = np.arange(60, dtype=np.int32)
+    size = wp.types.type_size_in_bytes(dtype)
+
+    def attributes(view: wp.array) -> dict:
+        return {name: value for name, value in vars(view).items() if name != "used"}
+
+    expected = wp.array(ptr=values.ctypes.data + 8, dtype=dtype, shape=3, device="cpu")
+    view = workspace.host_view(values, dtype, 8, 3)
+    assert workspace._attributes(dtype)[0] is not None, "Warp's views differ in ways that are not known: they are made slowly"
+    assert attributes(view) == attributes(expected)
+    with monkeypatch.context() as patched:
+        patched.setattr(workspace, "_attributes", lambda dtype: (None, size))
+        assert attributes(workspace.host_view(values, dtype, 8, 3)) == attributes(expected)
+    assert bytes(view.__ctype__()) == bytes(expected.__ctype__())
+    assert view.numpy().tobytes() == values.tobytes()[8 : 8 + 3 * size]
+
+
+def test_a_field_of_a_struct_is_set_as_by_warp():
+    values = host_view(np.arange(5, dtype=np.float32), wp.float32)
+    ours, warps = TriangleBlocks(), TriangleBlocks()
+    set_flat(ours, "records", values)
+    warps.records = values
+    assert ours.records is values
+    assert bytes(ours.__ctype__()) == bytes(warps.__ctype__())

@@ -94,7 +94,7 @@ class PreparedQuery:
             nodes, records = self._launch.argument(TREE), self._launch.argument(RECORDS)
             point_at(nodes.bounds, tree.bounds)
             point_at(nodes.child, tree.child)
-            nodes.low[:], nodes.high[:] = tree.low[:], tree.high[:]
+            nodes.low, nodes.high = tree.low, tree.high
             point_at(records.records, blocks.records)
             point_at(records.primitive, blocks.primitive)
             self._used = tree, blocks

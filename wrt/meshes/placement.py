@@ -12,7 +12,7 @@ import warp as wp
 
 from wrt.kernels.layout.mesh_placement import shifted
 from wrt.kernels.query.hit_attributes import SceneMesh
-from wrt.kernels.runtime.workspace import host_view
+from wrt.kernels.runtime.workspace import host_view, set_flat
 from wrt.meshes.mesh import TriangleMesh
 
 MAX_EXTENT = 2.0**36
@@ -102,8 +102,9 @@ def lay_out_few(meshes: tuple[TriangleMesh, ...]) -> tuple[np.ndarray, np.ndarra
     center = [0.5 * a + 0.5 * b for a, b in zip(low, high, strict=True)]
     vertices, faces, first = join_meshes(meshes)
     mesh = SceneMesh()
-    mesh.vertices = host_view(np.empty((len(vertices), 3), dtype=np.float32), wp.vec3)
-    mesh.faces, mesh.geometry_first = host_view(faces, wp.vec3i), host_view(first.astype(np.int32), wp.int32)
+    set_flat(mesh, "vertices", host_view(np.empty((len(vertices), 3), dtype=np.float32), wp.vec3))
+    set_flat(mesh, "faces", host_view(faces, wp.vec3i))
+    set_flat(mesh, "geometry_first", host_view(first.astype(np.int32), wp.int32))
     mesh.center = wp.vec3d(*center)
     for name, corner in (("low", low), ("high", high)):  # rounded as vertices are, and without negative zeros
         relative = (ctypes.c_float * 3)(*[a - b for a, b in zip(corner, center, strict=True)])

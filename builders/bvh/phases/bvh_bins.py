@@ -16,9 +16,8 @@ References:
 import warp as wp
 
 from wrt.builders.bvh.bvh_config import MAX_BINS, BuildRules
-from wrt.builders.bvh.phases.binary_tree import split_cost
-from wrt.builders.cost import SplitCost, leaf_cost
-from wrt.kernels.layout.unchecked import load_float, load_int
+from wrt.builders.cost import LEAF_COST, SplitCost
+from wrt.kernels.layout.unchecked import load_float
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import INFINITY
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -36,7 +35,8 @@ _HEAD = f"""{FOR_LANES}
     constexpr int W = 8;
     constexpr int SLOT_BINS = {SLOT_BINS};
     constexpr int PIECE = 1 << 23;
-    (void)W; (void)SLOT_BINS; (void)PIECE;
+    constexpr int ONE_GRID = 64;  // triangles up to which a second grid takes longer to clear than it saves
+    (void)W; (void)SLOT_BINS; (void)PIECE; (void)ONE_GRID;
 """
 
 
@@ -48,10 +48,6 @@ class Scratch:
     """(slots * SLOT_BINS * 8,) box of each bin."""
     count: wp.array(dtype=int)
     """(slots * SLOT_BINS,) triangles in each bin."""
-    left_area: wp.array(dtype=float)
-    """(slots * SLOT_BINS,) half area of the box of all bins before this one."""
-    right_area: wp.array(dtype=float)
-    """(slots * SLOT_BINS,) half area of the box of this bin and all after it."""
     left: wp.array(dtype=int)
     """(slots * SLOT_BINS,) triangles before this bin."""
 
@@ -60,8 +56,6 @@ def make_scratch(slots: int, device: wp.Device) -> Scratch:
     """Scratch memory for a number of slots."""
     scratch = Scratch()
     scratch.box = wp.empty(slots * SLOT_BINS * 8, dtype=float, device=device)
-    for name in ("left_area", "right_area"):
-        setattr(scratch, name, wp.empty(slots * SLOT_BINS, dtype=float, device=device))
     for name in ("count", "left"):
         setattr(scratch, name, wp.empty(slots * SLOT_BINS, dtype=int, device=device))
     return scratch
@@ -158,9 +152,10 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     const int bins = binning.bins;
     float* __restrict__ grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
     int* __restrict__ counts = scratch.count.data + (size_t)slot * SLOT_BINS;
+    const int all = 3 * bins;
     const float empty[W] = {INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, INFINITY, 0.0f};
-    for (int i = 0; i < 3 * bins; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
-    for (int i = 0; i < 3 * bins; ++i) counts[i] = 0;
+    for (int i = 0; i < all; ++i) memcpy(grid + i * 8, empty, sizeof(empty));
+    for (int i = 0; i < all; ++i) counts[i] = 0;
     float low[4], scale[4];
     for (int j = 0; j < 3; ++j) { low[j] = binning.low.c[j]; scale[j] = binning.scale.c[j]; }
     low[3] = 0.0f; scale[3] = 0.0f;
@@ -168,30 +163,42 @@ def range_box(references: wp.array(dtype=float), begin: int, count: int, boxes: 
     float one_more[W];
     WRT_FOR_LANES(j) one_more[j] = -0.0f;
     one_more[7] = -1.0f;
+    const auto add = [&](float* into, const float* from) {
+        float reference[W];
+        memcpy(reference, from, sizeof(reference));
+        int bin[4];
+        WRT_FOR(4, j) {
+            float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
+            t = t > 0.0f ? t : 0.0f;
+            t = t < last ? t : last;
+            bin[j] = (int)t;
+        }
+        for (int axis = 0; axis < 3; ++axis) {
+            float* box = into + (axis * bins + bin[axis]) * 8;
+            float grown[W];
+            memcpy(grown, box, sizeof(grown));
+            WRT_FOR_LANES(j) grown[j] = (reference[j] < grown[j] ? reference[j] : grown[j]) + one_more[j];
+            memcpy(box, grown, sizeof(grown));
+        }
+    };
     const float* __restrict__ from = references.data + (size_t)begin * 8;
+    if (count <= ONE_GRID) {
+        for (int i = 0; i < count; ++i, from += 8) add(grid, from);
+        WRT_SCALAR
+        for (int i = 0; i < all; ++i) counts[i] -= (int)grid[i * 8 + 7];
+        return;
+    }
+    float other[SLOT_BINS * 8];
     for (int done = 0; done < count; done += PIECE) {
         const int piece = count - done < PIECE ? count - done : PIECE;
-        for (int i = 0; i < piece; ++i, from += 8) {
-            float reference[W];
-            memcpy(reference, from, sizeof(reference));
-            int bin[4];
-            for (int j = 0; j < 4; ++j) {
-                float t = ((from[j] - from[4 + j]) - low[j]) * scale[j];
-                t = t > 0.0f ? t : 0.0f;
-                t = t < last ? t : last;
-                bin[j] = (int)t;
-            }
-            for (int axis = 0; axis < 3; ++axis) {
-                float* box = grid + (axis * bins + bin[axis]) * 8;
-                float grown[W];
-                memcpy(grown, box, sizeof(grown));
-                WRT_FOR_LANES(j) grown[j] = (reference[j] < grown[j] ? reference[j] : grown[j]) + one_more[j];
-                memcpy(box, grown, sizeof(grown));
-            }
-        }
-        for (int i = 0; i < 3 * bins; ++i) {
-            counts[i] -= (int)grid[i * 8 + 7];
-            grid[i * 8 + 7] = 0.0f;
+        for (int i = 0; i < all; ++i) { memcpy(other + i * 8, empty, sizeof(empty)); grid[i * 8 + 7] = 0.0f; }
+        for (int i = 0; i < piece - 1; i += 2, from += 16) { add(grid, from); add(other, from + 8); }
+        if (piece & 1) { add(grid, from); from += 8; }
+        for (int i = 0; i < all; ++i) {
+            float* box = grid + i * 8;
+            const float* more = other + i * 8;
+            counts[i] -= (int)box[7] + (int)more[7];
+            WRT_FOR_LANES(j) box[j] = more[j] < box[j] ? more[j] : box[j];
         }
     }
 """
@@ -201,7 +208,8 @@ def bin_range(references: wp.array(dtype=float), begin: int, count: int, binning
 
     The last lane of a bin counts down by one per triangle, in the same instruction that adds -0 to the other lanes; a separate
     counter would need another load and store. The lane is moved to `count` before float32 can no longer represent it
-    exactly."""
+    exactly. Neighbours in a mesh often fall into the same bins, and each would wait for the last one's store. So every other
+    triangle goes to a second grid, which is merged with the first."""
     ...
 
 
@@ -226,58 +234,65 @@ def merge_bins(scratch: Scratch, slot: int, first: int, end: int, bins: int):
 
 @wp.func_native(
     _HEAD
-    + """
-    const size_t base = (size_t)slot * SLOT_BINS;
-    const float* grid = scratch.box.data + base * 8;
-    for (int axis = 0; axis < 3; ++axis) {
-        float grown[W];
-        WRT_FOR_LANES(j) grown[j] = INFINITY;
-        for (int b = bins - 1; b > 0; --b) {
-            const float* __restrict__ box = grid + (axis * bins + b) * 8;
-            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
-            const float x = -(grown[0] + grown[4]), y = -(grown[1] + grown[5]), z = -(grown[2] + grown[6]);
-            scratch.right_area.data[base + axis * bins + b] = x * y + y * z + z * x;
-        }
-        WRT_FOR_LANES(j) grown[j] = INFINITY;
-        int before = 0;
-        for (int b = 1; b < bins; ++b) {
-            const float* __restrict__ box = grid + (axis * bins + b - 1) * 8;
-            WRT_FOR_LANES(j) grown[j] = box[j] < grown[j] ? box[j] : grown[j];
-            const float x = -(grown[0] + grown[4]), y = -(grown[1] + grown[5]), z = -(grown[2] + grown[6]);
-            scratch.left_area.data[base + axis * bins + b] = x * y + y * z + z * x;
-            before += scratch.count.data[base + axis * bins + b - 1];
-            scratch.left.data[base + axis * bins + b] = before;
-        }
-    }
+    + LEAF_COST
+    + f"""
+    constexpr int MOST = {MAX_BINS};
+    static_assert(MOST % W == 0, "lanes of the last vector are cleared");
+    const float* grid = scratch.box.data + (size_t)slot * (SLOT_BINS * 8);
+    const int* counts = scratch.count.data + (size_t)slot * SLOT_BINS;
+    const int padded = (bins + W - 1) / W * W;
+    float least[W];
+    int where[W];
+    WRT_FOR_LANES(j) {{ least[j] = INFINITY; where[j] = 0; }}
+    for (int axis = 0; axis < 3; ++axis, grid += bins * 8, counts += bins) {{
+        float left_area[MOST], right_area[MOST], low_side[W], high_side[W];
+        int left[MOST];
+        WRT_FOR_LANES(j) {{ low_side[j] = INFINITY; high_side[j] = INFINITY; }}
+        left[0] = 0;
+        for (int b = bins; b < padded; ++b) left[b] = 0;
+        for (int b = 1; b < bins; ++b) {{
+            const float* __restrict__ box = grid + (b - 1) * 8;
+            WRT_FOR_LANES(j) low_side[j] = box[j] < low_side[j] ? box[j] : low_side[j];
+            const float x = -(low_side[0] + low_side[4]), y = -(low_side[1] + low_side[5]), z = -(low_side[2] + low_side[6]);
+            left_area[b] = x * y + y * z + z * x;
+            left[b] = left[b - 1] + counts[b - 1];
+            const float* __restrict__ other = grid + (bins - b) * 8;
+            WRT_FOR_LANES(j) high_side[j] = other[j] < high_side[j] ? other[j] : high_side[j];
+            const float u = -(high_side[0] + high_side[4]), v = -(high_side[1] + high_side[5]);
+            const float w = -(high_side[2] + high_side[6]);
+            right_area[bins - b] = u * v + v * w + w * u;
+        }}
+        for (int first = 0; first < padded; first += W) WRT_FOR_LANES(j) {{
+            const int b = first + j, before = left[b];
+            const float found = left_area[b] * leaf_cost(before) + right_area[b] * leaf_cost(count - before);
+            const bool better = before > 0 && before < count && found < least[j];
+            least[j] = better ? found : least[j];
+            where[j] = better ? axis * MOST + b : where[j];
+        }}
+    }}
+    int lane = 0;
+    for (int j = 1; j < W; ++j)
+        if (least[j] < least[lane] || (least[j] == least[lane] && where[j] < where[lane])) lane = j;
+    plane.cost = least[lane];
+    plane.axis = where[lane] / MOST;
+    plane.bin = where[lane] % MOST;
+    plane.left = 0;
+    for (int b = 0; b < plane.bin; ++b) plane.left += (counts - 3 * bins)[plane.axis * bins + b];
 """
 )
-def sweep_bins(scratch: Scratch, slot: int, bins: int):
-    """Computes areas and counts on both sides of every plane between bins."""
+def find_best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int, plane: wp.ref[Plane]):
+    """Sweeps the bins of a slot from both ends, and finds the plane of least cost.
+
+    Lane j keeps the best of the bins j, j + 8, ... of all axes. So the costs of eight planes are computed at once."""
     ...
 
 
 @wp.func
 def best_plane(cost: SplitCost, scratch: Scratch, slot: int, bins: int, count: int):
     """The plane of least cost; ties go to the smaller axis, then to the smaller bin."""
-    sweep_bins(scratch, slot, bins)
-    best = no_plane()
-    for axis in range(3):
-        for b in range(1, bins):
-            i = slot * SLOT_BINS + axis * bins + b
-            left = load_int(scratch.left, i)
-            if left > 0 and left < count:
-                candidate = split_cost(
-                    load_float(scratch.left_area, i),
-                    leaf_cost(cost, left),
-                    load_float(scratch.right_area, i),
-                    leaf_cost(cost, count - left),
-                )
-                if candidate < best.cost:
-                    best.cost = candidate
-                    best.axis = axis
-                    best.bin = b
-                    best.left = left
-    return best
+    plane = no_plane()
+    find_best_plane(cost, scratch, slot, bins, count, plane)
+    return plane
 
 
 @wp.func_native(

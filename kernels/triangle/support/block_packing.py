@@ -4,12 +4,13 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import kept, launch, load, specialise
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.runtime.workspace import give_back, take
+from wrt.kernels.runtime.workspace import give_back, host_view, set_flat, take
 from wrt.kernels.triangle.support.record_blocks import VERTEX_COMPONENTS, Record, TriangleBlocks, load_corners
 
 exact_module(__name__)
@@ -101,7 +102,10 @@ def pack_blocks(
     Raises:
         RuntimeError: a graph is being captured on the device.
     """
-    blocks, device = TriangleBlocks(), vertices.device
+    device = vertices.device
+    if earlier is None and 0 < len(primitive) <= CHUNK and device.is_cpu and not device.is_capturing:
+        return pack_few(record, vertices, faces, primitive, width, origin)
+    blocks = TriangleBlocks()
     blocks.primitive = primitive
     done = 0 if earlier is None else len(earlier.primitive)
     with kept(device):
@@ -113,25 +117,37 @@ def pack_blocks(
             if done:  # views take as long to make as small arrays to fill
                 ids, records = ids[done:], records[done * record.components :]
             inputs = [vertices, faces, ids, width, wp.vec3(*origin), records]
-            if device.is_cpu and not device.is_capturing and len(primitive) <= CHUNK:
-                pack_few(record, inputs)
-            else:
-                launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
+            launch(specialise(make_kernel, record), len(primitive) - done, inputs, device=device, chunk=CHUNK)
     return blocks
 
 
-def pack_few(record: Record, inputs: list[Any]) -> None:
-    """Runs the kernel on the calling thread, with arguments that are kept from scene to scene and refer to other arrays."""
-    packed = take((pack_few, record))
-    if packed is None:
+def pack_few(
+    record: Record, vertices: wp.array, faces: wp.array, primitive: wp.array, width: int, origin: tuple[float, float, float]
+) -> TriangleBlocks:
+    """`pack_blocks` of new blocks on the CPU, by the calling thread: few triangles feel every allocation and check.
+
+    The arguments of the kernel are kept from scene to scene, and refer to other arrays each time.
+    """
+    slots, blocks = len(primitive), TriangleBlocks()
+    records = host_view(np.empty(slots * record.components, dtype=np.float32), wp.float32)
+    set_flat(blocks, "primitive", primitive)
+    set_flat(blocks, "records", records)
+    few = take((pack_few, record)) or FewRecords(record, [vertices, faces, primitive, width, wp.vec3(*origin), records])
+    arguments = few.packed.arguments
+    for field, array in zip(few.fields, (vertices, faces, primitive, records), strict=True):
+        field.data, field.shape[0] = array.ptr, array.size
+    arguments.p4, arguments.p5 = width, wp.vec3(*origin)
+    few.packed.call_own_range(0, slots)
+    give_back((pack_few, record), few)
+    return blocks
+
+
+class FewRecords:
+    """The kernel that packs records of a kind, for one caller at a time; `fields` are the packed forms of its arrays."""
+
+    def __init__(self, record: Record, inputs: list[Any]) -> None:
         kernel, device = specialise(make_kernel, record), inputs[0].device
         load([kernel], device)
-        packed = PackedKernel(kernel, [0, *inputs], device)
-    arguments = packed.arguments
-    for index, array in ((1, inputs[0]), (2, inputs[1]), (3, inputs[2]), (6, inputs[5])):
-        field = packed.argument(index)
-        field.data, field.shape[0] = array.ptr, len(array)
-    arguments.p4, arguments.p5 = inputs[3], inputs[4]
-    packed.call_own_range(0, len(inputs[2]))
-    packed.forget(())
-    give_back((pack_few, record), packed)
+        self.packed = PackedKernel(kernel, [0, *inputs], device)
+        self.packed.forget(())
+        self.fields = [self.packed.argument(index) for index in (1, 2, 3, 6)]
