@@ -76,6 +76,55 @@ _EIGHT = f"""
 #el"""
 
 
+def last_lanes_first(mask: int) -> int:
+    """Indices of the bits that are set in a mask of 8, one a byte, the last in the lowest byte; 0 in the bytes left over."""
+    return sum(lane << 8 * place for place, lane in enumerate(lane for lane in reversed(range(8)) if mask >> lane & 1))
+
+
+_REVERSED = ", ".join(f"{last_lanes_first(mask):#x}ull" for mask in range(256))
+
+_REVERSED_EIGHT = f"""
+#if defined(__AVX2__) && defined(__clang__) && !defined(__CUDA_ARCH__)
+    static const unsigned long long WRT_LAST_LANES_FIRST[256] = {{{_REVERSED}}};
+    auto wrt_push = [](int* to, const int* child, unsigned mask) {{
+        typedef int ints __attribute__((ext_vector_type(8)));
+        typedef unsigned char bytes __attribute__((ext_vector_type(8)));
+        ints c; __builtin_memcpy(&c, child, sizeof(c));
+        bytes lane; __builtin_memcpy(&lane, WRT_LAST_LANES_FIRST + mask, sizeof(lane));
+        c = __builtin_ia32_permvarsi256(c, __builtin_convertvector(lane, ints));
+        __builtin_memcpy(to, &c, sizeof(c));
+    }};
+#el"""
+
+_REVERSED_SIXTEEN = """
+#if defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
+    auto wrt_push = [](int* to, const int* child, unsigned mask) {
+        typedef int ints __attribute__((ext_vector_type(16)));
+        ints c; __builtin_memcpy(&c, child, sizeof(c));
+        const int first = child[__builtin_ctz(mask | 32768u)], others = __builtin_popcount(mask) - 1;
+        c = __builtin_ia32_compresssi512_mask(c, c, (unsigned short)(mask & (mask - 1u)));
+        __builtin_memcpy(to, &c, sizeof(c));
+        to[mask ? others : 15] = first;
+    };
+#el"""
+
+
+def push_reversed(width: int) -> str:
+    """C++ of `wrt_push(to, child, mask)`: writes the children in the mask to `to`, the one with the lowest lane last. The
+    others are in any order. Writes W words.
+
+    Constants of the snippet: W, the width.
+    """
+    with_permutations = {16: _REVERSED_SIXTEEN, 8: _REVERSED_EIGHT}.get(width, "\n#")
+    return f"""{with_permutations}if 1
+    auto wrt_push = [](int* to, const int* child, unsigned mask) {{
+        int count = 0;
+        for (int i = W - 1; i >= 0; --i) {{ to[count] = child[i]; count += mask >> i & 1u; }}
+    }};
+#endif
+"""
+
+
 def push_sorted(width: int) -> str:
     """C++ of `wrt_push(key, mask, child, to)`: writes the keys of the children in the mask to `to`, and their words DEPTH words
     behind, in descending order of the keys; returns how many. Writes W words to each.

@@ -9,9 +9,9 @@ incoherent rays part after a few levels; lists of one or two rays are then all c
 independent, so the processor works on several at a time; the boxes of a ray's next node are fetched while the others have
 their turn (Wald et al. 2007 and Barringer and Akenine-Möller 2014 have the same two aims). There is no branch on what a ray
 meets, but for skipping children behind a hit: children are sorted by a network
-(`wrt.kernels.traversal.interleaved.child_order`), and rays that reach a leaf, or the end, are listed by stores
-(`wrt.kernels.traversal.interleaved.ray_slots`). When all are before leaves, the pairs (ray, leaf) are tested as those of a
-stream are (`wrt.kernels.traversal.stream.stream_pairs`). Rays that are done make room for the next ones.
+(`wrt.kernels.traversal.interleaved.child_order`), and rays that reach a leaf, or the end, are parted from the others a vector
+at a time (`wrt.kernels.traversal.interleaved.ray_slots`). When all are before leaves, they are tested
+(`wrt.kernels.traversal.interleaved.leaf_pairs`). Rays that are done make room for the next ones.
 
 **Order.** For closest hits a ray visits the nearest child first and skips children that lie behind its best hit. Other
 queries visit children in the order of their lanes, without keys and without sorting.
@@ -33,10 +33,11 @@ import warp as wp
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
-from wrt.kernels.traversal.interleaved.ray_slots import slot_words, walk_to_leaves
+from wrt.kernels.traversal.interleaved.leaf_pairs import block_tester
+from wrt.kernels.traversal.interleaved.ray_slots import pair_room, slot_words, walk_to_leaves
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_load import load_stream
-from wrt.kernels.traversal.stream.stream_pairs import Pairs, pair_tester
 from wrt.kernels.traversal.traversal_config import TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -51,9 +52,10 @@ LOADED = 1024
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
-    load, store, test_pairs = load_stream(config.triangle_test), store_stream(config), pair_tester(config)
-    walk, room = walk_to_leaves(config), slot_words(config)
+    load, store, test_blocks = load_stream(config.triangle_test), store_stream(config), block_tester(config)
+    walk, room, width = walk_to_leaves(config), slot_words(config), config.width
     counting, size = config.counters, min(config.stream.rays, LOADED)
+    block_words = 2 * pair_room(width)
 
     def interleaved_bvh(
         first: int,
@@ -65,6 +67,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     ):
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         memory = wp.zeros(shape=(room,), dtype=int)
+        blocks = wp.zeros(shape=(block_words,), dtype=int)
         pairs = Pairs()
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
@@ -77,11 +80,15 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             visited = int(0)
             paired = int(1)
             while paired > 0:
-                paired = walk(tree, triangles.records, stream, count, memory, started, waiting, visited, pairs)
-                test_pairs(triangles, stream, pairs, paired, hits, begin, work)
+                paired = walk(tree, triangles.records, stream, count, memory, started, waiting, visited, work.triangles, blocks)
+                if wp.static(counting):
+                    work.leaves += waiting
+                    work.intersection_slots += paired * wp.static(width)
+                test_blocks(triangles, stream, blocks, paired, pairs, hits, begin)
             store(stream, begin, count, hits)
             if wp.static(counting):
                 work.nodes = visited
+                work.intersection_active = work.triangles
                 counters.rows[begin] = work
             begin += wp.static(size)
 

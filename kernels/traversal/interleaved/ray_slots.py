@@ -1,37 +1,42 @@
 """Slots: the rays that take turns, the nodes where they are, and the loops that move them through inner nodes.
 
-A slot is one cache line with the numbers of a ray that box tests need, and its place in the tree. The others wait in the
-stream. Every slot has a stack of keys and a stack of children, `DEPTH` words behind it. At the bottom is a key that is less
-than any and an empty child, so that a stack is never popped without a result.
+A slot has the numbers of a ray that box tests need (`wrt.kernels.traversal.interleaved.slot_boxes`), and its place in the tree.
+The others wait in the stream. Every slot has a stack of children and, for closest hits, a stack of their keys `DEPTH` words
+behind it. At the bottom is an empty child, and a key that is less than any, so that a stack is never popped without a result.
 
-Slots are listed by what they do next: test the boxes of an inner node, or leave the loop. All lists are filled without
-branches, by writing every slot behind the end of both, and advancing one.
+Slots before inner nodes are listed, by where they are in memory, with the words of their nodes. A pass tests the boxes of these
+nodes, then replaces each word by the next child: short loops, so that the processor works on several slots at a time. Then the
+list is parted, a vector at a time and without a branch: those before inner nodes stay, the others leave it. Leaves are
+listed as pairs of a ray and a block of triangles, to be tested when no slot is before an inner node.
 """
 
 from functools import cache
 
 import warp as wp
 
-from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, WideNodes
+from wrt.kernels.layout.bvh_nodes import EMPTY_LANE, MAX_LEAF_TRIANGLES, WideNodes
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
-from wrt.kernels.traversal.interleaved.child_order import push_sorted
+from wrt.kernels.simd.lanes import FOR_LANES
+from wrt.kernels.traversal.interleaved.child_order import push_reversed, push_sorted
+from wrt.kernels.traversal.interleaved.slot_boxes import MEET, SET_SLOT, SLOT, SLOT_WORDS
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
-from wrt.kernels.traversal.stream.stream_lists import APPEND, Pairs
+from wrt.kernels.traversal.stream.stream_lists import BLOCK_LANES
 from wrt.kernels.traversal.traversal_config import CLOSEST, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
 SLOTS = 64
-"""Rays that take turns (notebooks/records/2026-11-22-interleaved-rays.md). At most `PAIRS` of
-`wrt.kernels.traversal.stream.stream_lists`."""
+"""Rays that take turns (notebooks/records/2026-11-22-interleaved-rays.md)."""
 
 LINE = 16
 """Words of a cache line."""
 
 SPARE = 16
-"""Words that a push may write beyond the children that it pushes."""
+"""Words that may be written beyond the end of a list or a stack."""
+
+LISTS = 7
+"""Lists of `SLOTS` words."""
 
 
 def stack_depth(config: TraversalConfig) -> int:
@@ -40,68 +45,92 @@ def stack_depth(config: TraversalConfig) -> int:
 
 
 def stack_stride(config: TraversalConfig) -> int:
-    """Words from one slot's stacks to the next: an odd number of cache lines, so that the bottoms of all stacks, which are used
-    most, are spread over the sets of a cache."""
-    return (-(-2 * stack_depth(config) // LINE) | 1) * LINE
+    """Words from one slot to the next, with its stacks: an odd number of cache lines, so that the bottoms of all stacks,
+    which are used most, are spread over the sets of a cache."""
+    stacks = 2 if config.query == CLOSEST else 1
+    return (-(-(SLOT_WORDS + stacks * stack_depth(config)) // LINE) | 1) * LINE
 
 
 def slot_words(config: TraversalConfig) -> int:
     """Ints of memory for `walk_to_leaves`."""
-    lists = 6
-    return LINE + SLOTS * (LINE + config.width + stack_stride(config) + lists)
+    keys = config.width if config.query == CLOSEST else 0
+    return LINE + SLOTS * (keys + stack_stride(config)) + LISTS * (SLOTS + SPARE)
 
 
-_MEMORY = """
-    struct Slot { float inverse[3], in[3], out[3], t_min, t_max; int near[3], node, top; };
-    int* const first_line = (int*)(((size_t)memory.data + 63) & ~(size_t)63);
-    Slot* const slots = (Slot*)first_line;
-    int* const keys = first_line + (sizeof(Slot) / 4) * SLOTS;
-    int* const stacks = keys + W * SLOTS;
-    int *const inner = stacks + STRIDE * SLOTS, *const outer = inner + SLOTS, *const at_leaf = outer + SLOTS;
-    int *const idle = at_leaf + SLOTS, *const masks = idle + SLOTS, *const ray_of = masks + SLOTS;
-    int inners = 0, outers = 0, leaves = 0, idles = 0, following = next;
+def leaf_blocks(width: int) -> int:
+    """Greatest number of blocks in a leaf."""
+    return -(-MAX_LEAF_TRIANGLES // width)
+
+
+def pair_room(width: int) -> int:
+    """Pairs (ray, block) for which `walk_to_leaves` needs room."""
+    return (SLOTS + 1) * leaf_blocks(width)
+
+
+_MEMORY = f"""{SLOT}
+    constexpr int BOTTOM = {SLOT_WORDS};
+    int* const stacks = (int*)(((size_t)memory.data + 63) & ~(size_t)63);
+    char* const slots = (char*)stacks;
+    int* const keys = stacks + STRIDE * SLOTS;
+    int *const listed = keys + (ORDERED ? W * SLOTS : 0), *const words = listed + LIST, *const masks = words + LIST;
+    int *const outer = masks + LIST, *const outer_words = outer + LIST, *const at_leaf = outer_words + LIST;
+    int* const idle = at_leaf + LIST;
+    int inners = 0, outers = 0, leaves = 0, idles = 0, paired = 0, following = next;
+    auto wrt_slot = [&](int place) -> Slot& {{ return *(Slot*)(slots + (size_t)(unsigned)place); }};
 """
-"""C++: the slots. `inner`: those before an inner node; `outer`: those before a leaf or at the end, after this pass; `at_leaf`:
-those before a leaf; `idle`: those without a ray."""
+"""C++: the slots, each followed by its stacks, and their lists. A slot's place is in bytes. `listed`: those before an inner
+node, or before whatever they come to next; `words`: their nodes; `outer`, `outer_words`: those that have left that list;
+`at_leaf`: those before a leaf; `idle`: those without a ray."""
 
 _MOVES = """
-    auto wrt_move = [&](int number, int word, int top) {
-        Slot& slot = slots[number];
-        slot.top = top;
-        slot.node = word;
-        const char* const node = (const char*)tree.bounds.data + (size_t)(word & ~(word >> 31)) * (24 * W);
+    auto wrt_fetch_node = [&](int word) {
+        const char* const node = (const char*)tree.bounds.data + (size_t)(unsigned)(word & ~(word >> 31)) * (24 * W);
         WRT_UNROLLED for (int b = 0; b < 24 * W; b += 64) { WRT_FETCH(node + b); }
-        const int inside = word >= 0 ? 1 : 0;
-        inner[inners] = number; inners += inside;
-        outer[outers] = number; outers += 1 - inside;
     };
-    auto wrt_pop = [&](int number, int top) {
+    auto wrt_pop = [&](Slot& slot, int top) {
         if (ORDERED) {
-            const int limit = __builtin_bit_cast(int, slots[number].t_max) | (W - 1);  // a key has a lane in those bits
+            const int limit = __builtin_bit_cast(int, slot.t_max) | (W - 1);  // a key has a lane in those bits
             while (stacks[top] > limit) --top;
         }
-        wrt_move(number, stacks[top + DEPTH], top);
+        slot.top = top;
+        return stacks[top + CHILDREN];
     };
-    auto wrt_start = [&](int number) {
-        Slot& slot = slots[number];
-        const auto& ray = rays.data[following];
-        for (int a = 0; a < 3; ++a) {
-            slot.inverse[a] = ray.slabs.inverse.c[a];
-            slot.in[a] = ray.slabs.origin_in.c[a]; slot.out[a] = ray.slabs.origin_out.c[a];
-            slot.near[a] = ray.slabs.inverse.c[a] < 0.0f ? 3 * W : 0;
+    auto wrt_part = [&](int count) {
+        inners = 0;
+        for (int j = 0; j < count; j += L) {
+            int leaf[L];
+            WRT_FOR(L, i) { leaf[i] = words[j + i] < 0 ? -1 : 0; }
+            const unsigned here = count - j < L ? (1u << (count - j)) - 1u : (1u << L) - 1u;
+            const unsigned out = wrt_bits(leaf) & here, in = here & ~out;
+            wrt_append(outer + outers, listed + j, out);
+            outers += wrt_append(outer_words + outers, words + j, out);
+            wrt_append(listed + inners, listed + j, in);
+            inners += wrt_append(words + inners, words + j, in);
         }
-        slot.t_min = ray.t_min; slot.t_max = ray.best.t + 0.0f;
-        slot.node = 0; slot.top = number * STRIDE + 1;
-        ray_of[number] = following++;
-        inner[inners++] = number;
     };
-    auto wrt_sort_out = [&]() {
+    auto wrt_start = [&](int place) {
+        Slot& slot = wrt_slot(place);
+        const auto& ray = rays.data[following];
+        const float* const slabs = (const float*)&ray;
+        wrt_set_boxes(slot, slabs, slabs + 3, slabs + 6);
+        slot.t_min = ray.t_min; slot.t_max = ray.best.t + 0.0f;
+        slot.top = place / 4 + BOTTOM + 1;
+        slot.ray = following++;
+        words[inners] = 0; listed[inners++] = place;
+    };
+    auto wrt_settle = [&]() {
         WRT_SCALAR for (int j = 0; j < outers; ++j) {
-            const int number = outer[j], word = slots[number].node, ends = word == EMPTY ? 1 : 0;
-            const char* const leaf = (const char*)records.data + (size_t)(~word >> 6) * (4 * COMPONENTS * W);
+            const int place = outer[j], word = outer_words[j], ends = word == EMPTY ? 1 : 0;
+            const int block = (int)((unsigned)~word >> 6), blocks = ((~word & 63) + W - 1) / W, ray = wrt_slot(place).ray;
+            const char* const leaf = (const char*)records.data + (size_t)block * (4 * COMPONENTS * W);
             WRT_UNROLLED for (int b = 0; b < 36 * W; b += 64) { WRT_FETCH(leaf + b); }
-            at_leaf[leaves] = number; pairs.rays.c[leaves] = ray_of[number]; pairs.leaves.c[leaves] = word; leaves += 1 - ends;
-            idle[idles] = number; idles += ends;
+            at_leaf[leaves] = place; leaves += 1 - ends;
+            idle[idles] = place; idles += ends;
+            int own[BLOCKS], all[BLOCKS];
+            WRT_FOR(BLOCKS, i) { own[i] = ray; all[i] = block + i; }
+            WRT_COPY(pairs.data + paired, own); WRT_COPY(pairs.data + ROOM + paired, all);
+            paired += blocks;
+            if (COUNTING) triangles += ~word & 63;
         }
         outers = 0;
         for (;;) {
@@ -111,111 +140,99 @@ _MOVES = """
         }
     };
 """
-"""C++: `wrt_move` lists a slot before a child, `wrt_pop` before the next child of its stack, `wrt_start` before the root with
-the next ray. `wrt_sort_out` lists what has left the loop, as pairs to be tested or as idle, and starts rays."""
+"""C++: `wrt_pop` takes the next child from a stack, `wrt_part` parts the list, `wrt_start` puts the next ray before the root.
+`wrt_settle` lists the leaves of the slots that have left the list, and starts rays in those that are idle."""
 
 _BEGIN = """
     if (next == 0) {
         for (int s = 0; s < SLOTS; ++s) {
-            stacks[s * STRIDE] = (int)0x80000000; stacks[s * STRIDE + DEPTH] = EMPTY;
-            idle[idles++] = s;
+            int* const stack = stacks + s * STRIDE + BOTTOM;
+            stack[0] = (int)0x80000000; stack[CHILDREN] = EMPTY;
+            idle[idles++] = s * 4 * STRIDE;
         }
     } else {
         WRT_SCALAR for (int j = 0; j < waiting; ++j) {
-            const int number = at_leaf[j];
-            Slot& slot = slots[number];
-            slot.t_max = rays.data[ray_of[number]].best.t + 0.0f;  // turns -0 into +0: as an integer, -0 is less than any key
-            wrt_pop(number, !ORDERED && slot.t_max < 0.0f ? number * STRIDE : slot.top - 1);
+            const int place = at_leaf[j];
+            Slot& slot = wrt_slot(place);
+            const float t = rays.data[slot.ray].best.t + 0.0f;  // turns -0 into +0: as an integer, -0 is less than any key
+            if (ORDERED) slot.t_max = t;
+            const int word = wrt_pop(slot, slot.top - 1), next_word = !ORDERED && t < 0.0f ? EMPTY : word;
+            wrt_fetch_node(next_word);
+            listed[j] = place; words[j] = next_word;
         }
+        wrt_part(waiting);
     }
-    wrt_sort_out();
+    wrt_settle();
 """
 """C++: all slots are idle, or their leaves have been tested."""
 
 _PASSES = """
     while (inners > 0) {
-        const int listed = inners;
-        visited += listed;
-        WRT_SCALAR for (int j = 0; j < listed; ++j) {
-            const Slot& slot = slots[inner[j]];
-            const float* box = tree.bounds.data + (size_t)slot.node * (6 * W);
-            WRT_FETCH(tree.child.data + (size_t)slot.node * W);
-            const float ix = slot.inverse[0], iy = slot.inverse[1], iz = slot.inverse[2];
-            const int sx = slot.near[0], sy = slot.near[1], sz = slot.near[2];
-            const float *near_x = box + sx, *near_y = box + W + sy, *near_z = box + 2 * W + sz;
-            const float *far_x = box + 3 * W - sx, *far_y = box + 4 * W - sy, *far_z = box + 5 * W - sz;
-            const float in_x = slot.in[0], in_y = slot.in[1], in_z = slot.in[2];
-            const float out_x = slot.out[0], out_y = slot.out[1], out_z = slot.out[2];
-            const float t_min = slot.t_min, t_max = slot.t_max;
-            int* const key = keys + W * j;
+        visited += inners;
+        WRT_SCALAR for (int j = 0; j < inners; ++j) {
+            const size_t node = (unsigned)words[j];
+            WRT_FETCH(tree.child.data + node * W);
+            float entry[W];
             int met[L] = {};
-            WRT_FOR_LANES(i) {
-                float enter = t_min, leave = t_max, t;
-                t = (near_x[i] - in_x) * ix; enter = t > enter ? t : enter;
-                t = (near_y[i] - in_y) * iy; enter = t > enter ? t : enter;
-                t = (near_z[i] - in_z) * iz; enter = t > enter ? t : enter;
-                t = (far_x[i] - out_x) * ix; leave = t < leave ? t : leave;
-                t = (far_y[i] - out_y) * iy; leave = t < leave ? t : leave;
-                t = (far_z[i] - out_z) * iz; leave = t < leave ? t : leave;
-                const int order = (__builtin_bit_cast(int, enter) & -W) | i;
-                if (ORDERED) key[i] = enter <= leave ? order : -1;
-                met[i] = enter <= leave ? -1 : 0;
+            wrt_meet(wrt_slot(listed[j]), (const char*)tree.bounds.data + node * (24 * W), entry, met);
+            if (ORDERED) {
+                int* const key = keys + W * j;
+                WRT_FOR_LANES(i) { key[i] = met[i] ? (__builtin_bit_cast(int, entry[i]) & -W) | i : -1; }
             }
             masks[j] = (int)wrt_bits(met);
         }
-        inners = 0;
-        WRT_SCALAR for (int j = 0; j < listed; ++j) {
-            const int number = inner[j], top = slots[number].top;
-            const int* const child = tree.child.data + (size_t)slots[number].node * W;
+        WRT_SCALAR for (int j = 0; j < inners; ++j) {
+            Slot& slot = wrt_slot(listed[j]);
+            const int* const child = tree.child.data + (size_t)(unsigned)words[j] * W;
             const unsigned mask = (unsigned)masks[j];
+            const int top = slot.top;
             PUSH
+            words[j] = word;
+            wrt_fetch_node(word);
         }
-        wrt_sort_out();
+        wrt_part(inners);
+        wrt_settle();
     }
     next = following;
     waiting = leaves;
-    return leaves;
+    return paired;
 """
-"""C++: passes over the slots before inner nodes, until there are none. Box tests and pushes are loops of their own: short, so
-that the processor works on several slots at a time."""
+"""C++: passes over the slots before inner nodes, until there are none."""
 
-_PUSH_ORDERED = "wrt_pop(number, top + wrt_push(keys + W * j, mask, child, stacks + top) - 1);"
+_PUSH_ORDERED = "const int word = wrt_pop(slot, top + wrt_push(keys + W * j, mask, child, stacks + top) - 1);"
 
 _PUSH_UNORDERED = """
-            int word[L] = {};
-            for (int i = 0; i < W; ++i) word[i] = child[i];
-            // one child is visited next, the others are pushed: a load just after the store of a vector would wait for it
-            const int first = *(mask ? child + wrt_lowest_bit(mask | 0x80000000u) : stacks + DEPTH + top - 1);
-            wrt_move(number, first, top - (mask ? 0 : 1) + wrt_append(stacks + DEPTH + top, word, mask & (mask - 1u)));
+            wrt_push(stacks + top, child, mask);
+            slot.top = top - 1 + wrt_count_bits(mask);
+            const int word = stacks[slot.top];
 """
 
 
 @cache
 def walk_to_leaves(config: TraversalConfig) -> wp.Function:
-    """`func(tree, records, rays, count, memory, next, waiting, visited, pairs) -> int`: moves all slots to leaves.
+    """`func(tree, records, rays, count, memory, next, waiting, visited, triangles, pairs) -> int`: moves all slots to leaves.
 
-    Returns the number of pairs (ray, leaf) that it has listed, one for each ray that takes turns; 0 if the rays 0 .. count - 1
-    of the stream are done. Called again, after the pairs have been tested, it goes on.
+    Returns the number of pairs (ray, block) that it has listed, for the rays that take turns; 0 if the rays 0 .. count - 1 of
+    the stream are done. Called again, after the pairs have been tested, it goes on.
 
     Args (of the function): memory: `slot_words(config)` ints. next: number of rays started, initially 0. waiting: number of
-    slots at leaves. visited: number of nodes visited so far, increased.
+    slots at leaves. visited: number of nodes visited so far, increased. triangles: number of triangles in the leaves visited
+        so far, increased if the configuration has counters. pairs: 2 `pair_room(width)` ints: the rays of the pairs, then
+        their blocks.
     """
     StreamRay = stream_ray(config.triangle_test)
     width, ordered = config.width, int(config.query == CLOSEST)
-    head = f"""{FOR_LANES}{BITS}
-    constexpr int W = {width}, SLOTS = {SLOTS}, EMPTY = {int(EMPTY_LANE)};
-    constexpr int DEPTH = {stack_depth(config)}, STRIDE = {stack_stride(config)};
+    head = f"""{FOR_LANES}
+    enum {{ W = {width} }};
+    constexpr int SLOTS = {SLOTS}, LIST = {SLOTS + SPARE}, EMPTY = {int(EMPTY_LANE)};
+    constexpr int BLOCKS = {leaf_blocks(width)}, ROOM = {pair_room(width)};
+    constexpr int DEPTH = {stack_depth(config)}, STRIDE = {stack_stride(config)}, CHILDREN = {"DEPTH" if ordered else 0};
     constexpr int COMPONENTS = {TRIANGLE_TESTS[config.triangle_test].record.components};
-    constexpr bool ORDERED = {ordered};
-#if defined(__AVX512F__) && !defined(__CUDA_ARCH__)
-    constexpr int L = 16;
-#else
-    constexpr int L = (W + 7) / 8 * 8;
-#endif
-{lane_bits("L")}{push_sorted(width) if ordered else APPEND}"""
+    constexpr bool ORDERED = {ordered}, COUNTING = {int(config.counters)};
+{BLOCK_LANES}{push_sorted(width) if ordered else push_reversed(width)}"""
     passes = _PASSES.replace("PUSH", _PUSH_ORDERED if ordered else _PUSH_UNORDERED)
 
-    @wp.func_native(head + _MEMORY + _MOVES + _BEGIN + passes)
+    @wp.func_native(head + _MEMORY + SET_SLOT + MEET + _MOVES + _BEGIN + passes)
     def walk_native(
         tree: wp.ref[WideNodes],
         records: wp.array(dtype=float),
@@ -225,7 +242,8 @@ def walk_to_leaves(config: TraversalConfig) -> wp.Function:
         next: wp.ref[int],
         waiting: wp.ref[int],
         visited: wp.ref[int],
-        pairs: wp.ref[Pairs],
+        triangles: wp.ref[int],
+        pairs: wp.array(dtype=int),
     ) -> int: ...
 
     return walk_native

@@ -34,16 +34,19 @@ from wrt.kernels.triangle.support.record_blocks import TriangleBlocks, vertex_bo
 exact_module(__name__)
 
 _TEST = """
+    // the last vector is filled up: the lists have room for so many beyond the greatest number
+    WRT_UNROLLED for (int i = 0; i < L; ++i) {
+        pairs.candidates.c[count + i] = pairs.candidates.c[0]; pairs.candidate_rays.c[count + i] = pairs.candidate_rays.c[0];
+    }
     for (int first = 0; first < count; first += L) {
         alignas(64) float words[WORDS][L], corner[9][L];
         float t[L], u[L], v[L];
         int primitive[L], near[L];
         const float* from[L];
         WRT_SCALAR for (int i = 0; i < L; ++i) {
-            const int p = first + i < count ? first + i : first;
-            const int slot = pairs.candidates.c[p];
-            primitive[i] = primitives.data[slot];
-            from[i] = (const float*)(rays.data + pairs.candidate_rays.c[p]);
+            const unsigned slot = (unsigned)pairs.candidates.c[first + i];
+            if (!ANY) primitive[i] = primitives.data[slot];
+            from[i] = (const float*)(rays.data + (unsigned)pairs.candidate_rays.c[first + i]);
             const float* r = &records.data[(size_t)(slot / WIDTH) * (COMPONENTS * WIDTH) + slot % WIDTH];
             WRT_UNROLLED for (int c = 0; c < 9; ++c) corner[c][i] = r[c * WIDTH];
         }
@@ -58,9 +61,10 @@ _TEST = """
             const float out_x = words[6][i], out_y = words[7][i], out_z = words[8][i];
             const bool back_x = ix < 0.0f, back_y = iy < 0.0f, back_z = iz < 0.0f;
             float at = t[i];
+            const bool hit = at == at;  // a candidate may be none; the box makes a number of a NaN
             BOX_INTERVAL
             t[i] = at;
-            near[i] = ((enter <= leave) & (at >= words[9][i]) & (at <= words[10][i]) & (first + i < count)) ? -1 : 0;
+            near[i] = (hit & (enter <= leave) & (at >= words[9][i]) & (at <= words[10][i]) & (first + i < count)) ? -1 : 0;
         }
         for (unsigned mask = wrt_bits(near); mask; mask &= mask - 1u) {
             const int i = wrt_lowest_bit(mask);
@@ -71,7 +75,7 @@ _TEST = """
 """
 
 _TAKE_ANY = """
-            best.primitive = primitive[i];
+            best.primitive = 0;  // any
             best.t = -WRT_INFINITY;
 """
 
@@ -94,6 +98,7 @@ def test_in_lanes(config: TraversalConfig) -> wp.Function:
     code = code.replace("BOX_INTERVAL", BOX_INTERVAL).replace("TAKE", _TAKE_ANY if config.query == ANY else _TAKE_CLOSEST)
     constants = f"""{LISTS}{TRANSPOSE}
     constexpr int W = L, WIDTH = {width}, WORDS = {words}, COMPONENTS = {test.record.components};
+    constexpr bool ANY = {int(config.query == ANY)};
     """
 
     @wp.func_native(constants + code)

@@ -135,23 +135,34 @@ need half of the lanes of `LISTS`. L is an enumerator, so that a lambda without 
 
 
 _APPEND_CANDIDATES = """
-    WRT_FETCH(primitives.data + (size_t)block * W);
+    if (FETCHING) WRT_FETCH(primitives.data + (size_t)block * W);
     int slot[L];
-    WRT_FOR(L, i) { pairs.candidate_rays.c[count + i] = ray; slot[i] = block * W + i; }
+    WRT_FOR(L, i) { pairs.candidate_rays.c[count + i] = ray; }
+#if defined(__AVX2__) && !defined(__AVX512F__) && defined(__clang__) && !defined(__CUDA_ARCH__)
+    if (L == 8) {
+        const unsigned char* const kept = (const unsigned char*)(WRT_KEPT_LANES + (mask & 255u));
+        WRT_FOR(8, i) { slot[i] = block * W + kept[i]; }
+        __builtin_memcpy(pairs.candidates.c + count, slot, sizeof(slot));
+        return count + (int)wrt_count_bits(mask);
+    }
+#endif
+    WRT_FOR(L, i) { slot[i] = block * W + i; }
     return count + wrt_append(pairs.candidates.c + count, slot, mask);
 """
 
 
 @cache
-def append_candidates(width: int) -> wp.Function:
+def append_candidates(width: int, fetching: bool = True) -> wp.Function:
     """`func(primitives, pairs, count, ray, block, mask) -> int`: appends candidates of a ray and the triangles in the mask of a
     block.
 
-    Returns the new number of candidates. The ids of the triangles are prefetched, because they are not in a cache when the
-    candidates are evaluated (notebooks/records/2026-11-22-stream-candidates.md).
+    Returns the new number of candidates. If `fetching`, the ids of the triangles are prefetched, because they are not in a
+    cache when the candidates are evaluated (notebooks/records/2026-11-22-stream-candidates.md).
     """
 
-    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};\n{BLOCK_LANES}{_APPEND_CANDIDATES}")
+    constants = f"    constexpr int W = {width}; constexpr bool FETCHING = {int(fetching)};\n"
+
+    @wp.func_native(f"{FOR_LANES}{constants}{BLOCK_LANES}{_APPEND_CANDIDATES}")
     def append_native(
         primitives: wp.array(dtype=int),
         pairs: wp.ref[Pairs],

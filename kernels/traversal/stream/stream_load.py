@@ -29,6 +29,8 @@ COMMON_WORDS = 14
 RAYS_TO_LANES = (
     DIRECTION_LANES
     + """
+    // not loaded to where they are stored below: of a select between the two the compiler makes a masked store, which is slow
+    alignas(64) float ex[L], ey[L], ez[L], longest[L];
     // rays beyond the last are the first again, and not written
     auto number = [&](int k, int stride) { return (first + (k < here ? k : 0)) * stride; };
     const double center_x = batch.center.c[0], center_y = batch.center.c[1], center_z = batch.center.c[2];
@@ -47,20 +49,20 @@ RAYS_TO_LANES = (
     }
     if (here == L && batch.direction_stride) {
         const float* d = (const float*)(batch.directions.data + first);
-        WRT_FOR(L, k) { dx[k] = d[3 * k]; dy[k] = d[3 * k + 1]; dz[k] = d[3 * k + 2]; }
+        WRT_FOR(L, k) { ex[k] = d[3 * k]; ey[k] = d[3 * k + 1]; ez[k] = d[3 * k + 2]; }
     } else WRT_SCALAR for (int k = 0; k < L; ++k) {
         const wp::vec3 d = batch.directions.data[number(k, batch.direction_stride)];
-        dx[k] = d.c[0]; dy[k] = d.c[1]; dz[k] = d.c[2];
+        ex[k] = d.c[0]; ey[k] = d.c[1]; ez[k] = d.c[2];
     }
     if (here == L && batch.t_min_stride) { WRT_FOR(L, k) t_min[k] = batch.t_min.data[first + k]; }
     else WRT_SCALAR for (int k = 0; k < L; ++k) t_min[k] = batch.t_min.data[number(k, batch.t_min_stride)];
-    if (here == L && batch.t_max_stride) { WRT_FOR(L, k) t[k] = batch.t_max.data[first + k]; }
-    else WRT_SCALAR for (int k = 0; k < L; ++k) t[k] = batch.t_max.data[number(k, batch.t_max_stride)];
+    if (here == L && batch.t_max_stride) { WRT_FOR(L, k) longest[k] = batch.t_max.data[first + k]; }
+    else WRT_SCALAR for (int k = 0; k < L; ++k) longest[k] = batch.t_max.data[number(k, batch.t_max_stride)];
     WRT_FOR(L, k) {
-        float x = dx[k], y = dy[k], z = dz[k];
+        float x = ex[k], y = ey[k], z = ez[k];
         wrt_direction(x, y, z);
         dx[k] = x; dy[k] = y; dz[k] = z;
-        t[k] = t[k] > FARTHEST ? FARTHEST : t[k];
+        t[k] = longest[k] > FARTHEST ? FARTHEST : longest[k];
     }
 """
 )
@@ -82,7 +84,8 @@ _LOAD = """
     const int here = count < L ? count : L;
     float *ox = own.data, *oy = ox + L, *oz = oy + L, *dx = oz + L, *dy = dx + L, *dz = dy + L;
     alignas(64) float words[WORDS < 16 ? 16 : WORDS][L];
-    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9], *t = words[10];
+    float *ix = words[0], *iy = words[1], *iz = words[2], *t_min = words[9];
+    alignas(64) float t[L];
     int* primitive = (int*)words[11];
 WRT_RAYS    WRT_FOR(L, k) {
 WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
@@ -98,7 +101,7 @@ WRT_VALID        float far = WRT_ABS(low.c[0] - px), f;
         words[3][k] = px + step_x; words[4][k] = py + step_y; words[5][k] = pz + step_z;
         words[6][k] = px - step_x; words[7][k] = py - step_y; words[8][k] = pz - step_z;
         t_min[k] = t_min[k] + 0.0f;  // turns -0 into +0: as an integer, -0 would be the least key of all
-        t[k] = valid ? t[k] : -INF;
+        words[10][k] = valid ? t[k] : -INF;
         primitive[k] = -1;
         words[12][k] = 0.0f; words[13][k] = 0.0f;
     }

@@ -21,7 +21,7 @@ from wrt.kernels.traversal.leaf import Candidate
 from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import StreamCounters, get_ray, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates, load_pair, store_pair
-from wrt.kernels.traversal.traversal_config import TraversalConfig
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
 
@@ -38,7 +38,8 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
     StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, forms, append = get_ray(config.triangle_test), test.forms(config.crossing), append_candidates(width)
+    get, forms = get_ray(config.triangle_test), test.forms(config.crossing)
+    append = append_candidates(width, config.query != ANY)
     intersect_block = (forms.line_test or forms.block_test)(width)
 
     @wp.func

@@ -81,8 +81,8 @@ class TriangleTest(TestForm):
         two_sided: whether both sides of a triangle are hit.
         intersect: `wp.func(ray, triangle) -> vec3 (t, u, v)`; t is NaN for a miss. `triangle` is what `record.load` returns. It
             performs the same operations as the lane loops, in plain Warp.
-        line_test: width -> `block_test` that does not write t, u and v, for streams. None if the compiler derives it from
-            `block_test` by removing unused results.
+        line_test: width -> `block_test` that does not write t, u and v, for streams. It may return more lanes than are
+            hit, because they are tested again. None if the compiler derives it from `block_test` by removing unused results.
         crossing: the forms that count crossings exactly; None if the test has none.
         any_hit: key in `TRIANGLE_TESTS` of the test that replaces this one in any-hit queries; empty for the test itself.
     """

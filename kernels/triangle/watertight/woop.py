@@ -219,6 +219,30 @@ WRT_WEIGHTS
     return mask;
 """
 
+_LINES = """
+    const float* corner = &records.data[(size_t)block * (9 * W)];
+    const float *x = corner + ray.x * W, *y = corner + ray.y * W, *z = corner + ray.z * W;
+    WRT_LANES(ax, x); WRT_LANES(ay, y); WRT_LANES(az, z);
+    WRT_LANES(bx, x + 3 * W); WRT_LANES(by, y + 3 * W); WRT_LANES(bz, z + 3 * W);
+    WRT_LANES(cx, x + 6 * W); WRT_LANES(cy, y + 6 * W); WRT_LANES(cz, z + 6 * W);
+    const float ox = ray.origin.c[0], oy = ray.origin.c[1], oz = ray.origin.c[2];
+    const float sx = ray.shear.c[0], sy = ray.shear.c[1];
+    int met[W];
+    WRT_FOR_LANES(i) {
+        float pz = az[i] - oz, qz = bz[i] - oz, rz = cz[i] - oz;
+        float px = (ax[i] - ox) - sx * pz, qx = (bx[i] - ox) - sx * qz, rx = (cx[i] - ox) - sx * rz;
+        float py = (ay[i] - oy) - sy * pz, qy = (by[i] - oy) - sy * qz, ry = (cy[i] - oy) - sy * rz;
+        float a = rx * qy - ry * qx, b = px * ry - py * rx, c = qx * py - qy * px;
+        float least = a < b ? a : b, most = a > b ? a : b;
+        least = least < c ? least : c; most = most > c ? most : c;
+        met[i] = (((least < 0.0f) & (most > 0.0f)) | (pz != pz)) ? 0 : -1;  // z is a NaN in unused lanes
+    }
+    return wrt_bits(met);
+"""
+"""C++: the lanes in which no two areas have opposite signs. An area of zero has either sign: recomputed in float64, it may
+have any, but the others keep theirs, because rounding is monotone. So these are all lanes that are hit, and few others. An
+area is a NaN where its products overflow; it does not count here."""
+
 _PRECISE_LANE = """
 #if defined(__clang__) && !defined(__CUDA_ARCH__)
 #define WRT_APART __attribute__((noinline))
@@ -315,8 +339,20 @@ def block_test(width: int) -> wp.Function:
 
 @cache
 def line_test(width: int) -> wp.Function:
-    """`block_test` without t, u and v."""
-    return make_block_test(width, crossing=False, weights=False)
+    """`block_test` without t, u and v; some of the lanes whose triangle the ray's line just misses are returned, too."""
+    Lanes = lanes(width)
+
+    @wp.func_native(f"{FOR_LANES}    constexpr int W = {width};\n{lane_bits()}{_LINES}")
+    def woop_lines(
+        records: wp.array(dtype=float),
+        block: int,
+        ray: ShearedRay,
+        t: wp.ref[Lanes],
+        u: wp.ref[Lanes],
+        v: wp.ref[Lanes],
+    ) -> wp.uint32: ...
+
+    return woop_lines
 
 
 @cache

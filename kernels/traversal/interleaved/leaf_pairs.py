@@ -1,0 +1,88 @@
+"""Pairs (ray, block) of interleaved walks: the lines that meet triangles, and the evaluation of these candidates.
+
+As `wrt.kernels.traversal.stream.stream_pairs`, but all blocks of a leaf are in the list from the beginning, so that no pair
+is stored again, and the lists of candidates, which are evaluated 16 at a time, are longer.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.simd.lanes import lanes
+from wrt.kernels.traversal.interleaved.ray_slots import pair_room
+from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
+from wrt.kernels.traversal.stream.stream_kernel import stream_ray
+from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates
+from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
+from wrt.kernels.triangle import TRIANGLE_TESTS
+from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
+
+exact_module(__name__)
+
+
+@cache
+def block_tester(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, stream, blocks, count, pairs, hits, begin)`: tests the first `count` pairs of `blocks`.
+
+    hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
+    """
+    test, width = TRIANGLE_TESTS[config.triangle_test], config.width
+    StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(width)
+    forms, test_candidates = test.forms(config.crossing), candidate_tester(config)
+    append = append_candidates(width, config.query != ANY)
+    intersect_block = (forms.line_test or forms.block_test)(width)
+
+    @wp.func_native(f"""
+        const int k = blocks.data[p];
+        block = blocks.data[{pair_room(width)} + p]; state = rays.data[k].state;
+        return k;
+    """)
+    def load_pair(
+        blocks: wp.array(dtype=int), p: int, rays: wp.array(dtype=StreamRay), block: wp.ref[int], state: wp.ref[RayState]
+    ) -> int: ...
+
+    @wp.func
+    def intersect_lines(triangles: TriangleBlocks, block: int, state: RayState):
+        t = Lanes()  # t, u and v are not used
+        u = Lanes()
+        v = Lanes()
+        return intersect_block(triangles.records, block, state, t, u, v)
+
+    @wp.func
+    def find_candidates(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        blocks: wp.array(dtype=int),
+        count: int,
+        pairs: wp.ref[Pairs],
+        tested: wp.ref[int],
+    ):
+        found = int(0)
+        p = int(tested)
+        while p < count and found <= PAIRS:
+            block = int(0)
+            state = RayState()
+            k = load_pair(blocks, p, stream, block, state)
+            found = append(triangles.primitive, pairs, found, k, block, intersect_lines(triangles, block, state))
+            p += 1
+        tested = p
+        return found
+
+    @wp.func
+    def test_blocks(
+        triangles: TriangleBlocks,
+        stream: wp.array(dtype=StreamRay),
+        blocks: wp.array(dtype=int),
+        count: int,
+        pairs: wp.ref[Pairs],
+        hits: wp.ref[HitBatch],
+        begin: int,
+    ):
+        tested = int(0)
+        while tested < count:
+            found = find_candidates(triangles, stream, blocks, count, pairs, tested)
+            test_candidates(triangles, stream, pairs, found, hits, begin)
+
+    return test_blocks
