@@ -14,7 +14,7 @@ import pytest
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.traversal_scores import Overlap
 from wrt.planning import planner
-from wrt.state.query_kinds import few_rays
+from wrt.state.query_kinds import ANY, CLOSEST, few_rays
 
 # scene, triangles, instances, kind of rays, rays, neighbours; with 16 lanes, share of different steps : steps a ray, choice;
 # the same with 8
@@ -159,10 +159,20 @@ def test_the_grid_has_all_kinds():
 
 
 @pytest.mark.parametrize(
-    ("lanes", "count", "stride", "vectors"), [(8, 200, 0, 4), (8, 199, 0, 2), (8, 200, 1, 2), (16, 200, 0, 2)]
+    ("lanes", "query", "count", "stride", "instances", "vectors"),
+    [
+        (8, CLOSEST, 200, 0, (), 4),
+        (8, CLOSEST, 199, 0, (), 2),
+        (8, CLOSEST, 200, 1, (), 2),
+        (8, ANY, 10, 1, (), 4),
+        (8, ANY, 10, 1, ("instance",), 2),
+        (16, CLOSEST, 200, 0, (), 2),
+        (16, ANY, 10, 1, (), 2),
+    ],
 )
-def test_packets_of_dense_rays(lanes, count, stride, vectors):
-    """With 8 lanes, dense rays from one point go in larger packets (notebooks/records/2026-11-23-short-rows.md)."""
-    scene = SimpleNamespace(width=lanes, accelerator=SimpleNamespace(kind="bvh"), instances=(), triangle_count=100)
+def test_larger_packets(lanes, query, count, stride, instances, vectors):
+    """With 8 lanes, dense rays from one point, and any-hit rays, go in larger packets
+    (notebooks/records/2026-11-23-short-rows.md)."""
+    scene = SimpleNamespace(width=lanes, accelerator=SimpleNamespace(kind="bvh"), instances=instances, triangle_count=100)
     rays = SimpleNamespace(count=count, arrays_or_batch=SimpleNamespace(origin_stride=stride))
-    assert planner.packet_vectors(scene, rays, TRAVERSALS["packet"]) == vectors
+    assert planner.packet_vectors(scene, rays, query, TRAVERSALS["packet"]) == vectors

@@ -153,7 +153,7 @@ def test_blocks_begin_at_different_lines_of_the_cache():
 def test_records_share_memory_only_one_after_the_other(monkeypatch):
     """Those of a scene are in such a block, which waits for the next scene when nobody holds them."""
     monkeypatch.setattr(memory, "MIN_BYTES", 1)
-    mesh = wrt.scenes.build("teapot", level=3)
+    mesh = wrt.scenes.build("teapot", level=10)  # records of fewer triangles are arrays of their own
     scene, larger = wrt.Scene(mesh, device="cpu"), wrt.Scene(wrt.TriangleMesh(2.0 * mesh.vertices, mesh.faces), device="cpu")
     plan = scene.explain([0.0, 0.0, 0.0], [1.0, 2.0, 3.0])
     memory.release()

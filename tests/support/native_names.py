@@ -28,6 +28,7 @@ SUPPLIED = frozenset(
     re.findall(
         r"\w+",
         "INFINITY NAN memcpy fabsf __brev __ffs __popc threadIdx _Pragma __ATOMIC_SEQ_CST __ATOMIC_RELAXED "
+        "__ATOMIC_ACQUIRE __ATOMIC_RELEASE static_assert "
         "atomicAdd atomicMin sqrt __attribute__ ext_vector_type noinline",
     )
 )

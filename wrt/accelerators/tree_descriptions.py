@@ -246,6 +246,13 @@ class Bvh:
 
     def kernels(self, triangles: int, width: int) -> list[wp.Kernel]:
         """One kernel of each module that a build of so many triangles needs; width: as in `config`."""
-        from wrt.builders.bvh import BVH_BUILDERS
+        from wrt.builders.bvh import BVH_BUILDERS, few_triangles
+        from wrt.builders.bvh.phases.few_steps import run_steps
 
-        return BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)
+        few = [run_steps] if self.may_be_few and triangles <= few_triangles.MOST else []
+        return [*few, *BVH_BUILDERS[self.builder].kernels(self.config(width), triangles)]
+
+    @property
+    def may_be_few(self) -> bool:
+        """Whether trees of few triangles are built by `wrt.builders.bvh.few_triangles`."""
+        return type(self) is Bvh and self.builder == "binned" and not self.reinsertion and self.subset == 1.0

@@ -98,7 +98,8 @@ def first_hit_kernels() -> list[wp.Kernel]:
 
     kernels, device = [hit_positions], wp.get_device("cpu")
     for dtype in (np.float32, np.float64):
-        kernels += build_kernels(Bvh(), device, dtype, 2 * GRID * GRID)
+        for triangles in (1, 2 * GRID * GRID):  # few are built by kernels of their own
+            kernels += build_kernels(Bvh(), device, dtype, triangles)
     return [*dict.fromkeys([*kernels, *_tracing_kernels(_grid(), FEW)])]
 
 

@@ -154,9 +154,7 @@ def boxes_of_meshes(meshes: tuple[TriangleMesh, ...], placed: PlacedMeshes, hier
 def builds_few(meshes: tuple[TriangleMesh, ...], settings: Settings) -> bool:
     """Whether the tree is one that `wrt.builders.bvh.few_triangles` builds."""
     tree, device = settings.accelerator, settings.device
-    if type(tree) is not Bvh or tree.builder != "binned" or tree.reinsertion or tree.subset != 1.0:
-        return False
-    if not device.is_cpu or device.is_capturing:
+    if not isinstance(tree, Bvh) or not tree.may_be_few or not device.is_cpu or device.is_capturing:
         return False
     return sum([mesh.triangle_count for mesh in meshes]) <= few_triangles.MOST
 
