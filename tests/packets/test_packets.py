@@ -398,5 +398,6 @@ def test_repacked_packets(own_origins, device):
             assert_same_hits(hits, expected)
             work.append(hits.counters["boxes"] - plan.width * hits.counters["nodes"])
     by_rays = np.concatenate(work)
-    assert not (by_rays % (plan.packet // 4)).any()
-    assert (by_rays % (plan.packet // 2)).any()
+    children = 2 if plan.width == 2 else 1  # a node of two has no empty lane, so tests come in twos
+    assert not (by_rays % (children * plan.packet // 4)).any()
+    assert (by_rays % (children * plan.packet // 2)).any()
