@@ -6,10 +6,10 @@ Mitsuba must be importable; "llvm_ad_rgb" needs a libLLVM that works (DRJIT_LIBL
 pictures have 256 x 256 pixels and paths of at most 6 rays, the Cornell box 64 samples a pixel, the others 16. The atrium has a
 sky of one colour and a sun, the bunny of clear glass a sky and a round lamp. The first round of each is not counted.
 
-Mitsuba has Embree build its tree with high quality, and so the atrium's here is built with reinsertion. ROULETTE is "default":
-Russian roulette decides about the fifth ray of a path and later ones, in Mitsuba about the sixth; "same": about the fifth in
-both; or "none". Only with "none" do both follow paths through glass equally far, since Mitsuba's roulette leaves out how
-refraction changes radiance.
+Mitsuba has Embree build its tree with high quality, so trees of many triangles are built with reinsertion here. ROULETTE is
+"default": Russian roulette decides about the fifth ray of a path and later ones, in Mitsuba about the sixth; "same": about the
+fifth in both; or "none". Only with "none" do both follow paths through glass equally far, since Mitsuba's roulette leaves out
+how refraction changes radiance.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SIZE, DEPTH = 256, 6
 
 GREY = wrt.Material(color=0.8)
 
-TREES = {"atrium": wrt.Bvh(reinsertion=3)}
+TREES = dict.fromkeys(("atrium", "bunny"), wrt.Bvh(reinsertion=3))
 """Trees of scenes that are not built with the default one."""
 
 RR_DEPTH = {"default": 5, "same": 4, "none": 1000}
