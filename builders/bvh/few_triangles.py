@@ -48,7 +48,7 @@ MOST = MIN_LARGE
 """Most triangles of such a build."""
 
 POINT = Struct("3f")
-"""The coordinates of a vec3: a slice of it would take ten calls."""
+"""The coordinates of a vec3, unpacked from its memory at once: indexing a Warp vector is a call a coordinate."""
 
 LEAST_CAPACITY = 1024
 """Least number of triangles for which work arrays are made."""

@@ -28,12 +28,17 @@ TRANSPOSE = f"""
     auto wrt_turn = [](wrt_row* r) {{
         {_turn(1)}{_turn(2)}{_turn(4)}{_turn(8)}
     }};
-    auto wrt_write = [&](const float* columns, float* to, int words, int count) {{
+    auto wrt_write = [&](const float* columns, float* to, int words, unsigned kept) {{
         wrt_row r[16];
         for (int c = 0; c < 16; ++c) __builtin_memcpy(&r[c], columns + c * 16, sizeof(wrt_row));
         wrt_turn(r);
-        WRT_UNROLLED for (int k = 0; k < 16; ++k) {{
-            if (k < count) __builtin_memcpy(to + (size_t)k * words, &r[k], sizeof(wrt_row));
+        if (kept == 0xffffu) {{
+            WRT_UNROLLED for (int k = 0; k < 16; ++k) __builtin_memcpy(to + k * words, &r[k], sizeof(wrt_row));
+        }} else {{
+            WRT_UNROLLED for (int k = 0; k < 16; ++k) {{
+                if (kept >> k) __builtin_memcpy(to, &r[k], sizeof(wrt_row));  // the next one overwrites what is not kept
+                to += kept >> k & 1u ? words : 0;
+            }}
         }}
     }};
     auto wrt_read = [&](const float* const* from, int first, float* columns) {{
@@ -43,8 +48,11 @@ TRANSPOSE = f"""
         for (int c = 0; c < 16; ++c) __builtin_memcpy(columns + c * 16, &r[c], sizeof(wrt_row));
     }};
 #else
-    auto wrt_write = [&](const float* columns, float* to, int words, int count) {{
-        for (int k = 0; k < count; ++k) for (int c = 0; c < 16; ++c) to[k * words + c] = columns[c * 16 + k];
+    auto wrt_write = [&](const float* columns, float* to, int words, unsigned kept) {{
+        for (int k = 0; kept >> k; ++k) {{
+            for (int c = 0; c < 16; ++c) to[c] = columns[c * 16 + k];
+            to += kept >> k & 1u ? words : 0;
+        }}
     }};
     auto wrt_read = [&](const float* const* from, int first, float* columns) {{
         for (int k = 0; k < 16; ++k) for (int c = 0; c < 16; ++c) columns[c * 16 + k] = from[k][first + c];
@@ -53,5 +61,6 @@ TRANSPOSE = f"""
 """
 """C++, after `wrt.kernels.simd.lanes.FOR_LANES`. `columns`: 16 columns of 16 lanes, word c of record k in columns[c * 16 + k].
 
-`wrt_write(columns, to, words, count)`: 16 words each of `count` <= 16 records, which begin at `to` and are `words` apart.
+`wrt_write(columns, to, words, kept)`: 16 words each of the records whose bits are set in `kept`, one after the other, which
+begin at `to` and are `words` apart.
 `wrt_read(from, first, columns)`: words first .. first + 15 of the 16 records at `from`."""

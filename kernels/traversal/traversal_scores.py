@@ -80,11 +80,12 @@ class Limits(NamedTuple):
 
 LIMITS = {
     8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, large_packet=4),
-    16: Limits(100_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2),
+    16: Limits(80_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `large_packet`:
-notebooks/records/2026-11-23-short-rows.md). Fewer lanes are taken for 8; they have not been measured.
+(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `incoherent`:
+notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md). Fewer lanes are taken
+for 8; they have not been measured.
 """
 
 

@@ -81,7 +81,7 @@ def expected(
         if kind == "bvh":
             return "stream", f"{hits} of many rays"
         return "single", f"the traversal that finds {hits} on a kd-tree"
-    enough = triangles >= 100_000 or count < 8192
+    enough = triangles >= 80_000 or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
     if kind != "bvh" and not is_wide and coherent:
         crowd = (8 * count if shared else count // 2) >= triangles

@@ -13,7 +13,7 @@ from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.stream.stream_kernel import LIST_LANES, RAY_BITS, stream_ray
 from wrt.kernels.traversal.stream.stream_lanes import collect_child, filter_boxes, filter_hits, filter_plane, next_child
 from wrt.kernels.traversal.stream.stream_lists import Pairs, RayIntervals, load_pair, set_arrays
-from wrt.kernels.traversal.stream.stream_load import load_stream
+from wrt.kernels.traversal.stream.stream_load import PROBED, WORTHWHILE, load_stream
 
 pytestmark = pytest.mark.width
 
@@ -21,8 +21,11 @@ StreamRay = stream_ray("woop")
 SIZE, STREAMS = 605, 10
 """Rays of a stream, no multiple of 16, and their number."""
 
+FULL, SMALL = 608, 304
+"""Rays for which there is room: for all, and for half of them."""
+
 ROOM = 2 * SIZE + 2 * LIST_LANES
-LOAD, NEAR, FAR, PLANE, HITS = range(5)
+LOAD, NEAR, FAR, PLANE, HITS, ROOT = range(6)
 WIDTHS = {NEAR: 16, FAR: 8}
 """Of the nodes whose nearest and farthest children come first."""
 
@@ -39,6 +42,8 @@ class Lists:
     sizes: wp.array(dtype=int)
     bounds: wp.array(dtype=float)
     """Of a wide node a stream."""
+    nodes: wp.array2d(dtype=float)
+    """The same, a row a stream, for the root test."""
     children: wp.array(dtype=int)
     keys: wp.array2d(dtype=int)
     pairs: wp.array2d(dtype=wp.vec2i)
@@ -55,7 +60,8 @@ class Lists:
 @cache
 def loops() -> wp.Kernel:
     """The loops; which one is `stage`. Item: a stream."""
-    load, split, pop = load_stream("woop"), filter_plane("woop"), filter_hits("woop")
+    load, load_small = load_stream("woop", FULL), load_stream("woop", SMALL, WIDTHS[FAR])
+    split, pop = filter_plane("woop"), filter_hits("woop")
     near, far = filter_boxes(WIDTHS[NEAR], "woop", False), filter_boxes(WIDTHS[FAR], "woop", True)
     next_near, next_far = next_child(WIDTHS[NEAR]), next_child(WIDTHS[FAR])
 
@@ -65,9 +71,14 @@ def loops() -> wp.Kernel:
         list, stack = RayIntervals(), RayIntervals()
         set_arrays(list, words, lists.entry[i], lists.leave[i])
         set_arrays(stack, lists.far_rays[i], lists.far_entry[i], lists.far_leave[i])
+        begin, kept = i * SIZE, int(0)
+        end = wp.min(begin + SIZE, lists.rays.count)
         if stage == LOAD:
-            begin = i * SIZE
-            load(lists.rays, begin, wp.min(SIZE, lists.rays.count - begin), lists.low, lists.high, stream)
+            lists.answers[i, 0] = load(lists.rays, begin, end, lists.low, lists.high, lists.bounds, stream, kept)
+            lists.answers[i, 1] = kept
+        elif stage == ROOT:
+            lists.answers[i, 0] = load_small(lists.rays, begin, end, lists.low, lists.high, lists.nodes[i], stream, kept)
+            lists.answers[i, 1] = kept
         elif stage == PLANE:
             behind = int(0)
             lists.answers[i, 0] = split(lists.axes[i], lists.positions[i], stream, list, size, stack, 5, behind)
@@ -119,7 +130,7 @@ def lists(packets, plain, device) -> Lists:
     """Loaded streams, whose lists hold all good rays, shuffled; beyond them is what a loop may read but must not use."""
     made, rng = Lists(), np.random.default_rng(4)
     made.rays, made.low, made.high = packets.loop.rays, packets.loop.low, packets.loop.high
-    made.stream = wp.zeros((STREAMS, SIZE), dtype=StreamRay, device=device)
+    made.stream = wp.zeros((STREAMS, FULL), dtype=StreamRay, device=device)
     words = rng.integers(0, 10, (STREAMS, ROOM))
     for i, valid in enumerate(plain.valid):
         words[i, : valid.sum()] = rng.permutation(np.flatnonzero(valid))
@@ -127,13 +138,27 @@ def lists(packets, plain, device) -> Lists:
     made.words = wp.array(words, dtype=int, device=device)
     made.answers = wp.zeros((STREAMS, 4), dtype=int, device=device)
     wp.launch(loops(), STREAMS, [made, LOAD, 1], device=device)
+    put_back(made)
     return made
+
+
+def put_back(lists: Lists) -> np.ndarray:
+    """(STREAMS, SIZE) bool, which rays are in the streams; moves them from where they are to their numbers."""
+    stream, kept = lists.stream.numpy(), lists.answers.numpy()[:, 1]
+    placed, found = np.zeros_like(stream), np.zeros((STREAMS, SIZE), dtype=bool)
+    for i, count in enumerate(kept):
+        number = stream[i, :count]["number"]
+        assert (np.diff(number) > 0).all()
+        placed[i, number] = stream[i, :count]
+        found[i, number] = True
+    lists.stream.assign(placed)
+    return found
 
 
 def set_best(lists: Lists, best: np.ndarray) -> None:
     """Gives rays best hits at other t."""
     stream = lists.stream.numpy().copy()
-    stream["best"]["t"] = best
+    stream["best"]["t"][:, :SIZE] = best
     lists.stream.assign(stream)
 
 
@@ -141,22 +166,61 @@ def bits(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values).view(np.int32)
 
 
-def test_loaded(lists, plain):
-    """Every number of a good ray has the bits of the ray that is loaded alone; all others need no tests."""
-    got, valid = lists.stream.numpy(), plain.valid
-    there = plain.number >= 0
-    assert 0.5 < valid[there].mean() < 0.95
+def check_loaded(got: np.ndarray, plain: PlainRays, chosen: np.ndarray) -> None:
+    """Every number of the chosen rays has the bits of the ray that is loaded alone, and none of them has a hit."""
     for name in plain.slabs.dtype.names:
-        np.testing.assert_array_equal(bits(got["slabs"][name])[valid], bits(plain.slabs[name])[valid], err_msg=name)
+        np.testing.assert_array_equal(bits(got["slabs"][name])[chosen], bits(plain.slabs[name])[chosen], err_msg=name)
     for name in plain.state.dtype.names:
-        np.testing.assert_array_equal(bits(got["state"][name])[valid], bits(plain.state[name])[valid], err_msg=name)
+        np.testing.assert_array_equal(bits(got["state"][name])[chosen], bits(plain.state[name])[chosen], err_msg=name)
     t_min = plain.ray["t_min"] + np.float32(0.0)  # not -0
-    np.testing.assert_array_equal(bits(got["t_min"])[valid], bits(t_min)[valid])
-    best = got["best"]
-    np.testing.assert_array_equal(best["t"][there], np.where(valid, plain.ray["t_max"], -np.inf)[there])
-    assert (best["primitive"][there] == -1).all()
+    np.testing.assert_array_equal(bits(got["t_min"])[chosen], bits(t_min)[chosen])
+    best = got["best"][chosen]
+    np.testing.assert_array_equal(best["t"], plain.ray["t_max"][chosen])
+    assert (best["primitive"] == -1).all()
     assert not best["u"].any()
     assert not best["v"].any()
+
+
+def test_loaded(lists, plain):
+    """The good rays are loaded, one after the other; the others are left out."""
+    there = plain.number >= 0
+    assert 0.5 < plain.valid[there].mean() < 0.95
+    answers = lists.answers.numpy()
+    np.testing.assert_array_equal(answers[:, 0], there.sum(axis=1))
+    np.testing.assert_array_equal(answers[:, 1], plain.valid.sum(axis=1))
+    check_loaded(lists.stream.numpy()[:, :SIZE], plain, plain.valid)
+
+
+def test_rays_that_miss_the_root_are_left_out(lists, plain, device):
+    """As long as a quarter leaves; a stream is loaded until it is full."""
+    width = WIDTHS[FAR]
+    boxes, _ = random_nodes(np.random.default_rng(2), width)
+    boxes[::2] *= 0.1  # few rays meet the children of these roots
+    boxes[np.isnan(boxes)] = 0.0
+    lists.nodes = wp.array(boxes.reshape(STREAMS, -1), dtype=float, device=device)
+    wp.launch(loops(), STREAMS, [lists, ROOT, 1], device=device)
+    answers, found = lists.answers.numpy(), put_back(lists)
+    enter, leave = plain.meeting(boxes)
+    met = (enter <= leave).any(axis=-1)
+    stopped, filled = 0, 0
+    for i in range(STREAMS):
+        place = kept = 0
+        expected = np.zeros(SIZE, dtype=bool)
+        here = (plain.number[i] >= 0).sum()
+        while place < here and kept <= SMALL - LIST_LANES:
+            group = slice(place, min(place + LIST_LANES, here))
+            testing = place < PROBED or place - kept >= WORTHWHILE * place
+            expected[group] = plain.valid[i, group] & (met[i, group] | (not testing))
+            kept += expected[group].sum()
+            stopped += not testing
+            place += LIST_LANES
+        filled += place < here
+        np.testing.assert_array_equal(answers[i, :2], (min(place, here), kept))
+        np.testing.assert_array_equal(found[i], expected)
+    assert stopped
+    assert filled
+    assert (plain.valid & ~met).any()
+    check_loaded(lists.stream.numpy()[:, :SIZE], plain, found)
 
 
 def random_nodes(rng: np.random.Generator, width: int) -> tuple[np.ndarray, np.ndarray]:

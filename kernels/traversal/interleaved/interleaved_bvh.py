@@ -9,7 +9,7 @@ incoherent rays part after a few levels; lists of one or two rays are then all c
 independent, so the processor works on several at a time; the boxes of a ray's next node are fetched while the others have
 their turn (Wald et al. 2007 and Barringer and Akenine-Möller 2014 have the same two aims). There is no branch on what a ray
 meets, but for skipping children behind a hit: children are sorted by a network
-(`wrt.kernels.traversal.interleaved.child_order`), and rays that reach a leaf, or the end, are parted from the others a vector
+(`wrt.kernels.traversal.interleaved.child_order`), and rays that reach a leaf, or the end, leave the list of the others a vector
 at a time (`wrt.kernels.traversal.interleaved.ray_slots`). When all are before leaves, they are tested
 (`wrt.kernels.traversal.interleaved.leaf_pairs`). Rays that are done make room for the next ones.
 
@@ -52,9 +52,9 @@ LOADED = 1024
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
-    load, store, test_blocks = load_stream(config.triangle_test), store_stream(config), block_tester(config)
     walk, room, width = walk_to_leaves(config), slot_words(config), config.width
     counting, size = config.counters, min(config.stream.rays, LOADED)
+    load, store, test_blocks = load_stream(config.triangle_test, size, width), store_stream(config), block_tester(config)
     block_words = 2 * pair_room(width)
 
     def interleaved_bvh(
@@ -72,24 +72,24 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
-            count = wp.min(wp.static(size), end - begin)
             work = StreamCounters()
-            load(rays, begin, count, tree.low, tree.high, stream)
+            kept = int(0)
+            count = load(rays, begin, end, tree.low, tree.high, tree.bounds, stream, kept)
             started = int(0)
             waiting = int(0)
             visited = int(0)
             paired = int(1)
             while paired > 0:
-                paired = walk(tree, triangles.records, stream, count, memory, started, waiting, visited, work.triangles, blocks)
+                paired = walk(tree, triangles.records, stream, kept, memory, started, waiting, visited, work.triangles, blocks)
                 if wp.static(counting):
                     work.leaves += waiting
                     work.intersection_slots += paired * wp.static(width)
                 test_blocks(triangles, stream, blocks, paired, pairs, hits, begin)
-            store(stream, begin, count, hits)
+            store(stream, kept, begin, count, hits)
             if wp.static(counting):
                 work.nodes = visited
                 work.intersection_active = work.triangles
                 counters.rows[begin] = work
-            begin += wp.static(size)
+            begin += count
 
     return specialised_kernel(interleaved_bvh)

@@ -10,11 +10,11 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import lanes
 from wrt.kernels.traversal.interleaved.ray_slots import pair_room
 from wrt.kernels.traversal.stream.stream_candidates import candidate_tester
 from wrt.kernels.traversal.stream.stream_kernel import stream_ray
 from wrt.kernels.traversal.stream.stream_lists import PAIRS, Pairs, append_candidates
+from wrt.kernels.traversal.stream.stream_pairs import line_lanes
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -29,10 +29,9 @@ def block_tester(config: TraversalConfig) -> wp.Function:
     hits: destination of the hits in queries for all hits. begin: number of the stream's first ray.
     """
     test, width = TRIANGLE_TESTS[config.triangle_test], config.width
-    StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(width)
-    forms, test_candidates = test.forms(config.crossing), candidate_tester(config)
+    StreamRay, RayState = stream_ray(config.triangle_test), test.ray_state
+    test_candidates, intersect_lines = candidate_tester(config), line_lanes(config)
     append = append_candidates(width, config.query != ANY)
-    intersect_block = (forms.line_test or forms.block_test)(width)
 
     @wp.func_native(f"""
         const int k = blocks.data[p];
@@ -42,13 +41,6 @@ def block_tester(config: TraversalConfig) -> wp.Function:
     def load_pair(
         blocks: wp.array(dtype=int), p: int, rays: wp.array(dtype=StreamRay), block: wp.ref[int], state: wp.ref[RayState]
     ) -> int: ...
-
-    @wp.func
-    def intersect_lines(triangles: TriangleBlocks, block: int, state: RayState):
-        t = Lanes()  # t, u and v are not used
-        u = Lanes()
-        v = Lanes()
-        return intersect_block(triangles.records, block, state, t, u, v)
 
     @wp.func
     def find_candidates(

@@ -6,7 +6,7 @@ behind it. At the bottom is an empty child, and a key that is less than any, so 
 
 Slots before inner nodes are listed, by where they are in memory, with the words of their nodes. A pass tests the boxes of these
 nodes, then replaces each word by the next child: short loops, so that the processor works on several slots at a time. Then the
-list is parted, a vector at a time and without a branch: those before inner nodes stay, the others leave it. Leaves are
+list is partitioned, a vector at a time and without a branch: those before inner nodes stay, the others leave it. Leaves are
 listed as pairs of a ray and a block of triangles, to be tested when no slot is before an inner node.
 """
 
@@ -95,7 +95,7 @@ _MOVES = """
         slot.top = top;
         return stacks[top + CHILDREN];
     };
-    auto wrt_part = [&](int count) {
+    auto wrt_partition = [&](int count) {
         inners = 0;
         for (int j = 0; j < count; j += L) {
             int leaf[L];
@@ -133,15 +133,11 @@ _MOVES = """
             if (COUNTING) triangles += ~word & 63;
         }
         outers = 0;
-        for (;;) {
-            while (following < count && !(rays.data[following].best.t >= 0.0f)) ++following;  // invalid rays
-            if (idles == 0 || following >= count) break;
-            wrt_start(idle[--idles]);
-        }
+        while (idles > 0 && following < count) wrt_start(idle[--idles]);
     };
 """
-"""C++: `wrt_pop` takes the next child from a stack, `wrt_part` parts the list, `wrt_start` puts the next ray before the root.
-`wrt_settle` lists the leaves of the slots that have left the list, and starts rays in those that are idle."""
+"""C++: `wrt_pop` takes the next child from a stack, `wrt_partition` divides the list, `wrt_start` puts the next ray before the
+root. `wrt_settle` lists the leaves of the slots that have left the list, and starts rays in those that are idle."""
 
 _BEGIN = """
     if (next == 0) {
@@ -160,7 +156,7 @@ _BEGIN = """
             wrt_fetch_node(next_word);
             listed[j] = place; words[j] = next_word;
         }
-        wrt_part(waiting);
+        wrt_partition(waiting);
     }
     wrt_settle();
 """
@@ -190,7 +186,7 @@ _PASSES = """
             words[j] = word;
             wrt_fetch_node(word);
         }
-        wrt_part(inners);
+        wrt_partition(inners);
         wrt_settle();
     }
     next = following;

@@ -115,8 +115,8 @@ WRT_REACH            const float slack = SLACK * far, jx = 1.0f / dx[k], jy = 1.
             words[11][k] = 0.0f; words[12][k] = 0.0f; words[13][k] = 0.0f;
         }
         WRT_PREPARE
-        wrt_write(words[0], rays_words + from * STRIDE, STRIDE, here);
-        wrt_write(words[WORDS - 16], rays_words + from * STRIDE + WORDS - 16, STRIDE, here);
+        wrt_write(words[0], rays_words + from * STRIDE, STRIDE, (1u << here) - 1u);
+        wrt_write(words[WORDS - 16], rays_words + from * STRIDE + WORDS - 16, STRIDE, (1u << here) - 1u);
     }
 """
 """C++: what box and triangle tests read of the rays that wait."""

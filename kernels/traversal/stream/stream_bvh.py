@@ -118,28 +118,18 @@ def make_trace(config: TraversalConfig) -> wp.Function:
     return trace
 
 
-@cache
-def list_valid(triangle_test: str) -> wp.Function:
-    """`wp.func(stream, count, words) -> int`: writes the numbers of the valid ones of the first `count` rays; returns how
-    many."""
-    StreamRay = stream_ray(triangle_test)
-
-    @wp.func_native("""
-        int size = 0;
-        for (int k = 0; k < count; ++k) { words.data[size] = k; size += rays.data[k].best.t >= 0.0f ? 1 : 0; }
-        return size;
-    """)
-    def list_valid_native(rays: wp.array(dtype=StreamRay), count: int, words: wp.array(dtype=int)) -> int: ...
-
-    return list_valid_native
+@wp.func_native("for (int k = 0; k < count; ++k) words.data[k] = k;")
+def list_rays(count: int, words: wp.array(dtype=int)):
+    """Writes the list of a stream of `count` rays, with which they enter the tree."""
+    ...
 
 
 @cache
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay = stream_ray(config.triangle_test)
-    load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
-    list_rays, counting, size = list_valid(config.triangle_test), config.counters, config.stream.rays
+    counting, size = config.counters, config.stream.rays
+    load, store, trace = load_stream(config.triangle_test, size, config.width), store_stream(config), make_trace(config)
     room = (config.stack.levels + 1) * size + LIST_LANES
 
     def stream_bvh(
@@ -155,13 +145,14 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
-            count = wp.min(wp.static(size), end - begin)
             work = StreamCounters()
-            load(rays, begin, count, tree.low, tree.high, stream)
-            trace(tree, triangles, stream, words, list_rays(stream, count, words), hits, begin, work)
-            store(stream, begin, count, hits)
+            kept = int(0)
+            count = load(rays, begin, end, tree.low, tree.high, tree.bounds, stream, kept)
+            list_rays(kept, words)
+            trace(tree, triangles, stream, words, kept, hits, begin, work)
+            store(stream, kept, begin, count, hits)
             if wp.static(counting):
                 counters.rows[begin] = work
-            begin += wp.static(size)
+            begin += count
 
     return specialised_kernel(stream_bvh)

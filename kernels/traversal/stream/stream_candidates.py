@@ -25,7 +25,7 @@ from wrt.kernels.simd.boxes import RaySlabs
 from wrt.kernels.simd.transpose import TRANSPOSE
 from wrt.kernels.traversal.crossings import record_crossing
 from wrt.kernels.traversal.leaf import BOX_INTERVAL, Candidate, triangle_step
-from wrt.kernels.traversal.stream.stream_kernel import get_ray, ray_words, stream_ray
+from wrt.kernels.traversal.stream.stream_kernel import get_ray, ray_number, ray_words, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import LISTS, Pairs, load_candidate
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle import TRIANGLE_TESTS
@@ -198,7 +198,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
 
         return test_all
 
-    test_one = scalar_test_step(config)
+    test_one, number_of = scalar_test_step(config), ray_number(config.triangle_test)
 
     @wp.func
     def test_each(
@@ -213,7 +213,7 @@ def candidate_tester(config: TraversalConfig) -> wp.Function:
         while p < count:
             slot = int(0)
             k = load_candidate(pairs, p, slot)
-            test_one(triangles, stream, k, slot, hits, begin + k)
+            test_one(triangles, stream, k, slot, hits, begin + number_of(stream, k))
             p += 1
 
     return test_each

@@ -56,9 +56,9 @@ _SORT = """
         const auto& inverse = rays.data[k].slabs.inverse;
         return (inverse.c[0] < 0.0f ? 1 : 0) | (inverse.c[1] < 0.0f ? 2 : 0) | (inverse.c[2] < 0.0f ? 4 : 0);
     };
-    for (int k = 0; k < count; ++k) { if (rays.data[k].best.t >= 0.0f) ++first[octant_of(k)]; }
+    for (int k = 0; k < count; ++k) ++first[octant_of(k)];
     for (int o = 0; o < 8; ++o) { const int size = first[o]; first[o] = last; last += size; ends.data[o] = last; }
-    for (int k = 0; k < count; ++k) { if (rays.data[k].best.t >= 0.0f) order.data[first[octant_of(k)]++] = k; }
+    for (int k = 0; k < count; ++k) order.data[first[octant_of(k)]++] = k;
 """
 
 _ENTER = """
@@ -214,8 +214,8 @@ def make_trace(config: TraversalConfig) -> wp.Function:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     StreamRay, enter = stream_ray(config.triangle_test), enter_scene(config.triangle_test)
-    load, store, trace = load_stream(config.triangle_test), store_stream(config), make_trace(config)
     counting, size = config.counters, config.stream.rays
+    load, store, trace = load_stream(config.triangle_test, size), store_stream(config), make_trace(config)
     piece = -(-size * STACK_LISTS // MAX_TREE_DEPTH)
     list_size, stack_size = piece + LIST_LANES, piece * MAX_TREE_DEPTH + LIST_LANES
 
@@ -233,6 +233,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         stream = wp.zeros(shape=(size,), dtype=StreamRay)
         order = wp.zeros(shape=(size,), dtype=int)
         ends = wp.zeros(shape=(8,), dtype=int)
+        unused = wp.zeros(shape=(1,), dtype=float)
         list = RayIntervals()
         list_rays = wp.zeros(shape=(list_size,), dtype=int)
         list_entry = wp.zeros(shape=(list_size,), dtype=float)
@@ -246,10 +247,10 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
-            count = wp.min(wp.static(size), end - begin)
             work = StreamCounters()
-            load(rays, begin, count, tree.low, tree.high, stream)
-            sort_by_octant(stream, count, order, ends)
+            kept = int(0)
+            count = load(rays, begin, end, tree.low, tree.high, unused, stream, kept)
+            sort_by_octant(stream, kept, order, ends)
             done = int(0)
             octant = int(0)
             while octant < 8:
@@ -260,9 +261,9 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                     trace(tree, triangles, stream, list, listed, stack, hits, begin, work)
                 done = piece_end
                 octant += wp.where(done == last, 1, 0)
-            store(stream, begin, count, hits)
+            store(stream, kept, begin, count, hits)
             if wp.static(counting):
                 counters.rows[begin] = work
-            begin += wp.static(size)
+            begin += count
 
     return specialised_kernel(stream_kdtree)

@@ -107,8 +107,10 @@ def stream_ray(triangle_test: str) -> type:
         t_min: float
         best: Candidate
         state: RayState
+        number: int
 
-    StreamRay.__doc__ = """The data of a ray for box and triangle tests. `best.t` is -inf if it needs no more tests."""
+    StreamRay.__doc__ = """The data of a ray for box and triangle tests. `best.t` is -inf if it needs no more tests. `number`
+    counts the rays of the batch from the first that was loaded."""
     return wp.struct(StreamRay)
 
 
@@ -138,30 +140,61 @@ def get_ray(triangle_test: str) -> wp.Function:
 
 
 @cache
+def ray_number(triangle_test: str) -> wp.Function:
+    """`func(stream, k) -> int`: which of the loaded rays ray k of a stream is."""
+
+    @wp.func_native("return rays.data[k].number;")
+    def number_of(rays: wp.array(dtype=stream_ray(triangle_test)), k: int) -> int: ...
+
+    return number_of
+
+
+_MISS_ANY = "for (int k = 0; k < count; ++k) hits.occluded.data[begin + k] = false;"
+
+_MISS_ALL = "for (int k = 0; k < count; ++k) hits.counts.data[begin + k] = 0;"
+
+_MISS_CLOSEST = """
+    for (int k = 0; k < count; ++k) hits.t.data[begin + k] = __builtin_bit_cast(float, 0x7f800000);
+    for (int k = 0; k < count; ++k) hits.primitive.data[begin + k] = -1;
+    for (int k = 0; k < count; ++k) hits.uv.data[begin + k] = wp::vec2(0.0f, 0.0f);
+"""
+
+
+@cache
 def store_stream(config: TraversalConfig) -> wp.Function:
-    """`wp.func(stream, begin, count, hits)`: writes the results of the rays begin .. begin + count - 1."""
-    StreamRay = stream_ray(config.triangle_test)
+    """`wp.func(stream, size, begin, count, hits)`: writes the results of the rays begin .. begin + count - 1, of which `size`
+    are in the stream; the others miss."""
+    StreamRay, number_of = stream_ray(config.triangle_test), ray_number(config.triangle_test)
     store_one = store_best(config)
+
+    @wp.func_native(_MISS_ANY if config.query == ANY else _MISS_ALL if config.crossing else _MISS_CLOSEST)
+    def store_misses(begin: int, count: int, hits: HitBatch): ...
+
+    if config.query == ANY:
+
+        @wp.func_native("""
+            for (int k = 0; k < size; ++k) occluded.data[begin + rays.data[k].number] = rays.data[k].best.primitive >= 0;
+        """)
+        def store_any(rays: wp.array(dtype=StreamRay), size: int, begin: int, occluded: wp.array(dtype=wp.bool)): ...
+
+        @wp.func
+        def store_occluded(stream: wp.array(dtype=StreamRay), size: int, begin: int, count: int, hits: HitBatch):
+            if size < count:
+                store_misses(begin, count, hits)
+            store_any(stream, size, begin, hits.occluded)
+
+        return store_occluded
 
     @wp.func_native("best = rays.data[k].best;")
     def get_best(rays: wp.array(dtype=StreamRay), k: int, best: wp.ref[Candidate]): ...
 
-    if config.query == ANY:
-
-        @wp.func_native("for (int k = 0; k < count; ++k) occluded.data[begin + k] = rays.data[k].best.primitive >= 0;")
-        def store_any(rays: wp.array(dtype=StreamRay), begin: int, count: int, occluded: wp.array(dtype=wp.bool)): ...
-
-        @wp.func
-        def store_all(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):
-            store_any(stream, begin, count, hits.occluded)
-
-        return store_all
-
     @wp.func
-    def store(stream: wp.array(dtype=StreamRay), begin: int, count: int, hits: HitBatch):
-        for k in range(count):
+    def store(stream: wp.array(dtype=StreamRay), size: int, begin: int, count: int, hits: HitBatch):
+        if size < count:
+            store_misses(begin, count, hits)
+        for k in range(size):
             best = Candidate()
             get_best(stream, k, best)
-            store_one(hits, begin + k, best)
+            store_one(hits, begin + number_of(stream, k), best)
 
     return store

@@ -29,6 +29,23 @@ exact_module(__name__)
 
 
 @cache
+def line_lanes(config: TraversalConfig) -> wp.Function:
+    """`wp.func(triangles, block, state) -> mask`: which triangles of a block the line of a ray meets."""
+    test, Lanes = TRIANGLE_TESTS[config.triangle_test], lanes(config.width)
+    RayState, forms = test.ray_state, test.forms(config.crossing)
+    intersect_block = (forms.line_test or forms.block_test)(config.width)
+
+    @wp.func
+    def intersect_lines(triangles: TriangleBlocks, block: int, state: RayState):
+        t = Lanes()  # t, u and v are not used
+        u = Lanes()
+        v = Lanes()
+        return intersect_block(triangles.records, block, state, t, u, v)
+
+    return intersect_lines
+
+
+@cache
 def line_filter(config: TraversalConfig) -> wp.Function:
     """`wp.func(triangles, stream, pairs, count, tested, left, work) -> found`: tests one block of each pair tested .. count -
     1.
@@ -37,17 +54,8 @@ def line_filter(config: TraversalConfig) -> wp.Function:
     are moved to the front of the pair list; `left` is their number.
     """
     test, width, counting = TRIANGLE_TESTS[config.triangle_test], config.width, config.counters
-    StreamRay, RayState, Lanes = stream_ray(config.triangle_test), test.ray_state, lanes(config.width)
-    get, forms = get_ray(config.triangle_test), test.forms(config.crossing)
-    append = append_candidates(width, config.query != ANY)
-    intersect_block = (forms.line_test or forms.block_test)(width)
-
-    @wp.func
-    def intersect_lines(triangles: TriangleBlocks, block: int, state: RayState):
-        t = Lanes()  # t, u and v are not used
-        u = Lanes()
-        v = Lanes()
-        return intersect_block(triangles.records, block, state, t, u, v)
+    StreamRay, RayState, get = stream_ray(config.triangle_test), test.ray_state, get_ray(config.triangle_test)
+    append, intersect_lines = append_candidates(width, config.query != ANY), line_lanes(config)
 
     @wp.func
     def find_candidates(

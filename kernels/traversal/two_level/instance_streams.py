@@ -211,8 +211,8 @@ def sort_by_instance(
 def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel by which streams trace a round; an item is a segment of one instance's rays."""
     StreamRay = stream_ray(config.triangle_test)
-    load, store, trace = load_stream(config.triangle_test), store_stream(config), stream_bvh.make_trace(config)
-    list_valid, size = stream_bvh.list_valid(config.triangle_test), config.stream.rays
+    size, trace = config.stream.rays, stream_bvh.make_trace(config)
+    load, store = load_stream(config.triangle_test, size, config.width), store_stream(config)
     stack_size = (config.stack.levels + 1) * size + LIST_LANES
 
     def streams_of_instances(
@@ -230,12 +230,13 @@ def make_stream_kernel(config: TraversalConfig) -> wp.Kernel:
         words = wp.zeros(shape=(stack_size,), dtype=int)
         begin = segment[1]
         while begin < segment[2]:
-            count = wp.min(wp.static(size), segment[2] - begin)
             work = StreamCounters()
-            load(rays, begin, count, part.tree.low, part.tree.high, stream)
-            trace(part.tree, part.triangles, stream, words, list_valid(stream, count, words), hits, begin, work)
-            store(stream, begin, count, hits)
-            begin += wp.static(size)
+            kept = int(0)
+            count = load(rays, begin, segment[2], part.tree.low, part.tree.high, part.tree.bounds, stream, kept)
+            stream_bvh.list_rays(kept, words)
+            trace(part.tree, part.triangles, stream, words, kept, hits, begin, work)
+            store(stream, kept, begin, count, hits)
+            begin += count
 
     return specialised_kernel(streams_of_instances)
 

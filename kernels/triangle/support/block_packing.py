@@ -42,7 +42,8 @@ def copy_corners(
     none: float,
     records: wp.array(dtype=float),
 ):
-    """Writes the vertices of a record; `none` for those of an unused lane. Warp's indexing would take most of the time."""
+    """Writes the vertices of a record; `none` for those of an unused lane. Native, because Warp's
+    indexing computes the address of each element anew."""
     ...
 
 
