@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from wrt.host_arrays import HostArray, write_flat
+from wrt.host_arrays import ELEMENTS, HostArray, address_of, write_flat
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.runtime import workspace
 
@@ -50,6 +50,8 @@ arrays that a kernel accesses at the same index share the same few cache lines (
 
 ALIGNED = 256
 """Bytes at whose multiples arrays of one allocation begin, as CUDA's own allocations do."""
+
+ELEMENT_BYTES = {dtype: wp.types.type_size_in_bytes(dtype) for dtype in ELEMENTS}
 
 _begins = cycle(range(0, 16 * STAGGER, STAGGER))
 
@@ -158,13 +160,13 @@ class Lease:
 
 def empty_host(count: int, dtype: type) -> HostArray:
     """A flat array with undefined contents; its memory may be reused."""
-    size = count * wp.types.type_size_in_bytes(dtype)
+    number, element = ELEMENTS[dtype]
+    size = count * ELEMENT_BYTES[dtype]
     if size < MIN_BYTES:
-        owner = block = np.empty(size, dtype=np.uint8)
-    else:
-        owner = Lease(size)
-        block = owner.block
-    return HostArray(block.__array_interface__["data"][0], count, dtype, owner)  # much faster than `ctypes.data`
+        values = np.empty((count, *element), number)
+        return HostArray(address_of(values), count, dtype, values, values)
+    lease = Lease(size)
+    return HostArray(address_of(lease.block), count, dtype, lease)
 
 
 def empty(count: int, dtype: type, device: wp.Device) -> wp.array:

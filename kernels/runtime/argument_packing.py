@@ -1,9 +1,9 @@
 """A CPU kernel whose arguments are packed once and that can be called repeatedly, for any range of items."""
 
 import ctypes
-from collections.abc import Container, Sequence
+from collections.abc import Callable, Container, Sequence
 from copy import copy
-from functools import cache
+from functools import cache, partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -139,6 +139,10 @@ class PackedKernel:
     def argument(self, index: int) -> Any:
         """The packed form of an argument. Values written to the fields of a struct take effect at the next call."""
         return getattr(self.arguments, f"p{index}")
+
+    def prepared_call(self) -> Callable[[], None]:
+        """A function that does what `call` does, as long as this object lives, without any code of Python's."""
+        return partial(self._forward, ctypes.byref(self.bounds), ctypes.byref(self.arguments))
 
     def call(self) -> None:
         """Runs the kernel, without the interpreter lock."""

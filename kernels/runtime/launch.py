@@ -46,7 +46,7 @@ CHUNKS_PER_THREAD = 8
 MAX_CHUNK = 1 << 16
 """Greatest number of items in a chunk of rays or triangles: about 10 ms of work."""
 
-SMALLEST_SHARE = 4
+SMALLEST_SHARE = 16
 """The last chunks are this many times smaller than the first ones."""
 
 MAX_THREADS = 1024
@@ -59,6 +59,7 @@ _lock = threading.RLock()
 _loaded: set[tuple[wp.Kernel, str]] = set()
 _executor: ThreadPoolExecutor | None = None
 _num_threads: int | None = None
+_default_threads: int | None = None  # kept: beside a large query, a look at the affinity mask takes 10 us
 _local_threads: ContextVar[int | None] = ContextVar("wrt_threads", default=None)
 _schedule: ContextVar[str] = ContextVar("wrt_schedule", default=DEFAULT_SCHEDULE)
 
@@ -66,20 +67,22 @@ _schedule: ContextVar[str] = ContextVar("wrt_schedule", default=DEFAULT_SCHEDULE
 def get_num_threads() -> int:
     """Number of threads that CPU kernels use: `use_threads`, else `set_num_threads`, else WRT_NUM_THREADS, else all cores.
 
+    The variable and the cores are looked at once, again after `set_num_threads`, and again in a forked child.
+
     Raises:
         ValueError: WRT_NUM_THREADS is not a whole number from 1 to 1024.
     """
-    global _num_threads
+    global _default_threads
     if (local := _local_threads.get()) is not None:
         return local
-    if _num_threads is None:
+    if _num_threads is not None:
+        return _num_threads
+    if _default_threads is None:
         text = os.environ.get("WRT_NUM_THREADS", "").strip()
-        if not text:
-            return available_cores()
-        if not text.isdigit():
+        if text and not text.isdigit():
             raise ValueError(f"WRT_NUM_THREADS is {text!r}; set it to a whole number from 1 to {MAX_THREADS}")
-        _num_threads = check_num_threads(int(text), "WRT_NUM_THREADS")
-    return _num_threads
+        _default_threads = check_num_threads(int(text), "WRT_NUM_THREADS") if text else available_cores()
+    return _default_threads
 
 
 def set_num_threads(count: int | None) -> None:
@@ -89,8 +92,8 @@ def set_num_threads(count: int | None) -> None:
         TypeError: `count` is not an int.
         ValueError: `count` is not from 1 to 1024.
     """
-    global _num_threads
-    _num_threads = None if count is None else check_num_threads(count, "count")
+    global _num_threads, _default_threads
+    _num_threads, _default_threads = None if count is None else check_num_threads(count, "count"), None
 
 
 class use_threads:  # a class, because a generator would take three times as long, and every query enters one
@@ -181,7 +184,7 @@ class PreparedLaunch:
     def __init__(self, kernel: wp.Kernel, inputs: Sequence[Any], device: wp.Device) -> None:
         load([kernel], device)
         self._packed = PackedKernel(kernel, [0, *inputs], device)
-        self._job: tuple[tuple[int, ...], native.Job] | None = None  # of the last run
+        self._last: tuple[tuple[Any, ...], native.Job] | None = None  # job of the last run, and what it was made for
 
     def argument(self, index: int) -> Any:
         """The packed form of a struct argument. Values that are written to it take effect at the next run."""
@@ -203,7 +206,7 @@ class PreparedLaunch:
         """`PackedKernel.forget`."""
         self._packed.forget(but)
 
-    def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
+    def run(self, count: int, chunks: Chunks, used: Any = None, threads: int | None = None) -> None:
         """Runs the kernel for the items 0 .. count - 1.
 
         Args:
@@ -211,33 +214,29 @@ class PreparedLaunch:
             chunks: division of the items.
             used: owners of memory whose addresses were written into the arguments. They are kept alive until the last helper is
                 done, even if the caller is interrupted again while it waits.
+            threads: `get_num_threads()`, if the caller knows it.
         """
         if count <= min(chunks.chunk, chunks.longest):
             self._packed.call_own_range(0, count)
             return
-        threads = get_num_threads()
+        threads, schedule = threads or get_num_threads(), _schedule.get()
+        key = count, chunks, threads, schedule
+        if self._last is not None and self._last[0] == key:  # `chunks` is the same object in most cases
+            native.the_pool().run(self._last[1], (self._packed, used))
+            return
         largest, smallest = chunks.sizes(count, threads)
         threads = min(threads, -(-count // smallest))
         if threads == 1:
             for first in range(0, count, largest):
                 self._packed.call_own_range(first, min(largest, count - first))
         elif native.is_available():
-            job, memory = self._new_job(count, largest, smallest, threads)
+            job, memory = native.new_job(
+                self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=SCHEDULES[schedule]
+            )
+            self._last = None if SCHEDULES[schedule].queues else (key, job)  # queues are used up
             native.the_pool().run(job, (memory, used))
         else:
             self._run_in_python(count, largest, used)
-
-    def _new_job(self, count: int, largest: int, smallest: int, threads: int) -> tuple[native.Job, Any]:
-        """The job of a run, and the owners of its memory; that of the last run, if it was the same."""
-        schedule = SCHEDULES[_schedule.get()]
-        key = count, largest, smallest, threads, schedule.code
-        if self._job is not None and self._job[0] == key:
-            return self._job[1], self._packed
-        job, memory = native.new_job(
-            self._packed, count, largest=largest, smallest=smallest, threads=threads, schedule=schedule
-        )
-        self._job = None if schedule.queues else (key, job)  # queues are used up
-        return job, memory
 
     def _run_in_python(self, count: int, largest: int, used: Any) -> None:
         """Runs the kernel with chunks that Python hands out."""
@@ -371,9 +370,9 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def _forget_pool() -> None:
-    """Resets the pool in a forked child, which has none of its threads."""
-    global _executor, _lock
-    _executor, _lock = None, threading.RLock()
+    """Resets the pool in a forked child, which has none of its threads, and may get other cores."""
+    global _executor, _lock, _default_threads
+    _executor, _lock, _default_threads = None, threading.RLock(), None
 
 
 if hasattr(os, "register_at_fork"):

@@ -81,9 +81,11 @@ class Slot:
     def __init__(self, board: wp.array, index: int, free: deque[int] | None = None) -> None:
         self._index, self._free = index, free
         first = layout.FIRST_SLOT + index * layout.SLOT_WORDS
-        self._words = board.numpy()[first : first + layout.SLOT_WORDS]
+        self._words = (ctypes.c_int64 * layout.SLOT_WORDS).from_address(board.ptr + 8 * first)
+        self._board = board
         self._lead = PackedKernel(layout.lead, [board, index, 0], board.device)
         self._stop = PackedKernel(layout.stop, [board, index], board.device)
+        self._lead_now = self._lead.prepared_call()
         self.is_busy = False
         self.owner_waits = False  # whether the interrupted owner finishes the job itself; only one thread may lead it
 
@@ -98,7 +100,7 @@ class Slot:
 
     def turn(self) -> None:
         """Works on the job for at most `TURN_NS`, or until the current chunk is done."""
-        self._lead.call()
+        self._lead_now()
 
     def stop(self) -> None:
         """Stops the job: no thread takes another chunk."""
@@ -140,7 +142,8 @@ class Pool:
         Raises:
             RuntimeError: the interpreter is exiting, or the process was forked during the job.
         """
-        self._reap()
+        if self._interrupted:
+            self._reap()
         if job.helpers > len(self._threads):
             self._start(job.helpers)
         slot = self._slot()

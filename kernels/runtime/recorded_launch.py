@@ -53,7 +53,7 @@ class RecordedLaunch:
         if index in self._structs:
             self._structs[index] = struct.__ctype__()
 
-    def run(self, count: int, chunks: Chunks, used: Any = None) -> None:
+    def run(self, count: int, chunks: Chunks, used: Any = None, threads: int | None = None) -> None:
         """Runs the kernel for the items 0 .. count - 1, on the device's current stream; arguments as of `PreparedLaunch`."""
         if count != self._count:
             self._launch.set_dim(count)

@@ -17,7 +17,16 @@ import wrt
 from wrt.kernels.runtime import launch as launching
 from wrt.kernels.runtime.argument_packing import copied
 from wrt.kernels.runtime.cuda_commands import launch_again
-from wrt.kernels.runtime.launch import CUDA_BLOCK, MAX_CHUNK, Chunks, PreparedLaunch, launch, run_tasks, use_threads
+from wrt.kernels.runtime.launch import (
+    CUDA_BLOCK,
+    MAX_CHUNK,
+    Chunks,
+    PreparedLaunch,
+    launch,
+    run_tasks,
+    use_schedule,
+    use_threads,
+)
 from wrt.kernels.runtime.launch_loop import Step, launch_loop
 from wrt.kernels.runtime.recorded_launch import RecordedLaunch
 
@@ -80,6 +89,28 @@ def test_repeated():
         for chunks in (Chunks(1000), Chunks(100, 300), Chunks(1, 1)):
             launch.run(1000, chunks)
     assert (values.numpy() == 3).all()
+
+
+def test_a_job_is_repeated_only_for_the_same_items_chunks_threads_and_schedule():
+    """The job of the last run is kept. One of fewer items, or whose queues are used up, would leave items out."""
+    values = wp.zeros(5000, dtype=int, device="cpu")
+    launch, runs = PreparedLaunch(count_visits, [values], values.device), 0
+    for count, chunks, threads, schedule in (
+        (5000, Chunks(100), 2, "guided"),
+        (5000, Chunks(100), 2, "guided"),
+        (2500, Chunks(100), 2, "guided"),
+        (5000, Chunks(100), 2, "stealing"),
+        (5000, Chunks(100), 2, "stealing"),
+        (5000, Chunks(100), 3, "guided"),
+        (5000, Chunks(50), 3, "guided"),
+        (5000, Chunks(100), 1, "guided"),
+    ):
+        with use_threads(threads), use_schedule(schedule):
+            launch.run(count, chunks)
+        runs += count
+        assert values.numpy().sum() == runs
+    assert (values.numpy()[:2500] == 8).all()
+    assert (values.numpy()[2500:] == 7).all()
 
 
 def test_small_batches_stay_in_the_calling_thread():
@@ -152,6 +183,7 @@ assert scene.intersect([0, 0, 9.0], [0, 0, -1.0]).t >= 0
 
 def test_number_of_threads(monkeypatch):
     monkeypatch.setattr(launching, "_num_threads", None)
+    monkeypatch.setattr(launching, "_default_threads", None)
     monkeypatch.delenv("WRT_NUM_THREADS", raising=False)
     assert wrt.get_num_threads() == launching.available_cores() >= 1
     wrt.set_num_threads(3)
@@ -163,6 +195,27 @@ def test_number_of_threads(monkeypatch):
     assert wrt.get_num_threads() == 3
     wrt.set_num_threads(None)
     assert wrt.get_num_threads() == launching.available_cores()
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity") or launching.available_cores() < 2, reason="needs two cores")
+def test_cores_are_counted_again_in_a_forked_child_and_when_asked():
+    """The count is kept between queries; a worker that is pinned to a core after the fork must not use its parent's."""
+    code = """
+import os, wrt
+os.environ.pop("WRT_NUM_THREADS", None)
+cores, first = wrt.get_num_threads(), {min(os.sched_getaffinity(0))}
+if os.fork() == 0:
+    os.sched_setaffinity(0, first)
+    os._exit(0 if wrt.get_num_threads() == 1 else 1)
+assert os.waitstatus_to_exitcode(os.wait()[1]) == 0
+os.sched_setaffinity(0, first)
+assert wrt.get_num_threads() == cores
+wrt.set_num_threads(None)
+assert wrt.get_num_threads() == 1
+print("done")
+"""
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.stdout.split()[-1:] == ["done"], result.stderr
 
 
 @pytest.mark.parametrize("bad", [0, -1, 10_000])

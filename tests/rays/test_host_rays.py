@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import wrt
-from wrt.host_arrays import HostArray, as_array
+from wrt.host_arrays import HostArray, address_of, as_array
 from wrt.kernels.runtime.launch import use_threads
 from wrt.rays.ray_arrays import lay_out
 from wrt.rays.rays import Rays
@@ -88,6 +88,43 @@ def test_the_arrays_live_as_long_as_their_owner_is_needed():
     np.testing.assert_array_equal(view, expected)
     np.testing.assert_array_equal(packed.numpy(), expected)
     assert view.shape == (10, 3)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        POINTS,
+        POINTS[5:],
+        POINTS[::-1],
+        POINTS[:0],
+        np.broadcast_to(POINT, (N, 3)),
+        POINTS.astype(">f8"),
+        POINTS.view(np.recarray),
+    ],
+    ids=["own", "part", "reversed", "empty", "repeated", "other bytes", "subclass"],
+)
+def test_the_address_of_an_array_is_numpys(values):
+    """Read from the array object itself, which takes a tenth of the time of what NumPy offers."""
+    assert address_of(values) == values.__array_interface__["data"][0]
+
+
+def test_arrays_whose_contents_change_in_place_are_looked_at_again():
+    """What is remembered of arrays follows from shapes, strides and types: views that are shuffled in place, or get many
+    origins, are other rays at the next call."""
+    scene = wrt.Scene(wrt.scenes.build("teapot", level=2), device="cpu")
+    angle = np.linspace(0.0, 0.2, 40_000, dtype=np.float32)
+    directions = np.stack([np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=1)
+    origins = np.full_like(directions, 5.0)
+    plan = scene.explain(origins, directions)
+    assert plan.coherent
+    assert plan.shared_origin
+    origins += GENERATOR.normal(size=origins.shape).astype(np.float32)
+    assert not scene.explain(origins, directions).shared_origin
+    origins[:] = 5.0
+    directions[:] = GENERATOR.normal(size=directions.shape)
+    assert not scene.explain(origins, directions).coherent
+    directions[:] = np.stack([np.sin(angle), np.zeros_like(angle), -np.cos(angle)], axis=1)
+    assert scene.explain(origins, directions) == plan
 
 
 def test_out_of_range_origins_miss_without_a_warning():

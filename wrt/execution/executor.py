@@ -78,9 +78,8 @@ def closest_of_relative(scene: SceneState, arrays: RayArrays) -> DeviceHits:
 
 def may_stage(scene: SceneState, query: Query) -> bool:
     """Whether few rays need not be brought to the device: the query will be prepared, and its rays go one by one."""
-    chosen_by_scene = query.traversal == query.triangle_test == AUTO == scene.settings.triangle_test
-    device = scene.settings.device
-    return chosen_by_scene and device.is_cpu and not (query.counters or scene.lazy_tree is not None or device.is_capturing)
+    chosen_by_scene = query.traversal == query.triangle_test == AUTO == scene.triangle_test
+    return chosen_by_scene and scene.is_cpu and not query.counters and scene.lazy_tree is None
 
 
 def on_device(scene: SceneState, rays: Rays, query: Query, staged: bool = False) -> RayBuffers:
@@ -122,7 +121,8 @@ def trace_chosen(
 ) -> tuple[DeviceHits, wp.array | None]:
     """As `trace`, by a plan from the scene's cache; `given` are the areas of the rays, if they are known."""
     layout = buffers.layout
-    if chosen.prepares and not counters and layout is not None and buffers.count > 0 and not scene.device.is_capturing:
+    prepares = chosen.prepares and not counters and layout is not None and buffers.count > 0
+    if prepares and (buffers.in_place or not scene.device.is_capturing):
         return run_prepared(scene, chosen, buffers, kind, layout), None
     plan, rays = chosen.carried_out, buffers.batch
     rays.columns = buffers.columns if plan.reorder == "tiles" else 0

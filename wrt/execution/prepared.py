@@ -73,10 +73,11 @@ class PreparedQuery:
         hits = DeviceHits.new(kind, 1, device) if self._staging is None else self._staging.hits
         work = no_work(traversal_of(self._plan).counters, device.alias)
         kernel, inputs = kernel_and_inputs(scene, self._plan, self._config, rays, hits.struct(), work)
-        is_cpu = device.is_cpu
-        self._launch = (
-            PreparedLaunch(kernel, inputs, device) if is_cpu else RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
-        )
+        self._is_cpu = device.is_cpu
+        if self._is_cpu:
+            self._launch = PreparedLaunch(kernel, inputs, device)
+        else:
+            self._launch = RecordedLaunch(kernel, inputs, device, (TREE, RAYS, HITS))
         self._rays, self._hits = self._launch.argument(RAYS), self._launch.argument(HITS)
         if self._staging is None:
             prepare_arguments(self._rays)
@@ -141,16 +142,19 @@ class PreparedQuery:
         """
         rays.write_to(self._rays)
         self._rays.columns = columns
+        threads = None
         if self._walks_single_rays and rays.count <= FEW_RAYS:
             items, chunks = rays.count, FEW_CHUNKS
         else:
-            key = rays.count, get_num_threads()
+            threads = get_num_threads()
+            key = rays.count, threads
             if self._divided is None or self._divided[0] != key:
                 self._divided = key, divide(scene, self._plan, self._config, rays.count)
             self._rays.run, items, chunks = self._divided[1]
-        hits = DeviceHits.new(self.kind, rays.count, scene.device)
+        new = DeviceHits.new_on_host if self._is_cpu and rays.count > FEW_RAYS else DeviceHits.new  # not during a capture
+        hits = new(self.kind, rays.count, scene.device)
         hits.write_to(self._hits, self.kind)
-        self._launch.run(items, chunks, (rays, hits))
+        self._launch.run(items, chunks, (rays, hits), threads)
         return hits
 
     def run_staged(self, rays: StagedRays) -> DeviceHits:

@@ -93,7 +93,7 @@ def find_plan(scene: SceneState, rays: RayBuffers, query: Query) -> ChosenPlan:
         return chosen_plan(scene, plan, rays, kind)
     # Plans are looked up: the longer Python takes for one, the longer a GPU waits for its kernel, and cores for theirs.
     count, origin_stride = rays.count, rays.arrays_or_batch.origin_stride
-    each_alone = traversal == AUTO and (count <= scene.few_rays or scene.device.is_cuda)
+    each_alone = traversal == AUTO and (count <= scene.few_rays or not scene.is_cpu)
     size = count > 1 if each_alone else (rays.shape, get_num_threads())
     found = origin_stride, rays.coherent, rays.scattered, rays.columns > 0
     key = kind, traversal, triangle_test, cull_backfaces, size, found
@@ -133,7 +133,7 @@ def is_changing(scene: SceneState, rays: RayBuffers) -> bool:
     """Whether the plan depends on what came before: on how much of a tree is built, or on whether a wide form pays."""
     if scene.lazy_tree is not None:
         return True
-    return rays.count > scene.few_rays and not scene.device.is_cuda and can_be_wide(scene)
+    return scene.is_cpu and can_be_wide(scene) and rays.count > scene.few_rays
 
 
 def choose_plan(

@@ -123,6 +123,7 @@ def takes(options: type, **defaults: Any) -> Callable[[Method], Method]:
             if name in types
         ]
         method.__signature__ = signature.replace(parameters=[*fixed, *listed])
+        method.options = frozenset(one.name for one in listed)  # looked up in every call
         return method
 
     return sign
@@ -134,11 +135,11 @@ def check_options(method: Callable[..., Any], options: Mapping[str, Any]) -> Non
     Raises:
         TypeError: there is one; the message lists those that the method takes.
     """
+    if options.keys() <= method.options:
+        return
     known = [one.name for one in method.__signature__.parameters.values() if one.kind is inspect.Parameter.KEYWORD_ONLY]
-    for name in options:
-        if name not in known:
-            listed = ", ".join(known)
-            raise TypeError(f"{method.__name__}() got an unexpected keyword argument {name!r}; its options are {listed}")
+    name, listed = next(name for name in options if name not in known), ", ".join(known)
+    raise TypeError(f"{method.__name__}() got an unexpected keyword argument {name!r}; its options are {listed}")
 
 
 def as_query(method: Callable[..., Any], kind: str, options: Mapping[str, Any]) -> Query:

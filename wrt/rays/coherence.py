@@ -71,7 +71,7 @@ def detect_coherence(rays: Any, device: wp.Device, is_list: bool = False) -> Coh
     Args:
         is_list: whether the rays are a flat list, which may contain the pixels of an image.
     """
-    count = len(rays.directions)
+    count = rays.directions.size
     sampled = count >= 2 * PAIRS
     listed = is_list and count >= MIN_IMAGE_RAYS and rays.origin_stride == 0 and rays.direction_stride == 1
     if device.is_cuda or not (sampled or listed):

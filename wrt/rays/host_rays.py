@@ -22,19 +22,33 @@ Shape = tuple[int, ...]
 Point = ctypes.c_float * 3
 
 
+class Layout(NamedTuple):
+    """How rays are stored in their arrays: everything that a launch must know besides the arrays themselves.
+
+    Attributes:
+        origins, directions, t_min, t_max: 1 if each ray has its own element, 0 if all share element 0.
+        centered: whether the origins are already relative to the scene's centre.
+    """
+
+    origins: int
+    directions: int
+    t_min: int
+    t_max: int
+    centered: bool
+
+
 class Arrangement(NamedTuple):
     """How NumPy arrays of vectors serve as the rays of a batch.
 
     Attributes:
         shape: leading shape of the results.
         count: number of rays.
-        origins, directions: 1 if each ray has its own element, 0 if all share element 0.
+        layout: with numbers as bounds.
     """
 
     shape: Shape
     count: int
-    origins: int
-    directions: int
+    layout: Layout
 
 
 def arrange(origins: np.ndarray, directions: np.ndarray) -> Arrangement | None:
@@ -45,21 +59,24 @@ def arrange(origins: np.ndarray, directions: np.ndarray) -> Arrangement | None:
     is_float64 = origins.dtype == FLOAT64
     if directions.dtype != FLOAT32 or not (is_float64 or origins.dtype == FLOAT32):
         return None
-    found = _arrange(origins.shape, origins.strides, directions.shape, directions.strides, origins.itemsize)
-    return None if found is None or (is_float64 and found.origins) else found
+    return _arrange(origins.shape, origins.strides, directions.shape, directions.strides, is_float64)
 
 
 @lru_cache(maxsize=256)
 def _arrange(
-    origins: Shape, origin_strides: Shape, directions: Shape, direction_strides: Shape, size: int
+    origins: Shape, origin_strides: Shape, directions: Shape, direction_strides: Shape, is_float64: bool
 ) -> Arrangement | None:
+    if origins[-1:] != (3,) or directions[-1:] != (3,):
+        return None
     try:
         shape = np.broadcast_shapes(origins[:-1], directions[:-1])
     except ValueError:
         return None
-    count = math.prod(shape)
+    count, size = math.prod(shape), 8 if is_float64 else 4
     own = _stride(origins, origin_strides, size, shape, count), _stride(directions, direction_strides, 4, shape, count)
-    return None if None in own or not 1 < count <= MAX_RAYS else Arrangement(shape, count, *own)
+    if None in own or not 1 < count <= MAX_RAYS or (is_float64 and own[0]):
+        return None
+    return Arrangement(shape, count, Layout(*own, 0, 0, is_float64))
 
 
 def _stride(values: Shape, strides: Shape, size: int, shape: Shape, count: int) -> int | None:
@@ -74,11 +91,6 @@ def _stride(values: Shape, strides: Shape, size: int, shape: Shape, count: int) 
             return None
         step *= n
     return 1 if values[:-1] == shape else None
-
-
-def vectors_in_place(values: np.ndarray, stride: int, count: int) -> HostArray:
-    """Vectors of float32 as they lie in memory."""
-    return HostArray(values.__array_interface__["data"][0], count if stride else 1, wp.vec3f, values)
 
 
 def shared_point(values: np.ndarray, center: np.ndarray) -> HostArray:

@@ -5,40 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from wrt.host_arrays import HostArray, as_array, point_at
+from wrt.host_arrays import HostArray, address_of, as_array, point_at
 from wrt.kernels.layout.ray_batch import RayBatch, center_float64_points, repeat_points
 from wrt.kernels.runtime.launch import kept, launch
 from wrt.memory import empty, keep_alive
-from wrt.rays.host_rays import arrange, shared_point, vectors_in_place
+from wrt.rays.host_rays import Layout, arrange, shared_point
 from wrt.rays.ray_grids import detect_shared_origin
-from wrt.rays.rays import FLOAT64, Rays, as_range, as_vectors, check_number, common_shape
+from wrt.rays.rays import FLOAT32, FLOAT64, Rays, as_range, as_vectors, check_number, common_shape
 
 ZERO_CENTER = np.zeros(3)
 """The centre that directions are relative to."""
 
 
+FLOATS = FLOAT32, FLOAT64
+
 ARRAYS = {"origins": wp.vec3, "directions": wp.vec3, "t_min": wp.float32, "t_max": wp.float32}
 """The arrays of rays."""
-
-
-class Layout(NamedTuple):
-    """How rays are stored in their arrays: everything that a launch must know besides the arrays themselves.
-
-    Attributes:
-        origins, directions, t_min, t_max: 1 if each ray has its own element, 0 if all share element 0.
-        centered: whether the origins are already relative to the scene's centre.
-    """
-
-    origins: int
-    directions: int
-    t_min: int
-    t_max: int
-    centered: bool
 
 
 @dataclass
@@ -103,17 +90,17 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
         ValueError: wrong shapes, shapes that do not broadcast, a range that is negative or NaN, another device, or more
             than `MAX_RAYS` rays.
     """
-    origins = as_vectors(rays.origins, "origins", device)
-    directions = as_vectors(rays.directions, "directions", device)
-    is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
-    t_min = as_range(rays.t_min, "t_min", device)
-    t_max = as_range(rays.t_max, "t_max", device)
+    origins, directions, t_min, t_max = rays.origins, rays.directions, rays.t_min, rays.t_max
+    if not are_usual(origins, directions, t_min, t_max):
+        origins, directions = as_vectors(origins, "origins", device), as_vectors(directions, "directions", device)
+        t_min, t_max = as_range(t_min, "t_min", device), as_range(t_max, "t_max", device)
     if device.is_cpu and isinstance(origins, np.ndarray):
         origins = detect_shared_origin(origins)
         if (arrays := _in_place(origins, directions, t_min, t_max, device, center)) is not None:
             return arrays
     shape = common_shape(origins, directions, t_min, t_max)
     check_number(shape)
+    is_warp = isinstance(origins, wp.array) or isinstance(directions, wp.array)
     centered = _is_float64(origins)
     dtype = np.float64 if centered or _is_float64(directions) else np.float32
     given = origins, directions, t_min, t_max
@@ -123,6 +110,15 @@ def lay_out(rays: Rays, device: wp.Device, center: np.ndarray) -> RayArrays:
     t_max, t_max_stride = _scalars(t_max, shape, device)
     layout = Layout(origin_stride, direction_stride, t_min_stride, t_max_stride, centered)
     return RayArrays(origins, directions, t_min, t_max, layout, math.prod(shape), center, shape, is_warp, dtype, given)
+
+
+def are_usual(origins: Any, directions: Any, t_min: Any, t_max: Any) -> bool:
+    """Whether rays are as `as_vectors` and `as_range` would return them, in NumPy arrays with numbers as bounds: one look,
+    where these are four."""
+    if not (type(origins) is type(directions) is np.ndarray and type(t_min) is type(t_max) is float):
+        return False
+    in_place = origins.dtype in FLOATS and directions.dtype in FLOATS and origins.shape[-1:] == directions.shape[-1:] == (3,)
+    return in_place and 0.0 <= t_min < math.inf and t_max >= 0.0
 
 
 def relative_rays(
@@ -154,11 +150,13 @@ def _in_place(
     found = arrange(origins, directions)
     if found is None:
         return None
-    shape, count, each_origin, each_direction = found
-    given, centered = (origins, directions, t_min, t_max), origins.dtype == FLOAT64
-    points = shared_point(origins, center) if centered else vectors_in_place(origins, each_origin, count)
-    vectors = vectors_in_place(directions, each_direction, count)
-    layout, dtype = Layout(each_origin, each_direction, 0, 0, centered), np.float64 if centered else np.float32
+    shape, count, layout = found
+    given, centered = (origins, directions, t_min, t_max), layout.centered
+    if centered:
+        points, dtype = shared_point(origins, center), np.float64
+    else:
+        points, dtype = HostArray(address_of(origins), count if layout.origins else 1, wp.vec3f, origins), np.float32
+    vectors = HostArray(address_of(directions), count if layout.directions else 1, wp.vec3f, directions)
     low, high = _number(t_min, device.alias), _number(t_max, device.alias)
     return RayArrays(points, vectors, low, high, layout, count, center, shape, False, dtype, given)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from wrt.host_arrays import HostArray
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.rays.coherence import detect_coherence
 from wrt.rays.ray_arrays import Layout, RayArrays, flatten_shared, lay_out
@@ -69,7 +70,13 @@ class RayBuffers:
         """The form of results."""
         return ResultForm(self.shape, self.is_warp, self.dtype)
 
-    @cached_property
+    @property
+    def in_place(self) -> bool:
+        """Whether the rays are read where the caller has them, which no graph capture may do: there is none
+        (`wrt.rays.ray_arrays.lay_out`)."""
+        return type(self.given.directions) is HostArray
+
+    @property
     def count(self) -> int:
         """Number of rays."""
         return self.given.count

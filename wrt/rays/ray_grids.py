@@ -12,7 +12,7 @@ from collections import deque
 import numpy as np
 import warp as wp
 
-from wrt.host_arrays import HostArray, point_at
+from wrt.host_arrays import HostArray, address_of, point_at
 from wrt.kernels.query.ordering.coherence_detection import BLOCK, MIN_ROWS, compare_neighbours
 from wrt.kernels.runtime.launch import Chunks, PreparedLaunch
 from wrt.rays.coherence import MIN_IMAGE_RAYS
@@ -34,7 +34,7 @@ class NeighbourComparison:
     def all_equal(self, values: np.ndarray) -> bool:
         """Whether all vectors (N, 3) have the same bits."""
         step, count = 3 * values.itemsize // 4, 3 * len(values) * (values.itemsize // 4)
-        begin = values.__array_interface__["data"][0]
+        begin = address_of(values)
         self._found[0] = 0
         self._launch.set_value(2, step)
         for first in range(0, count - step, PART):

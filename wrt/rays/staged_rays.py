@@ -35,7 +35,7 @@ class StagedRays:
         center: (3,) float64, the scene's.
     """
 
-    is_warp, coherent, scattered, columns = False, True, False, 0
+    is_warp, coherent, scattered, columns, in_place = False, True, False, 0, True
 
     def __init__(
         self,
@@ -108,13 +108,17 @@ class StagedRays:
 
 
 def stage(rays: Rays, device: wp.Device, center: np.ndarray, most: int) -> StagedRays | None:
-    """The rays, if they are 1 to `most` in NumPy arrays, lists or numbers; else None.
+    """The rays, if they are 1 to `most` in NumPy arrays, lists or numbers, and no graph is being captured; else None.
 
     Raises:
         TypeError, ValueError: as `wrt.rays.ray_arrays.lay_out`.
     """
     origins, directions, t_min, t_max = rays.origins, rays.directions, rays.t_min, rays.t_max
+    if type(directions) is np.ndarray and directions.size > 3 * most:  # usual, and soon told
+        return None
     if not (is_small(origins, most) and is_small(directions, most) and is_small(t_min, most) and is_small(t_max, most)):
+        return None
+    if device.is_capturing:
         return None
     origins, directions = as_vectors(origins, "origins", device), as_vectors(directions, "directions", device)
     t_min, t_max = as_range(t_min, "t_min", device), as_range(t_max, "t_max", device)

@@ -55,9 +55,16 @@ class DeviceHits:
         if query == CLOSEST and count > 0 and (count <= FEW_RAYS or device.is_cuda):
             hits._block = empty(count, wp.vec4, device)
         elif device.is_cpu and not device.is_capturing:
-            hits._host = {name: empty_host(count, DTYPES[name]) for name in names}
+            return cls.new_on_host(query, count, device)
         else:
             hits.__dict__.update({name: empty(count, DTYPES[name], device) for name in names})
+        return hits
+
+    @classmethod
+    def new_on_host(cls, query: str, count: int, device: wp.Device) -> DeviceHits:
+        """The same on the CPU, while no graph is captured."""
+        hits = cls(count, device)
+        hits._host = {name: empty_host(count, DTYPES[name]) for name in written(query)}
         return hits
 
     @classmethod
@@ -146,7 +153,8 @@ class DeviceHits:
         values = self._host[name] if name in self._host and name not in self.__dict__ else getattr(self, name)
         if type(values) is not np.ndarray:
             values = values.numpy()
-        return values.reshape(form.shape + values.shape[1:])
+        shape = form.shape + values.shape[1:]
+        return values if values.shape == shape else values.reshape(shape)
 
 
 def written(query: str) -> tuple[str, ...]:

@@ -70,22 +70,27 @@ class SceneState:
     mark: str = field(default_factory=new_mark)
     cache: QueryCache = field(default_factory=QueryCache)
 
-    @property
+    @cached_property
     def accelerator(self) -> Accelerator:
         """The description of the tree."""
         return self.settings.accelerator
 
-    @property
+    @cached_property
     def triangle_test(self) -> str:
         """The triangle test of queries that name no other, or "auto"."""
         return self.settings.triangle_test
 
-    @property
+    @cached_property
     def device(self) -> wp.Device:
         """Where the scene lives."""
         return self.settings.device
 
-    @property
+    @cached_property
+    def is_cpu(self) -> bool:
+        """Whether the scene lives on a CPU."""
+        return self.device.is_cpu
+
+    @cached_property
     def num_threads(self) -> int | None:
         """Threads on the CPU; None for `wrt.get_num_threads()`."""
         return self.settings.num_threads

@@ -12,7 +12,7 @@ import click
 from wrt.bench.commands.command_options import json_option, load_model, progress, table_console, usage_errors, write_json
 from wrt.bench.core.benchmark_results import ModelResult, Report, machine
 from wrt.bench.core.workloads import ORDERS, WORKLOADS, WorkloadMaker
-from wrt.bench.peers.peer_table import PEERS, make_peers
+from wrt.bench.peers.peer_table import DEFAULT_PEERS, PEERS, make_peers
 from wrt.cli.arguments import start_warp, target_options
 from wrt.kernels.runtime.launch import MAX_THREADS, get_num_threads
 from wrt.meshes.mesh import TriangleMesh
@@ -68,7 +68,7 @@ class BenchCommand(click.Command):
     "--workload", "workloads", multiple=True, type=click.Choice([*WORKLOADS]), help="Rays to trace; may be repeated. [all]"
 )
 @click.option(
-    "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all]"
+    "--peer", "peers", multiple=True, type=click.Choice([*PEERS]), help="Contenders beside wrt; may be repeated. [all but flat]"
 )
 @click.option("--size", default=1024, show_default=True, type=click.IntRange(1), help="Views have SIZE x SIZE pixels.")
 @click.option("--order", default="tiles", show_default=True, type=click.Choice(ORDERS), help="Order of a view's pixels.")
@@ -100,6 +100,11 @@ def bench(
     "engines" are wrt's own traversals, one by one. With --target x86-64-v3, Embree's C library is limited to AVX2, too; embreex
     and Open3D choose for themselves.
 
+    "embree", "embree3" and "embree4" trace packets that are filled before the clock starts, and leave the answers in them:
+    Embree's best case, which "fastest Embree" is about. "embree3-flat" and "embree4-flat" are Embree as programs with (N, 3)
+    arrays get it: the time includes filling each packet from flat arrays and copying its answers to flat arrays. wrt reads and
+    writes flat arrays in all of them.
+
     `wrt bench triangle-tests [MODEL]` compares ray-triangle tests in depth, `wrt bench pichler` and `wrt bench komatsu
     [MODELS]` repeat the tables of two papers on them, `wrt bench builders [MODEL]` compares kd-tree builders,
     `wrt bench ray-aware [MODEL]` trees for known rays, `wrt bench layouts [MODEL]` orders of a kd-tree's nodes, `wrt bench
@@ -118,7 +123,7 @@ def bench(
         report = run_benchmark(
             meshes,
             workloads=workloads or tuple(WORKLOADS),
-            peers=peers or tuple(PEERS),
+            peers=peers or DEFAULT_PEERS,
             size=size,
             order=order,
             rounds=rounds,
@@ -139,7 +144,7 @@ def run_benchmark(
     meshes: list[TriangleMesh],
     *,
     workloads: tuple[str, ...] = tuple(WORKLOADS),
-    peers: tuple[str, ...] = tuple(PEERS),
+    peers: tuple[str, ...] = DEFAULT_PEERS,
     size: int = 1024,
     order: str = "tiles",
     rounds: int = 5,

@@ -18,8 +18,8 @@ from wrt.bench.core.paired_timing import Timing
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.target import cpu_name, lane_width, simd_bits, target_name
 
-EMBREE = "Embree "
-"""How names of the contenders that are versions of Embree's C library begin."""
+EMBREE, FLAT = "Embree ", " flat"
+"""How names of the contenders that are versions of Embree's C library begin; and end, if they are asked with flat arrays."""
 
 FORMAT = 1
 """Version of the layout of `Report.to_dict`."""
@@ -80,7 +80,8 @@ class Question:
         rays: number of them.
         reference: name of the row that ratios refer to.
         rows: one a contender.
-        embree_ratios: of the versions of Embree that took part; wrt is held to the least.
+        embree_ratios: of the versions of Embree that took part, in packets that were filled before the clock started; wrt is
+            held to the least.
     """
 
     kind: str
@@ -91,7 +92,8 @@ class Question:
     embree_ratios: list[float] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.embree_ratios = [row.ratio for row in self.rows if row.name.startswith(EMBREE) and row.ratio is not None]
+        versions = [row for row in self.rows if row.name.startswith(EMBREE) and not row.name.endswith(FLAT)]
+        self.embree_ratios = [row.ratio for row in versions if row.ratio is not None]
 
 
 @dataclass

@@ -3,9 +3,10 @@
 Packets have as many rays as Embree traces natively on this CPU: 16 with AVX-512, 8 with AVX, 4 elsewhere. The loop over them is
 a kernel (`embree_packets`) that runs on wrt's thread pool, in chunks of as many rays as wrt's own queries. What is timed is
 what a C++ program does that keeps its rays in packets: set the ends of the rays and the ids of their hits back, trace, leave
-the hits in the packets. Scenes are built by Embree's own threads, as many as the peer has, and for speed: not with Embree's
-"robust" flag, which costs it 5 to 20 %. Views and shadows are declared coherent. Where wrt is compiled for CPUs with AVX2
-(`wrt.kernels.compilation.target`), Embree runs its code for them too.
+the hits in the packets; `embree_arrays` has what a program does that keeps rays and answers in flat arrays. Scenes are built
+by Embree's own threads, as many as the peer has, and for speed: not with Embree's "robust" flag, which costs it 5 to 20 %.
+Views and shadows are declared coherent. Where wrt is compiled for CPUs with AVX2 (`wrt.kernels.compilation.target`), Embree
+runs its code for them too.
 """
 
 from __future__ import annotations

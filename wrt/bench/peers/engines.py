@@ -9,6 +9,7 @@ import warp as wp
 from wrt.accelerators.accelerator import Accelerator
 from wrt.bench.core.workloads import ALL, INSIDE, Workload
 from wrt.bench.peers.peer import Answer, Lists, Peer, Query, device_rays
+from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.meshes.mesh import TriangleMesh
@@ -49,50 +50,43 @@ class Engine(Peer):
         self.mesh, self.scene = mesh, None
 
     def construct(self) -> Scene:
-        self.scene = Scene(self.mesh, self.accelerator, device=self.device, num_threads=self.threads)
+        threads = None if self.threads == get_num_threads() else self.threads  # as users have it who choose nothing
+        self.scene = Scene(self.mesh, self.accelerator, device=self.device, num_threads=threads)
         self.scene.intersect([self.mesh.center], [[1.0, 0.0, 0.0]], **self._options)
         wp.synchronize_device(self.device)
         return self.scene
 
     def closest(self, rays: Workload) -> Query:
-        scene, native = self.scene, self._native(rays)
+        scene, native, options, complete = self.scene, self._native(rays), self._options, self._complete
 
         def run() -> Any:
-            hits = scene.intersect(native, **self._options)
-            complete = hits.t, hits.primitive_id, hits.uv
-            wp.synchronize_device(scene.device)
-            return complete
+            hits = scene.intersect(native, **options)
+            return complete((hits.t, hits.primitive_id, hits.uv))
 
         return Query(run, lambda result: Answer(*(as_numpy(values) for values in result)))
 
     def occluded(self, rays: Workload) -> Query:
-        scene, native = self.scene, self._native(rays)
+        scene, native, options, complete = self.scene, self._native(rays), self._options, self._complete
 
         def run() -> Any:
-            occluded = scene.occluded(native, **self._options)
-            wp.synchronize_device(scene.device)
-            return occluded
+            return complete(scene.occluded(native, **options))
 
         return Query(run, as_numpy)
 
     def all_hits(self, rays: Workload) -> Query:
-        scene, native = self.scene, self._native(rays)
+        scene, native, options, complete = self.scene, self._native(rays), self._options, self._complete
 
         def run() -> Any:
-            lists = scene.intersect_all(native, **self._options)
-            complete = lists.ray_id, lists.primitive_id, lists.t, lists.uv
-            wp.synchronize_device(scene.device)
-            return complete
+            lists = scene.intersect_all(native, **options)
+            return complete((lists.ray_id, lists.primitive_id, lists.t, lists.uv))
 
         return Query(run, lambda result: Lists(*(as_numpy(values) for values in result[:2])))
 
     def inside(self, points: Workload) -> Query:
-        scene, native = self.scene, self._native(points).origins
+        scene, native, complete = self.scene, self._native(points).origins, self._complete
 
         def run() -> Any:
-            inside = scene.contains(native, traversal=self.traversal)
-            wp.synchronize_device(scene.device)
-            return inside
+            return complete(scene.contains(native, traversal=self.traversal))
 
         return Query(run, as_numpy)
 
@@ -116,7 +110,15 @@ class Engine(Peer):
 
     @property
     def _options(self) -> dict[str, str]:
-        return {"traversal": self.traversal, "triangle_test": self.triangle_test}
+        """What is chosen; callers who choose nothing pass nothing."""
+        options = {"traversal": self.traversal, "triangle_test": self.triangle_test}
+        return {name: value for name, value in options.items() if value != AUTO}
+
+    def _complete(self, result: Any) -> Any:
+        """A result, when the device has finished it; on the CPU, calls return when it is."""
+        if self.device != "cpu":
+            wp.synchronize_device(self.device)
+        return result
 
     def _native(self, rays: Workload) -> Rays:
         """NumPy arrays on the CPU, arrays on the device on CUDA."""

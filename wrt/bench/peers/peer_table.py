@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 from wrt.bench.peers.embree import Embree
+from wrt.bench.peers.embree_arrays import EmbreeArrays
 from wrt.bench.peers.engines import all_engines, default_engine, plain_engine
 from wrt.bench.peers.open3d_peer import Open3D
 from wrt.bench.peers.peer import Peer
@@ -24,13 +25,22 @@ PEERS: dict[str, Callable[[int, str], list[Peer]]] = {
     "embree": lambda threads, device: [Embree(threads, 3), Embree(threads, 4)],
     "embree3": lambda threads, device: [Embree(threads, 3)],
     "embree4": lambda threads, device: [Embree(threads, 4)],
+    "embree3-flat": lambda threads, device: [EmbreeArrays(threads, 3)],
+    "embree4-flat": lambda threads, device: [EmbreeArrays(threads, 4)],
     "embreex": lambda threads, device: [Embreex()],
     "warp_mesh": lambda threads, device: [WarpMesh(device=device)],
     "trimesh": lambda threads, device: [Trimesh()],
     "trimesh_embreex": lambda threads, device: [TrimeshEmbreex()],
 }
 """Contenders by the name that the command line knows; "plain" is wrt with a triangle test that leaks, "engines" are its
-traversals, each by itself; "embree" is both versions of Embree."""
+traversals, each by itself; "embree" is both versions of Embree, in packets that are filled before the clock starts, its best
+case; "embree3-flat" and "embree4-flat" fill packets from flat arrays, and copy answers to such, while the clock runs."""
+
+UNASKED = ("embree3-flat", "embree4-flat")
+"""Peers that take part only if they are named: they are others of the table in another form."""
+
+DEFAULT_PEERS = tuple(name for name in PEERS if name not in UNASKED)
+"""Peers that take part if none is named."""
 
 
 def make_peers(names: Iterable[str], threads: int, device: str) -> tuple[list[Peer], dict[str, str]]:

@@ -13,6 +13,7 @@ from wrt.accelerators.accelerator import Accelerator, resolve_accelerator
 from wrt.accelerators.tree_descriptions import Bvh, KdTree
 from wrt.bench.core.benchmark_results import Question, Row
 from wrt.bench.core.paired_timing import Contender, Timing, take_turns
+from wrt.bench.peers.embree_arrays import EmbreeArrays
 from wrt.bench.peers.engines import Engine
 from wrt.bench.peers.peer import Peer
 from wrt.bench.peers.peer_table import Open3D
@@ -32,7 +33,10 @@ SMALL = 256
 
 
 def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: str) -> list[Peer]:
-    """Every builder that suits so many triangles, with all threads and with one, then the peers; Open3D with one thread too."""
+    """Every builder that suits so many triangles, with all threads and with one, then the peers; Open3D with one thread too.
+
+    Embree asked with flat arrays is left out: it is built as Embree is.
+    """
     counts = dict.fromkeys((threads, 1))
     descriptions = [Bvh(builder=name) for name in BVH_BUILDERS] + kdtree_descriptions(triangles)
     found: list[Peer] = [
@@ -43,7 +47,7 @@ def builder_peers(peers: Sequence[Peer], triangles: int, threads: int, device: s
     for peer in peers:
         if isinstance(peer, Open3D):
             found += [Open3D(count) for count in counts]
-        elif not isinstance(peer, Engine):
+        elif not isinstance(peer, (Engine, EmbreeArrays)):
             found.append(peer)
     return found
 
