@@ -33,9 +33,10 @@ from wrt.kernels.layout.unchecked import CACHE_LINE
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.simd.lanes import BITS, FOR_LANES, lane_bits
+from wrt.kernels.traversal.packet.rays.lane_intervals import LANE_ENDS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
+from wrt.kernels.traversal.packet.rays.ray_numbers import FETCH, NUMBERS
 
 exact_module(__name__)
 
@@ -59,16 +60,7 @@ def lane_memory(waiting: int) -> int:
 
 
 _GATHER = """
-    float to_x[P], to_y[P], to_z[P], least_t[P], most_t[P];
-    auto fetch = [&](int stride, auto take) {  // take(k, n): ray k has what is at place n
-        if (stride) for_rays(take);
-        else { WRT_FOR(P, k) take(k, 0); }
-    };
-    fetch(rays.direction_stride, [&](int k, int n) {
-        const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
-        to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
-    });
-    for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+    float least_t[P], most_t[P];
     fetch(rays.t_min_stride, [&](int k, int n) { least_t[k] = rays.t_min.data[n]; });
     fetch(rays.t_max_stride, [&](int k, int n) { most_t[k] = rays.t_max.data[n]; });
     auto wrt_size = [](float x) { return __builtin_bit_cast(int, x) & 0x7fffffff; };
@@ -88,9 +80,9 @@ _GATHER = """
             from[i] = (valid & (begin < from[i])) ? begin : from[i]; until[i] = (valid & (end > until[i])) ? end : until[i];
         }
     }
-    rows[f] = least(x0); rows[F + f] = least(y0); rows[2 * F + f] = least(z0);
-    rows[3 * F + f] = most(x1); rows[4 * F + f] = most(y1); rows[5 * F + f] = most(z1);
-    t_min[f] = least(from); t_max[f] = most(until);
+    rows[f] = wrt_least(x0); rows[F + f] = wrt_least(y0); rows[2 * F + f] = wrt_least(z0);
+    rows[3 * F + f] = wrt_greatest(x1); rows[4 * F + f] = wrt_greatest(y1); rows[5 * F + f] = wrt_greatest(z1);
+    t_min[f] = wrt_least(from); t_max[f] = wrt_greatest(until);
 """
 
 
@@ -101,17 +93,8 @@ def gather_directions(layout: PacketLayout) -> wp.Function:
     No ray is made. An interval of no active ray is inf .. -inf.
     """
     head = f"{FOR_LANES}    constexpr int W = {layout.width}, P = {layout.rays};\n{DIRECTION_LANES}"
-    reduce = """
-    auto wrt_first = [](float* value, auto precedes) {
-        WRT_UNROLLED for (int n = W / 2; n > 0; n /= 2)
-            WRT_FOR(n, i) value[i] = precedes(value[i + n], value[i]) ? value[i + n] : value[i];
-        return value[0];
-    };
-    auto least = [&](float* value) { return wrt_first(value, [](float a, float b) { return a < b; }); };
-    auto most = [&](float* value) { return wrt_first(value, [](float a, float b) { return a > b; }); };
-"""
 
-    @wp.func_native(head + _ROWS + NUMBERS + reduce + _GATHER)
+    @wp.func_native(head + _ROWS + NUMBERS + FETCH + LANE_ENDS + _GATHER)
     def gather_directions_native(rays: RayBatch, first: int, lanes: wp.array(dtype=float), f: int): ...
 
     return gather_directions_native

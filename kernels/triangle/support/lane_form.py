@@ -56,6 +56,8 @@ class PacketForm:
         inside: for the W rays from f on; declares `int inside[W]`, nonzero where the ray's line meets the triangle, and
             executes `continue` if no line meets it.
         hit: per ray, sets `at`, `hit_u`, `hit_v`.
+        filter: per ray, sets `may_meet`, false only if its line certainly misses the triangle; cheaper than `inside`, and
+            without branches. Empty for a test without it.
         ray: for the single ray k; sets the members of `ray`, the struct that the test's `prepare` returns, which `block_test`
             reads.
     """
@@ -67,6 +69,7 @@ class PacketForm:
     inside: str
     hit: str
     ray: str
+    filter: str = ""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,19 @@ INTERVALS = """
 """C++ for the head of a native function: `WRT_INTERVAL(name)` declares an empty interval, `WRT_WIDEN(name, value, counts)`
 widens it by a value if `counts`, and `wrt_value(name_low)`, `wrt_value(name_high)` are its ends (NaN if it is empty)."""
 
-PACKET_INTERVALS = """
+LANE_ENDS = """
+    auto wrt_first = [](float* lane, auto precedes) {
+        WRT_UNROLLED for (int n = W / 2; n > 0; n /= 2)
+            WRT_FOR(n, i) lane[i] = precedes(lane[i + n], lane[i]) ? lane[i + n] : lane[i];
+        return lane[0];
+    };
+    auto wrt_least = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a < b; }); };
+    auto wrt_greatest = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a > b; }); };
+"""
+"""C++: `wrt_least(lane)` and `wrt_greatest(lane)` of W floats, W a power of two, which they overwrite."""
+
+PACKET_INTERVALS = (
+    """
 #ifndef WRT_ENDS
     #define WRT_ENDS(name) float name##_low[W], name##_high[W]
     #define WRT_BOUND(name, value) { float stand_in_; { const int k = one; stand_in_ = value; } \\
@@ -29,14 +41,9 @@ PACKET_INTERVALS = """
             low_ = value_ < low_ ? value_ : low_; high_ = value_ > high_ ? value_ : high_; } \\
         name##_low[i] = low_; name##_high[i] = high_; }
 #endif
-    auto wrt_first = [](float* lane, auto precedes) {
-        WRT_UNROLLED for (int n = W / 2; n > 0; n /= 2)
-            WRT_FOR(n, i) lane[i] = precedes(lane[i + n], lane[i]) ? lane[i + n] : lane[i];
-        return lane[0];
-    };
-    auto wrt_least = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a < b; }); };
-    auto wrt_greatest = [&](float* lane) { return wrt_first(lane, [](float a, float b) { return a > b; }); };
 """
+    + LANE_ENDS
+)
 """The same for the active rays of a packet, after `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares the ends of
 an interval per lane. `WRT_BOUND(name, value)`, in a loop over the lanes i, widens them; the value is that of ray `k`, and ray
 `one`, an active one, replaces inactive rays. `wrt_least(name_low)`, `wrt_greatest(name_high)` are the ends over all lanes."""

@@ -10,24 +10,14 @@ from wrt.kernels.simd.boxes import SLACK
 from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.ray_numbers import NUMBERS
+from wrt.kernels.traversal.packet.rays.ray_numbers import FETCH, NUMBERS
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 exact_module(__name__)
 
-_FETCH = """
+_CENTRE = """
     const double center_x = rays.center.c[0], center_y = rays.center.c[1], center_z = rays.center.c[2];
-    // in memory of their own, so that no component of the packet may lie in their way
-    float to_x[P], to_y[P], to_z[P], from_x[P], from_y[P], from_z[P], least[P], most[P];
-    auto fetch = [&](int stride, auto take) {  // take(k, n): ray k has what is at place n
-        if (stride) for_rays(take);
-        else { WRT_FOR(P, k) take(k, 0); }
-    };
-    fetch(rays.direction_stride, [&](int k, int n) {
-        const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
-        to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
-    });
-    for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+    float from_x[P], from_y[P], from_z[P], least[P], most[P];
     auto centred = [&](int n, float& x, float& y, float& z) {
         const float* o = (const float*)rays.origins.data + 3 * (size_t)n;
         x = (float)((double)o[0] - center_x); y = (float)((double)o[1] - center_y); z = (float)((double)o[2] - center_z);
@@ -107,7 +97,7 @@ def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """
     head = layout.head + fill_head(layout, slopes) + NUMBERS
 
-    @wp.func_native(head + _FETCH + fill_packet(layout) + BOUND)
+    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout) + BOUND)
     def load_packet_native(
         rays: RayBatch,
         first: int,

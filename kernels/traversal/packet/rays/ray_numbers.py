@@ -47,6 +47,21 @@ NUMBERS = """
 """
 """C++ for the head of a native function with parameters `rays` and `first`, and the constant P."""
 
+FETCH = """
+    // in memory of their own, so that no component of a packet may lie in their way
+    float to_x[P], to_y[P], to_z[P];
+    auto fetch = [&](int stride, auto take) {  // take(k, n): ray k has what is at place n
+        if (stride) for_rays(take);
+        else { WRT_FOR(P, k) take(k, 0); }
+    };
+    fetch(rays.direction_stride, [&](int k, int n) {
+        const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
+        to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
+    });
+    for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
+"""
+"""C++ after `NUMBERS`: the directions of the P rays, and `fetch` for what else they have, each its own or all one."""
+
 
 @wp.func
 def ray_at(rays: RayBatch, place: int, packet: int):
