@@ -72,6 +72,14 @@ def test_tiles_of_paths_do_not_show(scene, sample_lights, lights, monkeypatch):
     assert in_tiles.rays == by_generations.rays
 
 
+def test_memory_of_paths_is_that_of_a_tile_for_each_thread():
+    """Waves may be large: what is known of the paths of a tile is forgotten when the next one begins."""
+    rendering = made(wrt.Scene(bodies(), device="cpu", num_threads=2), "path", samples=16).advance()
+    chain = rendering._wave._chain
+    assert rendering.settings.wave >= rendering.pixels * 16 > 4 * len(chain._hits.t)
+    assert rendering.rays > len(chain._hits.t)
+
+
 @pytest.mark.parametrize("tree", ["kdtree", "bvh"])
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_trees_and_traversals_do_not_show(scene, integrator, tree):

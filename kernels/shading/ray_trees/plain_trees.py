@@ -47,7 +47,7 @@ _END = """
 _SEND = """
     const vi single = mirror | glass;
     const V3 out = direction * -1.0f;
-    const vf index = load(index_of), cosine = dot(out, normal), size = size_of(cosine);
+    const vf cosine = dot(out, normal), size = size_of(cosine);
     const vf ratio = pick(is_front, 1.0f / index, index);
     const vf beyond = 1.0f - ratio * ratio * (1.0f - size * size), other = root(beyond);
     const vf parallel = (size - ratio * other) / (size + ratio * other);
@@ -111,7 +111,7 @@ _SEND = """
     mingle3(scratch.direction.data + at, kept_above(back, false), kept_above(bent, true));
     mingle3(scratch.weight.data + at, share_back, share_on);
     int within[2 * W];
-    mingle(within, media, is_front & (load_ints(number_of) + 1));
+    mingle(within, media, is_front & (number + 1));
     for (int i = 0; i < 2 * W; ++i) scratch.media.data[at + i] = (unsigned long long)(unsigned)within[i];
     return collect(closed | single);
 """

@@ -3,13 +3,13 @@
     pixel_samples.py  random numbers of a pixel's samples, one dimension an effect
     camera_rays.py    pixels -> rays, through a filter and a lens
     ray_at_hit.py     a ray with what it hit, and the key of its random numbers
-    path_step.py      one step of path tracing
+    path_step.py      one step of path tracing (in tiles: `wrt.kernels.shading.paths`)
     plain_step.py     the same for W rays in lanes, on matte surfaces, mirrors and smooth glass
     plain_lamps.py    the lamps for them
     shading_streams.py  rays filtered by what they hit, and one code for each stream
     texture_demand.py the tiles of images that rays need
     tree_step.py      one step of Whitted's and of distribution ray tracing (in tiles: `wrt.kernels.shading.ray_trees`)
-    ray_queue.py      the rays of a generation, and their compaction: count, scan, fill, or tile by tile
+    ray_queue.py      the rays of a generation, and their compaction: count, scan, fill
     picture.py        radiance of samples -> the film, its noise, and layers
 
 **Contract.** A step is a kernel over the rays of a generation. What it writes depends on its own ray alone; random numbers

@@ -7,7 +7,7 @@ is W vectors of three components.
 
 
 def lane_words(width: int) -> str:
-    """C++: types and functions for `width` lanes, a power of two. Needs `W`, an int constant of that value."""
+    """C++: types and functions for `width` lanes, a power of two up to 16. Needs `W`, an int constant of that value."""
     return _TYPES + _moves(width) + _NUMBERS
 
 
@@ -43,6 +43,14 @@ _TYPES = """
         unsigned bits = 0;
         for (int i = 0; i < W; ++i) bits |= mask[i] ? 1u << i : 0u;
         return bits;
+    };
+    auto for_each_value = [&](vi values, vi lanes, auto act) {  // act(value, its lanes)
+        while (is_any(lanes)) {
+            const int value = values[__builtin_ctz(bits_of(lanes))];
+            const vi own = lanes & (values == value);
+            act(value, own);
+            lanes = lanes & ~own;
+        }
     };
     auto quotient = [](vi a, int by) {  // a / by for a >= 0: no CPU divides vectors of integers
         return __builtin_convertvector((__builtin_convertvector(a, vd) + 0.5) * (1.0 / by), vi);
@@ -136,6 +144,16 @@ def _moves(width: int) -> str:
         two = shuffle("v.x", "v.y", [i + k * width if k < 2 else -1 for i, k in places])
         return shuffle(two, "v.z", [j if k < 2 else width + i for j, (i, k) in enumerate(places)])
 
+    turns, distance = "", 1
+    while distance < width:  # as `wrt.kernels.simd.transpose`
+        low = [j if not j & distance else j - distance + width for j in lanes]
+        high = [j + distance if not j & distance else j + width for j in lanes]
+        for i in (i for i in lanes if not i & distance):
+            a, b = f"r[{i}]", f"r[{i + distance}]"
+            turns += f"""
+            {{ const vf a = {a}, b = {b}; {a} = {shuffle("a", "b", low)}; {b} = {shuffle("a", "b", high)}; }}"""
+        distance *= 2
+
     return f"""
     auto load = [](const void* from) {{ vf v; __builtin_memcpy(&v, from, sizeof(v)); return v; }};
     auto load_ints = [](const void* from) {{ vi v; __builtin_memcpy(&v, from, sizeof(v)); return v; }};
@@ -155,5 +173,11 @@ def _moves(width: int) -> str:
         save(to, {part(0)});
         save((float*)to + W, {part(1)});
         save((float*)to + 2 * W, {part(2)});
+    }};
+    auto load_records = [&](auto record, vf* words) {{  // W records of 16 floats; record(i): address of one
+        WRT_UNROLLED for (int first = 0; first < 16; first += W) {{
+            vf* const r = words + first;
+            WRT_UNROLLED for (int i = 0; i < W; ++i) r[i] = load((const float*)record(i) + first);{turns}
+        }}
     }};
 """

@@ -91,13 +91,13 @@ def lamp_light(
 
 
 @wp.func(inline=True)
-def pass_through(ray: RayAtHit, point: ShadingPoint, boundary: Boundary, i: int, following: RayQueue):
+def pass_through(ray: RayAtHit, point: ShadingPoint, boundary: Boundary, to: int, following: RayQueue):
     """Lets a ray go on through a boundary that is none to it."""
-    following.direction[i] = ray.direction
-    following.weight[i] = ray.weight
-    following.density[i] = ray.density
-    following.media[i] = boundary.media_beyond
-    following.origin[i] = leaving_origin(point, True)
+    following.direction[to] = ray.direction
+    following.weight[to] = ray.weight
+    following.density[to] = ray.density
+    following.media[to] = boundary.media_beyond
+    following.origin[to] = leaving_origin(point, True)
     return 1
 
 
@@ -110,7 +110,7 @@ def scatter(
     point: ShadingPoint,
     look: Look,
     boundary: Boundary,
-    i: int,
+    to: int,
     following: RayQueue,
 ):
     """Sends a path on in a sampled direction; 1 unless it ends here."""
@@ -132,11 +132,11 @@ def scatter(
                 share = share / survival
             else:
                 alive = 0
-        following.direction[i] = toward
-        following.weight[i] = share
-        following.density[i] = scattered.density
-        following.media[i] = wp.where(scattered.is_transmitted, boundary.media_beyond, ray.media)
-        following.origin[i] = leaving_origin(point, scattered.is_transmitted)
+        following.direction[to] = toward
+        following.weight[to] = share
+        following.density[to] = scattered.density
+        following.media[to] = wp.where(scattered.is_transmitted, boundary.media_beyond, ray.media)
+        following.origin[to] = leaving_origin(point, scattered.is_transmitted)
     return alive
 
 
@@ -144,6 +144,8 @@ def scatter(
 def follow_path(
     i: int,
     known: int,
+    to: int,
+    entry: int,
     step: PathStep,
     scene: LitScene,
     source: PixelSamples,
@@ -152,9 +154,12 @@ def follow_path(
     hits: HitBatch,
     rays: Gathered,
     following: RayQueue,
-    goes_on: wp.array(dtype=int),
 ):
-    """Does the step of ray i. A constant `known` other than `UNKNOWN` leaves the code for such rays only."""
+    """Does the step of ray i. A constant `known` other than `UNKNOWN` leaves the code for such rays only.
+
+    The ray that follows is written to place `to`, and the shadow ray to place `entry`. Returns 1 if the path goes on, plus 2 if
+    the shadow ray may bring light.
+    """
     ray = ray_at_hit(scene, queue, hits, i)
     density = wp.where(step.samples_lights, ray.density, 0.0)
     found = wp.vec3()
@@ -178,30 +183,22 @@ def follow_path(
             boundary = boundary_of(scene, look, ray.media, point.is_front)
             look.ratio = boundary.ratio
             if not boundary.is_real:
-                alive = pass_through(ray, point, boundary, i, following)
+                alive = pass_through(ray, point, boundary, to, following)
             else:
                 key = sample_key(source, wave, ray.slot)
                 if step.samples_lights and scene.lights.count > 0 and not is_single(look):
                     arrival = lamp_light(step, scene, source, key, ray, point, look)
-                alive = scatter(step, source, key, ray, point, look, boundary, i, following)
+                alive = scatter(step, source, key, ray, point, look, boundary, to, following)
     rays.radiance[ray.slot] = rays.radiance[ray.slot] + found
     if not step.is_last:
-        following.slot[i] = ray.slot
-        goes_on[i] = alive
-        rays.lit[i] = wp.cw_mul(ray.weight, arrival.radiance)
-        rays.shadow_origin[i] = arrival.origin
-        rays.shadow_direction[i] = arrival.segment
-
-
-@wp.kernel
-def mark_hits(first: int, stop: int, group: int, blocked: wp.array(dtype=wp.bool), hits: HitBatch):
-    """Writes triangle 0, or -1 for a miss, as what rays hit that were only asked whether they hit anything.
-
-    Item: a group of rays before `stop`.
-    """
-    begin = (first + wp.tid()) * group
-    for i in range(begin, wp.min(begin + group, stop)):
-        hits.primitive[i] = wp.where(blocked[i], 0, -1)
+        following.slot[to] = ray.slot
+        lit = wp.cw_mul(ray.weight, arrival.radiance)
+        rays.lit[entry] = lit
+        rays.shadow_origin[entry] = arrival.origin
+        rays.shadow_direction[entry] = arrival.segment
+        if lit[0] != 0.0 or lit[1] != 0.0 or lit[2] != 0.0:
+            alive += 2
+    return alive
 
 
 @wp.kernel
@@ -250,5 +247,7 @@ def path_step(
             )
         for i in range(here, wp.min(here + size, end)):
             if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
-                follow_path(i, UNKNOWN, step, scene, source, wave, queue, hits, rays, following, goes_on)
+                found = follow_path(i, UNKNOWN, i, i, step, scene, source, wave, queue, hits, rays, following)
+                if not step.is_last:
+                    goes_on[i] = found & 1
         here += size

@@ -49,7 +49,7 @@ CONSTANTS = f"""
     constexpr int SOBOL = {SOBOL}, RANDOM = {RANDOM}, FIRST_BOUNCE = {FIRST_BOUNCE}, PER_BOUNCE = {PER_BOUNCE};
 """
 
-_BEGIN = """
+BEGIN = """
     const auto& materials = scene.materials;
     const auto& lights = scene.lights;
     if (scene.shaded.records.shape[0] == 0 || materials.has_color || lights.count > MOST_LAMPS) return 0;
@@ -61,38 +61,38 @@ KINDS = """
     const auto& sky = lights.sky;
     const bool has_sky = lights.sky_entry >= 0;
     const bool is_even = sky.width == 1 && sky.height == 1 && sky.rows <= 1 && sky.columns <= 1;
-    int number_of[W], face_of[W], hit_of[W], kind_of[W], image_of[W], media_of[W], clear_of[W];
-    float glow_of[W], rough_of[W], index_of[W], through_of[W];
-    unsigned long long media_known = 0;
-    WRT_SCALAR for (int i = 0; i < W; ++i) {  // loads only: rays of mixed kinds would mislead branches
-        const int face = hits.primitive.data[first + i], known = face < 0 ? 0 : face;
-        const int number = materials.of_face.data[known * materials.of_face_stride];
-        const wp::vec3& e = materials.emission.data[number];
-        const auto& shape = materials.shape.data[number];
-        const unsigned long long media = queue.media.data[first + i];
-        hit_of[i] = face; face_of[i] = known; number_of[i] = number; kind_of[i] = materials.kind.data[number];
-        glow_of[i] = e.c[0] + e.c[1] + e.c[2];
-        rough_of[i] = shape.c[0]; index_of[i] = shape.c[2]; through_of[i] = shape.c[3];
-        media_of[i] = media <= 0xFFFF ? (int)media : -1;  // -1: several
-        clear_of[i] = media == 0 ? -1 : 0;
-        media_known |= media;
-    }
-    for (int i = 0; i < W; ++i) image_of[i] = 0;
-    if (materials.has_uv) for (int i = 0; i < W; ++i) {
-        const int number = number_of[i];
-        image_of[i] = (materials.color_texture.data[number] >= 0 || materials.surface_texture.data[number] >= 0) ? -1 : 0;
-    }
-    if (media_known) for (int i = 0; i < W; ++i) {  // where nothing is absorbed
-        if (media_of[i] <= 0) continue;
-        const wp::vec3& a = materials.absorption.data[media_of[i] - 1];
-        clear_of[i] = (a.c[0] == 0.0f && a.c[1] == 0.0f && a.c[2] == 0.0f) ? -1 : 0;
-    }
-    const vi is_hit = load_ints(hit_of) >= 0, is_dark = load(glow_of) == 0.0f, kind = load_ints(kind_of);
-    const vi is_clear = load_ints(clear_of), media = load_ints(media_of), in_air = media == 0;
-    const vf rough = load(rough_of);
-    const vi goes = is_last ? (vi)0 : is_hit & is_dark & ~load_ints(image_of) & is_clear;
-    vi matte = goes & in_air & (kind == DIFFUSE) & (load(through_of) == 0.0f), mirror = goes & (kind == MIRROR);
-    vi glass = goes & (kind == DIELECTRIC) & (in_air | (media == load_ints(number_of) + 1));
+    typedef unsigned long long vl __attribute__((ext_vector_type(W)));
+    vl media_of;
+    __builtin_memcpy(&media_of, queue.media.data + first, sizeof(media_of));
+    const vi hit = load_ints(hits.primitive.data + first), is_hit = hit >= 0;
+    const vi media = __builtin_convertvector(media_of <= 0xFFFF ? media_of : (vl)~0ull, vi);  // -1: several
+    const vi in_air = media == 0;
+    int number_of[W], face_of[W];
+    save(face_of, is_hit & hit);
+    WRT_SCALAR for (int i = 0; i < W; ++i) number_of[i] = materials.of_face.data[face_of[i] * materials.of_face_stride];
+    const vi number = load_ints(number_of);
+    vi kind = 0, is_dark = -1, has_image = 0, is_clear = in_air;
+    vf rough = all(0.0f), index = rough, through = rough;
+    V3 color = {rough, rough, rough};
+    for_each_value(number, is_hit, [&](int n, vi own) {  // neighbours have few materials
+        const wp::vec3& e = materials.emission.data[n];
+        const auto& shape = materials.shape.data[n];
+        kind = pick_ints(own, (vi)materials.kind.data[n], kind);
+        if (!(e.c[0] + e.c[1] + e.c[2] == 0.0f)) is_dark = is_dark & ~own;
+        if (materials.has_uv && (materials.color_texture.data[n] >= 0 || materials.surface_texture.data[n] >= 0))
+            has_image = has_image | own;
+        rough = pick(own, all(shape.c[0]), rough);
+        index = pick(own, all(shape.c[2]), index);
+        through = pick(own, all(shape.c[3]), through);
+        color = pick3(own, all3(materials.color.data[n]), color);
+    });
+    for_each_value(media, media > 0, [&](int medium, vi own) {
+        const wp::vec3& a = materials.absorption.data[medium - 1];
+        if (a.c[0] == 0.0f && a.c[1] == 0.0f && a.c[2] == 0.0f) is_clear = is_clear | own;  // nothing is absorbed
+    });
+    const vi goes = is_last ? (vi)0 : is_hit & is_dark & ~has_image & is_clear;
+    vi matte = goes & in_air & (kind == DIFFUSE) & (through == 0.0f), mirror = goes & (kind == MIRROR);
+    vi glass = goes & (kind == DIELECTRIC) & (in_air | (media == number + 1));
     glass = glass & (rough * rough < SMALLEST_ALPHA);
     if (scene.schlick) glass = 0;
     const vi sheds = lights.triangle_entry < 0 ? (vi)0 : ~is_dark, escapes = !has_sky || is_even ? ~is_hit : (vi)0;
@@ -105,13 +105,10 @@ RECORDS = """
     struct Record { V3 corner, edge1, edge2, normal, inverse_heights; vf sliver; };
     const auto* table = scene.shaded.records.data;
     auto records_of = [&](const int* faces) {
-        float words[16][W];
-        WRT_SCALAR for (int i = 0; i < W; ++i) {
-            const float* from = (const float*)(table + faces[i]);
-            WRT_UNROLLED for (int k = 0; k < 16; ++k) words[k][i] = from[k];
-        }
-        auto three = [&](int k) { return V3{load(words[k]), load(words[k + 1]), load(words[k + 2])}; };
-        return Record{three(0), three(3), three(6), three(9), three(12), load(words[15])};
+        vf words[16];
+        load_records([&](int i) { return table + faces[i]; }, words);
+        auto three = [&](int k) { return V3{words[k], words[k + 1], words[k + 2]}; };
+        return Record{three(0), three(3), three(6), three(9), three(12), words[15]};
     };
     auto colors_of = [&](const wp::vec3* colors, const int* numbers) {
         float words[3][W];
@@ -130,7 +127,7 @@ RECORDS = """
 """
 """C++: what is read of triangles and rays."""
 
-_COLLECT = """
+COLLECT = """
     auto power_weight = [&](vf own, vf other) {
         const vf square = own * own;
         return square / larger(square + other * other, all(1e-30f));
@@ -184,6 +181,10 @@ _COLLECT = """
             sum.c[0] += r[i]; sum.c[1] += g[i]; sum.c[2] += b[i];
         }
     };
+"""
+"""C++: `collect(plain)` adds `crossed_lights` and `sky_light` to the samples of these rays."""
+
+_END = """
     if (!is_any(matte | mirror | glass)) {
         collect(ended);
         if (is_last) return bits_of(ended);
@@ -196,7 +197,7 @@ _COLLECT = """
         return bits_of(ended);
     }
 """
-"""C++: `crossed_lights` and `sky_light`, added to the samples; that is all where no path goes on."""
+"""C++: the way out where no path goes on."""
 
 POINTS = """
     const Record face = records_of(face_of);
@@ -216,7 +217,6 @@ POINTS = """
     const vf a0 = inset(1.0f - u - v, face.inverse_heights.x), a1 = inset(u, face.inverse_heights.y);
     const vf a2 = inset(v, face.inverse_heights.z), sum = a0 + a1 + a2;
     const V3 position = face.corner + face.edge1 * (a1 / sum) + face.edge2 * (a2 / sum);
-    const V3 color = colors_of(materials.color.data, number_of);
     V3 normal = face_normal, lit_from = position;
     if (scene.shaded.is_smooth && is_any((matte | mirror | glass) & (face.sliver >= 0.0f))) {
         auto corner_normals = [&](int corner) {
@@ -247,7 +247,7 @@ POINTS = """
 """C++: the points where rays end: `shading_point`."""
 
 
-_SCATTER = """
+SCATTER = """
     V3 toward = direction, share = weight * color;
     vi transmitted = 0;
     if (is_any(matte)) {
@@ -258,7 +258,7 @@ _SCATTER = """
     const vi single = mirror | glass;
     if (is_any(single)) {
         const V3 out = direction * -1.0f;
-        const vf index = load(index_of), cosine = dot(out, normal), size = size_of(cosine);
+        const vf cosine = dot(out, normal), size = size_of(cosine);
         const vf ratio = pick(is_front, 1.0f / index, index);
         const vf beyond = 1.0f - ratio * ratio * (1.0f - size * size), other = root(beyond);
         const vf parallel = (size - ratio * other) / (size + ratio * other);
@@ -286,26 +286,28 @@ _SCATTER = """
 """
 """C++: `scatter`."""
 
-_WRITE = """
+ENDS = """
     const vi plain = matte | mirror | glass | ended;
     if (!is_any(plain)) return 0;
     collect(plain);
-    const vf nothing = all(0.0f);
-    const V3 origin = position + face_normal * pick(transmitted, -offset, offset);
+    const vf nothing = all(0.0f), density = pick(matte, size_of(dot(toward, normal)) / PI, nothing);
+    const V3 origin = position + face_normal * pick(transmitted, -offset, offset), lit_origin = lit_from + face_normal * offset;
+    const vi media_beyond = pick_ints(transmitted, is_front & (number + 1), media);
+    const vi is_lit = (segment.x != 0.0f) | (segment.y != 0.0f) | (segment.z != 0.0f);
+"""
+"""C++: light, and the rays that follow."""
+
+_WRITE = """
     save3(following.direction.data + first, toward);
     save3(following.weight.data + first, share);
     save3(following.origin.data + first, origin);
-    save(following.density.data + first, pick(matte, size_of(dot(toward, normal)) / PI, nothing));
+    save(following.density.data + first, density);
     save(following.slot.data + first, slot);
-    save(number_of, pick_ints(transmitted, is_front & (load_ints(number_of) + 1), media));
-    if (is_any(plain & (load_ints(number_of) != 0)))
-        for (int i = 0; i < W; ++i) following.media.data[first + i] = (unsigned long long)(unsigned)number_of[i];
-    else __builtin_memset(following.media.data + first, 0, 8 * W);
+    save(following.media.data + first, __builtin_convertvector((vu)media_beyond, vl));
     save(goes_on.data + first, -alive);
-    const vi is_lit = (segment.x != 0.0f) | (segment.y != 0.0f) | (segment.z != 0.0f);
     save3(rays.lit.data + first, lit);
     save3(rays.shadow_direction.data + first, segment);
-    save3(rays.shadow_origin.data + first, pick3(is_lit, lit_from + face_normal * offset, V3{nothing, nothing, nothing}));
+    save3(rays.shadow_origin.data + first, pick3(is_lit, lit_origin, V3{nothing, nothing, nothing}));
     return bits_of(plain);
 """
 
@@ -314,7 +316,7 @@ _WRITE = """
 def make_shade_plain(width: int) -> Any:
     """`shade_plain` for so many lanes."""
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = (CONSTANTS, _BEGIN, lane_words(width), KINDS, RECORDS, _COLLECT, POINTS, LAMPS, GATHER, _SCATTER, _WRITE)
+    parts = (CONSTANTS, BEGIN, lane_words(width), KINDS, RECORDS, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER, ENDS, _WRITE)
 
     @wp.func_native(f"{head}{''.join(parts)}\n#endif\n")
     def shade_plain(

@@ -52,11 +52,10 @@ AHEAD = wp.constant(16)
 
 @wp.func_native("""
 #if !defined(__CUDA_ARCH__)
-    if (scene.shaded.records.shape[0] == 0) return;
+    if (scene.shaded.records.shape[0] < 256) return;  // 16 KB, or none
     const auto fetch = [](const void* line) { __builtin_prefetch(line); };
     for (int i = begin; i < end; ++i) {
-        const int face = hits.primitive.data[i];
-        if (face < 0) continue;
+        const int hit = hits.primitive.data[i], face = hit < 0 ? 0 : hit;  // a branch would be taken at random
         fetch(scene.shaded.records.data + face);
         fetch((const char*)(scene.shaded.records.data + face) + 60);
         fetch(scene.materials.of_face.data + face * scene.materials.of_face_stride);

@@ -2,7 +2,8 @@
 
 A step writes the rays that follow from ray i at the places i * branches .. i * branches + branches - 1 of a second queue, and
 whether each goes on. Then the places are summed (count, scan), and the rays that go on are moved together (fill). Their order
-stays, so the rays of a sample stay neighbours.
+stays, so the rays of a sample stay neighbours. Tile by tile, steps append rays instead (`wrt.kernels.shading.paths`,
+`wrt.kernels.shading.ray_trees`).
 """
 
 import warp as wp
@@ -129,72 +130,3 @@ def gather(
             if j < count:
                 goes_on = slot[j] == own
         rays.radiance[own] = total
-
-
-@wp.func_native("""
-    const bool has_shadows = blocked.shape[0] > 0;
-    int next[9] = {};
-    auto octant = [&](int i) {
-        const int* d = (const int*)(scratch.direction.data + i);
-        return !by_octant ? 0 : (int)((unsigned)d[0] >> 31 | (unsigned)d[1] >> 31 << 1 | (unsigned)d[2] >> 31 << 2);
-    };
-    for (int i = begin; i < stop; ++i) next[octant(i) + 1] += goes_on.data[i];
-    next[0] = begin;
-    for (int k = 0; k < 8; ++k) next[k + 1] += next[k];
-    const int end = next[8];
-    for (int i = begin; i < stop; ++i) {
-        const int slot = scratch.slot.data[i];
-        if (has_shadows && !blocked.data[i]) {
-            const wp::vec3& lit = rays.lit.data[i];
-            wp::vec3& sum = rays.radiance.data[slot];
-            sum.c[0] += lit.c[0]; sum.c[1] += lit.c[1]; sum.c[2] += lit.c[2];
-        }
-        if (goes_on.data[i] == 0) continue;
-        const int to = next[octant(i)]++;
-        queue.origin.data[to] = scratch.origin.data[i];
-        queue.direction.data[to] = scratch.direction.data[i];
-        queue.weight.data[to] = scratch.weight.data[i];
-        queue.density.data[to] = scratch.density.data[i];
-        queue.slot.data[to] = slot;
-        queue.media.data[to] = scratch.media.data[i];
-    }
-    return end - begin;
-""")
-def settle_range(
-    begin: int,
-    stop: int,
-    blocked: wp.array(dtype=wp.bool),
-    rays: Gathered,
-    scratch: RayQueue,
-    goes_on: wp.array(dtype=int),
-    queue: RayQueue,
-    by_octant: bool,
-) -> int:
-    """`settle_paths` for the paths begin .. stop - 1, which move to the places from `begin` on; `by_octant` in the order of the
-    octants of their directions, so that the rays of a stream take similar ways. Returns how many go on."""
-    ...
-
-
-@wp.kernel
-def settle_tile(
-    first: int,
-    size: int,
-    stop: int,
-    blocked: wp.array(dtype=wp.bool),
-    rays: Gathered,
-    scratch: RayQueue,
-    goes_on: wp.array(dtype=int),
-    queue: RayQueue,
-    by_octant: bool,
-    left: wp.array(dtype=int),
-    traced: wp.array(dtype=int),
-):
-    """Adds the light of shadow rays, and moves the paths that go on to the front of their tile. Item: a tile of `size` places,
-    whose paths end before `stop`. left: (tiles,) paths that go on; traced: (tiles,) rays traced so far."""
-    tile = first + wp.tid()
-    begin = tile * size
-    count = settle_range(begin, stop, blocked, rays, scratch, goes_on, queue, by_octant)
-    left[tile] = count
-    traced[tile] += count
-    if blocked.shape[0] > 0:
-        traced[tile] += stop - begin

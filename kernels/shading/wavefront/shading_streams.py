@@ -122,9 +122,10 @@ def make_stream_step(known: int) -> wp.Kernel:
         """Does the step of path tracing for list `number` of a stream. Item: a stream."""
         item = first + wp.tid()
         for place in range(streams.ends[item, number], streams.ends[item, number + 1]):
-            follow_path(
-                streams.order[place], wp.static(known), step, scene, source, wave, queue, hits, rays, following, goes_on
-            )
+            i = streams.order[place]
+            found = follow_path(i, wp.static(known), i, i, step, scene, source, wave, queue, hits, rays, following)
+            if not step.is_last:
+                goes_on[i] = found & 1
 
     return stream_step
 

@@ -17,6 +17,8 @@ from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime import pool as native
 from wrt.kernels.runtime.launch import kept
 from wrt.kernels.runtime.launch_chain import Stage
+from wrt.kernels.traversal import TRAVERSALS
+from wrt.planning.answer_checks import can_answer
 from wrt.planning.plan import config_for_layout, traversal_config, traversal_of
 from wrt.planning.planner import find_plan, is_changing
 from wrt.rays.ray_arrays import Layout, RayArrays
@@ -31,6 +33,10 @@ STREAM = 2048
 PARTED = "stream", "interleaved"
 """Traversals of rays that have parted. Which is faster depends on how far they have, and on how many are left of a tile
 (notebooks/records/2026-11-23-light-tiles.md)."""
+
+TOGETHER = "packet"
+"""The traversal of similar rays. Whether they are similar enough depends on the scene; no sample of them is needed if the other
+way is tried, too."""
 
 LEAST_TRIANGLES = 1024
 """Triangles of a scene from which either may be the faster one. With fewer, streams are."""
@@ -143,26 +149,26 @@ class RayTracer:
         Args:
             kind: "closest" or "any".
             origins, directions: (N,) vec3 as of `closest`; origins (1,) if all are the same.
-            count: rays that are there: if they are similar, a sample of them is traced.
+            count: rays that there may be; plans are made for so many.
             tile: rays of a tile.
             hits: what is written.
-            similar: whether neighbouring rays are similar.
+            similar: whether neighbouring rays are similar. The way is then chosen by `sample`, or by speed if there is none.
             are_segments: whether rays end at t = 1, as those of `blocked` do.
-            sample: origins and directions of the rays that are there, if they are others.
+            sample: origins and directions of such rays, at least `count` of them.
             counts: as of `Stage`.
         """
         end, shared = self._one if are_segments else self._infinity, len(origins) < len(directions)
         rays = self._rays(origins, directions, count, end, similar, not similar, shared)
         known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)
-        query = self._queries[kind]
-        plan = find_plan(self._state, known, query).carried_out
+        query, state = self._queries[kind], self._state
+        by_speed = query.traversal == AUTO and (not similar or sample is None)
+        parted = self._rays(origins, directions, count, end, False, True, shared) if by_speed else known
+        plan = find_plan(state, parted, query).carried_out
         plans = [plan]
-        if (
-            not similar
-            and query.traversal == AUTO
-            and self._state.triangle_count >= LEAST_TRIANGLES
-            and plan.traversal in PARTED
-        ):
+        if by_speed and similar:
+            if can_answer(TRAVERSALS[TOGETHER], state, kind, False):
+                plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
+        elif by_speed and state.triangle_count >= LEAST_TRIANGLES and plan.traversal in PARTED:
             plans += [replace(plan, traversal=name) for name in PARTED if name != plan.traversal]
         batch, made = rays.given.batch(), []
         for plan in plans:

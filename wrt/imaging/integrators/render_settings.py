@@ -76,7 +76,7 @@ class RenderSettings:
     exposure: float = 1.0
     tone_mapping: str = "srgb"
     seed: int = 0
-    wave: int = 1 << 19
+    wave: int = 1 << 20
     texture_memory: int | None = None
     traversal: str = AUTO
     triangle_test: str = AUTO

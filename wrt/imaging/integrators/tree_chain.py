@@ -3,7 +3,7 @@
 A thread follows the samples of a tile from the camera to the end, as of paths (`wrt.imaging.integrators.path_chain`). A sample
 has more rays in a generation than before, so a tile has places for more rays than samples. Where they do not suffice, its
 samples are done in halves. The memory of a tile belongs to a thread, which uses it again for the next tile
-(`wrt.kernels.shading.ray_trees.tree_tiles`).
+(`wrt.kernels.shading.ray_trees.tile_memories`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ import numpy as np
 import warp as wp
 
 from wrt.imaging.integrators.ray_memory import new_queue
+from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES, STOP, TileRuns
 from wrt.kernels.runtime.argument_packing import PackedKernel
-from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
-from wrt.kernels.runtime.launch_chain import LONGEST, LaunchChain, Stage
+from wrt.kernels.runtime.launch import get_num_threads
+from wrt.kernels.runtime.launch_chain import LaunchChain, Stage
 from wrt.kernels.shading.bsdf.material_table import DIELECTRIC, MIRROR
-from wrt.kernels.shading.ray_trees import tree_tiles
+from wrt.kernels.shading.ray_trees import tile_memories, tree_tiles
 from wrt.kernels.shading.wavefront import ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
@@ -35,14 +36,8 @@ if TYPE_CHECKING:
 SIZE, ROOM = 4096, 16384
 """Samples of a tile at most, and its places for rays of a generation."""
 
-FIRST_SAMPLES = 1 << 17
-"""Camera rays of which plans are made at most: plans depend on the number of rays, and these are as many as matter."""
-
 MOST_LAMPS = 16
 """Lamps up to which shadow rays find place: each lamp may take a place for each ray."""
-
-STOP = 2
-"""Which argument of the kernels of a tile says where the rays end, the number of the first item counted."""
 
 
 @dataclass
@@ -104,19 +99,15 @@ class TreeChain:
         self._trees, self._tracer, self._one_point = trees, tracer, from_one_point
         self.ends_by_any_hit = trees.surfaces_end_dark and trees.depth > 1
         self._device = device = trees.radiance.device
-        self._size = min(SIZE, ROOM, max(64, len(trees.radiance) // (8 * get_num_threads())))
-        self._memories = tree_tiles.TileMemories()
-        threads = get_num_threads()
-        for name in tree_tiles.TileMemories.vars:
-            setattr(self._memories, name, wp.zeros(threads, dtype=int, device=device))
+        size = min(SIZE, ROOM, max(64, len(trees.radiance) // (8 * get_num_threads())))
+        self._runs = TileRuns(ROOM, size, device)
         self._chain: LaunchChain | None = None
-        self._launch: PreparedLaunch | None = None
         self._of_wave: list[tuple[PackedKernel, int]] = []
 
     @property
     def fewest_samples(self) -> int:
         """The fewest samples of the last wave that were tried together, because more found no place."""
-        return int(self._memories.fewest.numpy().min())
+        return self._runs.fewest_samples
 
     def run(self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array] | None) -> int:
         """Follows so many samples, and returns the number of rays; -1 if those of a single sample find no place.
@@ -132,24 +123,14 @@ class TreeChain:
         else:
             for packed, index in self._of_wave:
                 packed.replace(index, samples)
-        memories = self._memories
-        memories.fitting.fill_(self._size)
-        memories.fewest.fill_(self._size)
-        memories.total.zero_()
-        memories.failed.zero_()
-        inputs = [self._chain.stages, len(self._chain), ROOM, self._size, count, memories]
-        if self._launch is None:
-            self._launch = PreparedLaunch(tree_tiles.follow_tiles, inputs, self._device)
-        self._launch.update(inputs)
-        self._launch.run(-(-count // self._size), Chunks(chunk=1, longest=LONGEST), self)
-        return -1 if memories.failed.numpy().any() else int(memories.total.numpy().sum())
+        return self._runs.run(self._chain, count)
 
     def _begin(
         self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array]
     ) -> LaunchChain:
         """Makes the stages."""
-        trees, tracer, device, memories = self._trees, self._tracer, self._device, self._memories
-        scene, places = trees.scene, ROOM * len(memories.left)
+        trees, tracer, device, memories = self._trees, self._tracer, self._device, self._runs.memories
+        scene, places = trees.scene, self._runs.places
         queues = [new_queue(places, device) for _ in range(2)]
         scratch = new_queue(2 * tree_tiles.WIDTH * len(memories.left), device)
         goes_on = empty(len(scratch.slot), wp.int32, device)
@@ -163,8 +144,8 @@ class TreeChain:
         chain = LaunchChain(ROOM, memories.left, device)
         chain.keep = (queues, scratch, goes_on, rays, listed, found, blocked)
         self._of_wave.clear()
-        inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories]
-        self._of_wave.append((chain.add(Stage(tree_tiles.start_tile, inputs, ROOM, (STOP, "")))[0], 5))
+        inputs: list[Any] = [ROOM, 0, camera, trees.samples, samples, queues[0], trees.radiance, memories, tile_memories.WIDTH]
+        self._of_wave.append((chain.add(Stage(tile_memories.start_tile, inputs, ROOM, (STOP, "")))[0], 5))
         eye = wp.array(sample[0].numpy()[:1].copy(), dtype=wp.vec3, device=device) if self._one_point else None
         for generation in range(trees.depth):
             queue, following, is_first = queues[generation % 2], queues[1 - generation % 2], generation == 0

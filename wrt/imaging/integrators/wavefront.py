@@ -21,7 +21,8 @@ from wrt.imaging.integrators.ray_memory import new_queue
 from wrt.imaging.integrators.ray_tracer import RayTracer
 from wrt.imaging.integrators.render_settings import RenderSettings
 from wrt.imaging.integrators.texture_tiles import TextureTiles
-from wrt.imaging.integrators.tree_chain import FIRST_SAMPLES, MOST_LAMPS, TreeChain, Trees
+from wrt.imaging.integrators.tile_runs import FIRST_SAMPLES
+from wrt.imaging.integrators.tree_chain import MOST_LAMPS, TreeChain, Trees
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
@@ -115,27 +116,10 @@ class Wave:
         """Follows so many samples tile by tile, if that is possible: on the CPU, with whole textures."""
         if self._tiles is not None or self._device.is_cuda:
             return False
-        if not self._is_path:
-            return self._follow_trees_in_tiles(tracer, camera, wave, count, from_one_point)
         if self._chain_tracer is not tracer:
             self._chain_tracer = tracer
-            rays = self.queue, self.scratch, self.gathered, self.goes_on
-            paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, *rays)
-            self._chain = PathChain(paths, tracer, from_one_point) if tracer.makes_stages(count) else None
-        if self._chain is None:
-            return False
-        self.ray_count += self._chain.run(camera, wave, count)
-        return True
-
-    def _follow_trees_in_tiles(
-        self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, from_one_point: bool
-    ) -> bool:
-        if self._chain_tracer is not tracer:
-            self._chain_tracer, lamps = tracer, self._lamps()
-            can = tracer.makes_stages(count) and len(lamps) <= MOST_LAMPS
-            trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lamps)
-            self._chain = TreeChain(trees, tracer, from_one_point) if can else None
-            if can:  # plans are made of camera rays
+            self._chain = self._new_chain(tracer, count, from_one_point)
+            if self._chain is not None:  # plans are made of camera rays
                 self.start(camera, wave, min(count, FIRST_SAMPLES))
         if self._chain is None:
             return False
@@ -145,6 +129,19 @@ class Wave:
             return False
         self.ray_count += traced
         return True
+
+    def _new_chain(self, tracer: RayTracer, count: int, from_one_point: bool) -> PathChain | TreeChain | None:
+        """The stages for tiles; None if waves of so many samples cannot be followed tile by tile."""
+        if not tracer.makes_stages(count):
+            return None
+        if self._is_path:
+            paths = Paths(self.scene, self.samples, self._step, self.settings.depth, self._group, self.radiance)
+            return PathChain(paths, tracer, from_one_point)
+        lamps = self._lamps()
+        if len(lamps) > MOST_LAMPS:
+            return None
+        trees = Trees(self.scene, self.samples, self._step, self.settings.depth, self.radiance, lamps)
+        return TreeChain(trees, tracer, from_one_point)
 
     def start(self, camera: CameraModel, wave: ray_queue.Wave, count: int) -> None:
         """Writes the camera rays of a wave of so many samples."""

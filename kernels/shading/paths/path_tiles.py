@@ -1,0 +1,145 @@
+"""The kernels of a tile of paths, which one thread carries out one after the other.
+
+A tile has `size` places in each of two queues, and in a list of shadow rays. The step appends the paths that go on to the
+second queue. From there they are moved to the first one, in the order of the octants of their directions, so that the rays of a
+stream take similar ways; in scenes of few triangles the queues take turns instead.
+"""
+
+from functools import cache
+
+import warp as wp
+
+from wrt.kernels.layout.ray_batch import HitBatch
+from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.shading.paths.plain_paths import WIDTH, shade_plain_paths
+from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
+from wrt.kernels.shading.wavefront.path_step import UNKNOWN, PathStep, follow_path
+from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
+from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
+from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
+from wrt.kernels.shading.wavefront.scene_light import LitScene
+
+exact_module(__name__)
+
+
+@wp.kernel
+def mark_hits(first: int, stop: int, group: int, blocked: wp.array(dtype=wp.bool), hits: HitBatch):
+    """Writes triangle 0, or -1 for a miss, as what rays hit that were only asked whether they hit anything.
+
+    Item: a group of rays before `stop`.
+    """
+    begin = (first + wp.tid()) * group
+    for i in range(begin, wp.min(begin + group, stop)):
+        hits.primitive[i] = wp.where(blocked[i], 0, -1)
+
+
+@cache
+def make_step_tile() -> wp.Kernel:
+    """The step of a tile. It has a module of its own, because it runs on the CPU only and takes long to compile."""
+
+    @specialised_kernel
+    def step_tile(
+        first: int,
+        size: int,
+        stop: int,
+        lanes: int,
+        has_shadows: bool,
+        step: PathStep,
+        scene: LitScene,
+        source: PixelSamples,
+        wave: Wave,
+        queue: RayQueue,
+        hits: HitBatch,
+        rays: Gathered,
+        lit_slot: wp.array(dtype=int),
+        following: RayQueue,
+        memories: TileMemories,
+    ):
+        """Adds the light of the rays of a tile to their samples, and appends shadow rays and the paths that go on.
+
+        Item: a tile memory of `size` places, whose rays end before `stop`. A sample has one ray in a generation. lanes: rays
+        that are done together, WIDTH or 1. lit_slot: (N,) the samples of the shadow rays.
+        """
+        memory = first + wp.tid()
+        begin = memory * size
+        to = int(begin)
+        entry = int(begin)
+        here = int(begin)
+        fetch_hits(scene, hits, begin, wp.min(begin + AHEAD, stop))
+        while here < stop:
+            last = wp.min(here + lanes, stop)
+            fetch_hits(scene, hits, here + AHEAD, wp.min(last + AHEAD, stop))
+            done = wp.uint32(0)
+            if lanes > 1 and here + WIDTH <= stop:
+                done = shade_plain_paths(here, step, scene, source, wave, queue, hits, rays, lit_slot, following, to, entry)
+            for i in range(here, last):
+                if (done >> wp.uint32(i - here)) & wp.uint32(1) == wp.uint32(0):
+                    found = follow_path(i, UNKNOWN, to, entry, step, scene, source, wave, queue, hits, rays, following)
+                    if found >= 2:
+                        lit_slot[entry] = queue.slot[i]
+                        entry += 1
+                    to += found & 1
+            here = last
+        memories.left[memory] = to - begin
+        memories.shadows[memory] = entry - begin
+        memories.traced[memory] += stop - begin
+        if has_shadows:  # a hit that lamps may light counts, whether its shadow ray is listed or not
+            memories.traced[memory] += stop - begin
+
+    return step_tile
+
+
+@wp.func_native("""
+    for (int i = begin; i < stop; ++i) {
+        const wp::vec3& lit = rays.lit.data[i];
+        wp::vec3& sum = rays.radiance.data[lit_slot.data[i]];
+        const float x = sum.c[0] + lit.c[0], y = sum.c[1] + lit.c[1], z = sum.c[2] + lit.c[2];
+        const bool is_free = !blocked.data[i];  // a branch would be taken at random
+        sum.c[0] = is_free ? x : sum.c[0];
+        sum.c[1] = is_free ? y : sum.c[1];
+        sum.c[2] = is_free ? z : sum.c[2];
+    }
+""")
+def gather_range(begin: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)):
+    """Adds the light of the shadow rays begin .. stop - 1 that nothing blocks to their samples."""
+    ...
+
+
+@wp.kernel
+def gather_lit(
+    first: int, size: int, stop: int, blocked: wp.array(dtype=wp.bool), rays: Gathered, lit_slot: wp.array(dtype=int)
+):
+    """Adds the light of the shadow rays of a tile that nothing blocks to their samples. Item: a tile memory, whose list ends
+    before `stop`."""
+    gather_range((first + wp.tid()) * size, stop, blocked, rays, lit_slot)
+
+
+@wp.func_native("""
+    int next[9] = {};
+    auto octant = [&](int i) {
+        const int* d = (const int*)(source.direction.data + i);
+        return (int)((unsigned)d[0] >> 31 | (unsigned)d[1] >> 31 << 1 | (unsigned)d[2] >> 31 << 2);
+    };
+    for (int i = begin; i < stop; ++i) ++next[octant(i) + 1];
+    next[0] = begin;
+    for (int k = 0; k < 8; ++k) next[k + 1] += next[k];
+    for (int i = begin; i < stop; ++i) {
+        const int place = next[octant(i)]++;
+        target.origin.data[place] = source.origin.data[i];
+        target.direction.data[place] = source.direction.data[i];
+        target.weight.data[place] = source.weight.data[i];
+        target.density.data[place] = source.density.data[i];
+        target.slot.data[place] = source.slot.data[i];
+        target.media.data[place] = source.media.data[i];
+    }
+""")
+def order_range(begin: int, stop: int, source: RayQueue, target: RayQueue):
+    """Copies the rays begin .. stop - 1 to another queue, in the order of the octants of their directions."""
+    ...
+
+
+@wp.kernel
+def order_tile(first: int, size: int, stop: int, source: RayQueue, target: RayQueue):
+    """Copies the rays of a tile to another queue, in the order of the octants of their directions. Item: a tile memory, whose
+    rays end before `stop`."""
+    order_range((first + wp.tid()) * size, stop, source, target)

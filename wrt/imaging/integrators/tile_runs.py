@@ -1,0 +1,64 @@
+"""The loop over the tiles of a wave: memory for one tile a thread, and the launch that follows them."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from wrt.kernels.runtime.launch import Chunks, PreparedLaunch, get_num_threads
+from wrt.kernels.runtime.launch_chain import LONGEST, LaunchChain
+from wrt.kernels.shading.ray_trees import tile_memories
+
+FIRST_SAMPLES = 1 << 17
+"""Camera rays of which plans are made at most: plans depend on the number of rays, and these are as many as matter."""
+
+STOP = 2
+"""Which argument of kernels whose item is a tile memory says where the rays end, the number of the first item counted."""
+
+
+class TileRuns:
+    """Tile memories, and the waves that are followed in them.
+
+    Args:
+        room: places of a tile for the rays of a generation.
+        size: samples of a tile at most.
+        device: the CPU.
+
+    Attributes:
+        memories: the state of each tile memory.
+    """
+
+    def __init__(self, room: int, size: int, device: wp.Device) -> None:
+        self.room, self.size = room, size
+        self.memories = tile_memories.TileMemories()
+        for name in tile_memories.TileMemories.vars:
+            setattr(self.memories, name, wp.zeros(get_num_threads(), dtype=int, device=device))
+        self._launch: PreparedLaunch | None = None
+
+    def __len__(self) -> int:
+        """Number of tile memories."""
+        return len(self.memories.left)
+
+    @property
+    def places(self) -> int:
+        """Places for rays in all memories."""
+        return self.room * len(self)
+
+    @property
+    def fewest_samples(self) -> int:
+        """The fewest samples of the last wave that were tried together, because more found no place."""
+        return int(self.memories.fewest.numpy().min())
+
+    def run(self, chain: LaunchChain, count: int) -> int:
+        """Follows so many samples through the stages, and returns the number of rays; -1 if those of a single sample find no
+        place."""
+        memories = self.memories
+        memories.fitting.fill_(self.size)
+        memories.fewest.fill_(self.size)
+        memories.total.zero_()
+        memories.failed.zero_()
+        inputs = [chain.stages, len(chain), self.room, self.size, count, memories]
+        if self._launch is None:
+            self._launch = PreparedLaunch(tile_memories.follow_tiles, inputs, chain.device)
+        self._launch.update(inputs)
+        self._launch.run(-(-count // self.size), Chunks(chunk=1, longest=LONGEST), self)
+        return -1 if memories.failed.numpy().any() else int(memories.total.numpy().sum())
