@@ -30,8 +30,8 @@ from wrt.state.scene_state import SceneState
 STREAM = 2048
 """Rays of a stream at most, where tiles of them stay in the cache."""
 
-PARTED = "stream", "interleaved"
-"""Traversals of rays that have parted. Which is faster depends on how far they have, and on how many are left of a tile
+INCOHERENT = "stream", "interleaved"
+"""Traversals of incoherent rays. Which is faster depends on how incoherent they are, and on how many are left of a tile
 (notebooks/records/2026-11-23-light-tiles.md)."""
 
 TOGETHER = "packet"
@@ -162,14 +162,14 @@ class RayTracer:
         known = rays if sample is None else self._rays(*sample, count, end, similar, not similar, shared)
         query, state = self._queries[kind], self._state
         by_speed = query.traversal == AUTO and (not similar or sample is None)
-        parted = self._rays(origins, directions, count, end, False, True, shared) if by_speed else known
-        plan = find_plan(state, parted, query).carried_out
+        scattered = self._rays(origins, directions, count, end, False, True, shared) if by_speed else known
+        plan = find_plan(state, scattered, query).carried_out
         plans = [plan]
         if by_speed and similar:
             if can_answer(TRAVERSALS[TOGETHER], state, kind, False):
                 plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
-        elif by_speed and state.triangle_count >= LEAST_TRIANGLES and plan.traversal in PARTED:
-            plans += [replace(plan, traversal=name) for name in PARTED if name != plan.traversal]
+        elif by_speed and state.triangle_count >= LEAST_TRIANGLES and plan.traversal in INCOHERENT:
+            plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
         batch, made = rays.given.batch(), []
         for plan in plans:
             traversal = traversal_of(plan)
