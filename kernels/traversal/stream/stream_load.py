@@ -232,7 +232,7 @@ def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
 
     Args:
         triangle_test: name of the triangle test.
-        room: of a stream, in rays: a multiple of 16.
+        room: of a stream, in rays.
         width: children of a node of the wide BVH whose root the rays are tested against; 0 for none.
 
     Args (of the function): low, high: bounds of the scene. bounds: of the tree's nodes (`wrt.kernels.layout.bvh_nodes`); any
@@ -240,7 +240,7 @@ def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
     """
     StreamRay, load = stream_ray(triangle_test), load_lanes(triangle_test, width)
     prepared, own_size = bool(TRIANGLE_TESTS[triangle_test].prepare_lanes), 6 * LIST_LANES
-    prepare_kept = prepare_one_by_one(triangle_test)
+    prepare_kept, group = prepare_one_by_one(triangle_test), min(room, LIST_LANES)
 
     @wp.func
     def load_rays(
@@ -256,14 +256,15 @@ def load_stream(triangle_test: str, room: int, width: int = 0) -> wp.Function:
         own = wp.zeros(shape=(own_size,), dtype=float)
         place = int(0)
         kept = int(0)
-        while begin + place < end and kept <= wp.static(room - LIST_LANES):
+        while begin + place < end and kept <= wp.static(room - group):
             testing = place < PROBED or float(place - kept) >= WORTHWHILE * float(place)
-            bits = load(rays, begin + place, end - begin - place, low, high, bounds, testing, stream, kept, place, own)
+            count = wp.min(end - begin - place, wp.static(group))
+            bits = load(rays, begin + place, count, low, high, bounds, testing, stream, kept, place, own)
             if wp.static(not prepared):
                 prepare_kept(stream, kept, bits, place, own)
-            place += wp.static(LIST_LANES)
+            place += count
             kept += count_bits(bits)
         size = kept  # noqa: F841 (a reference)
-        return wp.min(place, end - begin)
+        return place
 
     return load_rays
