@@ -63,7 +63,7 @@ class StreamCounters:
     """
 
     nodes: int
-    """Rays tested at inner nodes: a list of n rays counts as n."""
+    """Rays tested at inner nodes: a list of n rays counts as n. Rays that leave at the root when they are loaded are not in it."""
     leaves: int
     """Pairs (ray, leaf)."""
     triangles: int
