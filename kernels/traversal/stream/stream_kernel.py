@@ -63,7 +63,7 @@ class StreamCounters:
     """
 
     nodes: int
-    """Rays tested at inner nodes: a list of n rays counts as n. Rays that leave at the root when they are loaded are not in it."""
+    """Rays tested at inner nodes: a list of n rays counts as n. Rays that leave when they are loaded do not count."""
     leaves: int
     """Pairs (ray, leaf)."""
     triangles: int
