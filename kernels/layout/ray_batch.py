@@ -75,7 +75,8 @@ class RayBatch:
     """(N,), (1,), or (0,) for rays that see the instances of all environments, as those of environment -1 do."""
     environment_stride: int
     run: int
-    """Rays per item, a multiple of the stream length. Used by streams only."""
+    """Rays per item, a multiple of those of a stream or a run of packets. Used by kernels whose items vary in length only
+    (`Traversal.long_items`)."""
     center: wp.vec3d
     """Subtracted from the origins in float64; the geometry of the scene is stored relative to this point."""
 

@@ -87,6 +87,7 @@ class Traversal:
         own_spaces: whether it supports scenes whose trees have their own coordinate spaces (`wrt.FuzzyScene`).
         shared_leaves: whether `shared_leaves` of the config applies: it reports crossings once where a triangle is in several
             leaves of a BVH.
+        long_items: whether an item may be several times as many rays (`RayBatch.run`).
         least_rays_per_item: rays down to which an item is cut where there are few items for each thread; None if that costs
             more than it balances.
         score: how well it suits a query; None if "auto" never chooses it.
@@ -112,6 +113,7 @@ class Traversal:
     node_orders: bool = False
     own_spaces: bool = False
     shared_leaves: bool = False
+    long_items: bool = False
     least_rays_per_item: int | None = None
     score: Score | None = None
 
@@ -191,6 +193,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Reshetov, Soupikov, Hurley: Multi-level ray tracing algorithm (2005)",
             {"bvh": packet.make_kernel, "kdtree": packet_kdtree.make_kernel},
             packet_kernel.rays_per_item,
+            long_items=True,
             packets=True,
             mailbox=True,
             orders=(AS_GIVEN, CELLS, TILES),
@@ -202,6 +205,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Boulos, Wald, Benthin: Adaptive ray packet reordering (2008)",
             {"bvh": repacked_bvh.make_kernel},
             packet_kernel.rays_per_item,
+            long_items=True,
             packets=True,
             orders=(AS_GIVEN, CELLS, TILES),
         ),
@@ -249,6 +253,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Gribble, Ramani: Coherent ray tracing via stream filtering (2008)",
             {"kdtree": stream_kdtree.make_kernel, "bvh": stream_bvh.make_kernel},
             stream.rays_per_item,
+            long_items=True,
             streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
@@ -261,6 +266,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "and Fuetterling, Lojewski, Pfreundt, Ebert: Accelerated single ray tracing for wide vector units (2017)",
             {"bvh": interleaved_bvh.make_kernel},
             stream.rays_per_item,
+            long_items=True,
             streams=True,
             counters=stream.StreamCounters,
             queries={"bvh": QUERIES},
@@ -282,6 +288,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "Object partitioning considered harmful: space subdivision for BVHs (2009)",
             {"kdtree": stream_bvh.make_kernel},
             stream.rays_per_item,
+            long_items=True,
             streams=True,
             wide=True,
             counters=stream.StreamCounters,
@@ -292,6 +299,7 @@ TRAVERSALS: dict[str, Traversal] = {
             "packet through the same",
             {"kdtree": packet.make_kernel},
             packet_kernel.rays_per_item,
+            long_items=True,
             packets=True,
             wide=True,
             orders=(AS_GIVEN, TILES),

@@ -32,11 +32,11 @@ BRUTE_FORCE_TESTS = 10_000_000
 MIN_CHUNK = 256
 """Rays that are worth a chunk of their own on the CPU: much longer to trace than a chunk takes to be claimed."""
 
-STREAMS_IN_A_ROW = 16
-"""Streams of an item at most: Warp clears the local memory of an item, which several streams then share."""
+LONGEST_ITEM = 16
+"""Streams or runs of packets of an item at most: Warp clears the local memory of an item, which they then share."""
 
 ITEMS_PER_THREAD = 32
-"""Items of streams that a thread has at least, if rays are many: enough to balance the load."""
+"""Items that a thread has at least where one may be several streams or runs of packets: enough to balance the load."""
 
 MIN_ITEMS_PER_THREAD = 6
 """Items that a thread has at least, if they can be cut: with fewer, threads wait for the last one."""
@@ -88,8 +88,8 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     traversal = traversal_of(plan)
     grain = traversal.rays_per_item(config)
     longest = max(1, BRUTE_FORCE_TESTS // scene.triangle_count) if plan.accelerator == "none" else MAX_CHUNK
-    if traversal.streams:
-        grain *= streams_in_a_row(count, grain, scene.device)
+    if traversal.long_items and scene.device.is_cpu:
+        grain *= groups_per_item(count, grain)
     if traversal.least_rays_per_item is not None and scene.device.is_cpu:
         share = count // (MIN_ITEMS_PER_THREAD * get_num_threads()) // 64 * 64  # whole groups of slots
         grain = min(grain, max(share, traversal.least_rays_per_item))
@@ -97,11 +97,10 @@ def divide(scene: SceneState, plan: Plan, config: TraversalConfig, count: int) -
     return grain, -(-count // grain), Chunks(max(1, MIN_CHUNK // grain), max(1, longest // grain), chunks_per_thread)
 
 
-def streams_in_a_row(count: int, stream: int, device: wp.Device) -> int:
-    """Streams that share the local memory of an item, as far as each thread still has `ITEMS_PER_THREAD` items."""
-    if device.is_cuda:
-        return 1
-    return min(max(1, count // (stream * ITEMS_PER_THREAD * get_num_threads())), STREAMS_IN_A_ROW)
+def groups_per_item(count: int, group: int) -> int:
+    """Streams or runs of packets, of `group` rays each, that share the local memory of an item, as far as each thread still has
+    `ITEMS_PER_THREAD` items."""
+    return min(max(1, count // (group * ITEMS_PER_THREAD * get_num_threads())), LONGEST_ITEM)
 
 
 @lru_cache

@@ -16,7 +16,7 @@ from wrt.kernels.layout.instance_maps import Placement
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, HitBatch, RayBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.traversal.leaf import Candidate
-from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND
+from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import fill_head, fill_packet
@@ -168,7 +168,9 @@ def load_instance(layout: PacketLayout, slopes: bool) -> wp.Function:
     `load_packet`.
     """
 
-    @wp.func_native(memory_head(layout) + fill_head(layout, slopes) + _TRANSFORM + fill_packet(layout) + BOUND)
+    @wp.func_native(
+        memory_head(layout) + fill_head(layout, slopes) + _TRANSFORM + fill_packet(layout) + bound_packet(layout, slopes)
+    )
     def load_instance_native(
         memory: wp.ref[PacketMemory],
         rays: RayBatch,

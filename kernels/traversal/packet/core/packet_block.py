@@ -1,9 +1,10 @@
 """The rays of a packet against the triangles of a block, W rays x one triangle at a time.
 
 **Filter.** Whether any of W rays meets a triangle is hard to predict, and a branch that is mispredicted waits for all of the
-arithmetic before it. So all triangles are tested first by signs alone (`PacketForm.filter`), without branches: what the CPU
-does for one overlaps with the next. Only the pairs of a triangle and W rays that may meet are then tested in full
-(notebooks/records/2026-11-23-packet-loading.md).
+arithmetic before it. So all triangles are tested first by signs alone, without branches: what the CPU does for one overlaps
+with the next. Only the pairs of a triangle and W rays that may meet are then tested in full. Rays through one point take linear
+functions of their slopes (`edge_functions`), others the test's own areas (`PacketForm.filter`)
+(notebooks/records/2026-11-23-packet-loading.md, notebooks/records/2026-11-23-edge-functions.md).
 """
 
 from functools import cache
@@ -13,6 +14,7 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import FRONT
+from wrt.kernels.traversal.packet.core.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MACROS, MEETS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
@@ -27,30 +29,39 @@ LEAST_FILTERED = 2
 MOST_VECTORS = 32
 """Greatest number of vectors of a packet whose pairs with triangles are filtered: the bits of a word."""
 
+_VECTORS = """
+                unsigned vectors = 0u;
+                WRT_UNROLLED for (int f = 0; f < P; f += W) {
+                    int some = 0;
+                    WRT_FOR_LANES(i) {
+                        const int k = f + i;
+                        WRT_MEETS
+                        some |= (may_meet & (t[k] >= t_min[k])) ? 1 : 0;
+                    }
+                    vectors |= (unsigned)(some != 0) << f / W;
+                }
+                meeting[lane] |= vectors;
+                met |= (unsigned)(vectors != 0u) << lane;
+"""
+
 _FILTER = f"""
     unsigned meeting[W];  // of each triangle: a bit for each W rays some of which may meet it
     const bool filtered = wrt_count_bits(mask) >= {LEAST_FILTERED};
     for (int i = 0; i < W; ++i) meeting[i] = filtered ? 0u : ~0u >> ({MOST_VECTORS} - P / W);
     if (filtered) {{
-        unsigned met = 0u;
-        WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {{
-            if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
+        unsigned met = 0u;{CONVERGING}
+        if (converging) {{{EDGES}
             for (unsigned left = mask; left; left &= left - 1u) {{
-                const int lane = wrt_lowest_bit(left);
-                const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
-                WRT_TRIANGLE
-                unsigned vectors = 0u;
-                WRT_UNROLLED for (int f = 0; f < P; f += W) {{
-                    int some = 0;
-                    WRT_FOR_LANES(i) {{
-                        const int k = f + i;
-                        WRT_MAY_MEET
-                        some |= (may_meet & (t[k] >= t_min[k])) ? 1 : 0;
-                    }}
-                    vectors |= (unsigned)(some != 0) << f / W;
+                const int lane = wrt_lowest_bit(left);{COEFFICIENTS}{_VECTORS.replace("WRT_MEETS", MEETS)}
+            }}
+        }} else {{
+            WRT_UNROLLED for (int pass = 0; pass < PASSES; ++pass) {{
+                if (PASSES > 1 && !(bounds.passes >> pass & 1)) continue;
+                for (unsigned left = mask; left; left &= left - 1u) {{
+                    const int lane = wrt_lowest_bit(left);
+                    const float* corner = &records.data[(size_t)block * (RECORD * W) + lane];
+                    WRT_TRIANGLE{_VECTORS.replace("WRT_MEETS", "WRT_MAY_MEET")}
                 }}
-                meeting[lane] |= vectors;
-                met |= (unsigned)(vectors != 0u) << lane;
             }}
         }}
         mask = met;
@@ -129,7 +140,7 @@ _SOME_VECTORS = """
 def block_constants(layout: PacketLayout, any_hit: bool, cull_backfaces: bool = False) -> str:
     """C++ for the head of a function that contains `block_code`, after the constants of the layout."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
-    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}" + (
+    return f"    constexpr bool ANY_HIT = {str(any_hit).lower()};\n    constexpr int PASSES = {passes};\n{BITS}{MACROS}" + (
         FRONT if cull_backfaces else ""
     )
 

@@ -38,11 +38,12 @@ def packet_layout(config: TraversalConfig) -> PacketLayout:
 
 
 RUN = 8
-"""Packets per item. They share its local memory, which Warp clears once per item (notebooks/records/2026-11-21-packets.md)."""
+"""Packets per item, or more (`RayBatch.run`). They share its local memory, which Warp clears once per item
+(notebooks/records/2026-11-21-packets.md)."""
 
 
 def rays_per_item(config: TraversalConfig) -> int:
-    """Rays of a run of packets; an item of the kernel is one run."""
+    """Rays of a run of packets; an item of the kernel is one or more runs (`RayBatch.run`)."""
     return RUN * config.packet.rays
 
 
@@ -316,7 +317,7 @@ def make_packet_kernel(
 ) -> wp.Kernel:
     """The kernel for one specialisation; memory_size: ints of memory for a walk; the other arguments as in `packet_step`."""
     step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible)
-    packet_rays, run, size = config.packet.rays, rays_per_item(config), packet_layout(config).size
+    packet_rays, size = config.packet.rays, packet_layout(config).size
 
     def packet_traversal(
         first: int,
@@ -328,8 +329,8 @@ def make_packet_kernel(
     ):
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)
-        begin = (first + wp.tid()) * wp.static(run)
-        end = wp.min(begin + wp.static(run), rays.count)
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
         while begin < end:
             work = Counters()
             step(tree, tree, triangles, rays, begin, packet, memory, hits, counters, work)

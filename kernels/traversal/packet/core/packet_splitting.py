@@ -25,7 +25,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -78,7 +78,7 @@ def activate_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes: see
     `load_packet`."""
 
-    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + BOUND)
+    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound_packet(layout, slopes))
     def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
     return activate_part_native

@@ -17,7 +17,7 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.core.packet_block import SHORTEN
-from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
@@ -186,7 +186,7 @@ def bound_entries(layout: PacketLayout, slopes: bool, moved: bool) -> wp.Functio
 """
     move = _MOVE + _SHORTEN_MOVED if moved else ""
 
-    @wp.func_native(layout.head + bounding_head(layout, slopes) + shared + BOUND + move)
+    @wp.func_native(layout.head + bounding_head(layout, slopes) + shared + bound_packet(layout, slopes) + move)
     def bound_moved_rays(
         boxes: wp.array(dtype=float),
         node: int,

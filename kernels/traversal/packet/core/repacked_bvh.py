@@ -35,7 +35,7 @@ from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
 from wrt.kernels.traversal.leaf import CounterRows, Counters
 from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
-from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout, rays_per_item
+from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, packet_layout
 from wrt.kernels.traversal.packet.core.ray_repacking import (
     bound_entries,
     gather_rays,
@@ -221,8 +221,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     load, store = load_packet(layout, culling.slopes), store_packet(layout, config.query == ANY)
     start, walk = culling.start(layout), make_walk(config, False)
-    packet_rays, run, size, memory_size = config.packet.rays, rays_per_item(config), layout.size, walk_memory(config)
-    counting = config.counters
+    packet_rays, size, memory_size, counting = config.packet.rays, layout.size, walk_memory(config), config.counters
 
     def repacked_packets(
         first: int,
@@ -235,8 +234,8 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         packet = wp.zeros(shape=(size,), dtype=float)
         memory = wp.zeros(shape=(memory_size,), dtype=int)
         base = first_line(memory, 0)
-        begin = (first + wp.tid()) * wp.static(run)
-        end = wp.min(begin + wp.static(run), rays.count)
+        begin = (first + wp.tid()) * rays.run
+        end = wp.min(begin + rays.run, rays.count)
         while begin < end:
             work = Counters()
             bounds = PacketBounds()

@@ -2,8 +2,12 @@
 
 A compiler must keep the order of floating-point comparisons, so it does not vectorise these reductions. There are two remedies.
 `INTERVALS` reduces integers that are ordered like the floats, for any number of rays. `PACKET_INTERVALS` reduces the P rays of
-a packet per lane, and then the lanes by halves; it needs half as many instructions per ray.
+a packet per lane, and then the lanes of all intervals together (`row_maxima`).
 """
+
+from collections.abc import Sequence
+
+from wrt.kernels.simd.row_maxima import row_maxima
 
 INTERVALS = """
     constexpr int LEAST = (int)0x80000000, MOST = 0x7fffffff;
@@ -30,20 +34,28 @@ LANE_ENDS = """
 """
 """C++: `wrt_least(lane)` and `wrt_greatest(lane)` of W floats, W a power of two, which they overwrite."""
 
-PACKET_INTERVALS = (
-    """
+PACKET_INTERVALS = """
 #ifndef WRT_ENDS
-    #define WRT_ENDS(name) float name##_low[W], name##_high[W]
+    #define WRT_ENDS(name) alignas(4 * W) float name##_low[W], name##_high[W]
     #define WRT_BOUND(name, value) { float stand_in_; { const int k = one; stand_in_ = value; } \\
         float low_ = stand_in_, high_ = stand_in_; \\
         WRT_UNROLLED for (int f_ = 0; f_ < P; f_ += W) { const int k = f_ + i; \\
             const float there_ = value, value_ = t[k] >= -0.0f ? there_ : stand_in_; \\
             low_ = value_ < low_ ? value_ : low_; high_ = value_ > high_ ? value_ : high_; } \\
-        name##_low[i] = low_; name##_high[i] = high_; }
+        name##_low[i] = -low_; name##_high[i] = high_; }
 #endif
 """
-    + LANE_ENDS
-)
 """The same for the active rays of a packet, after `PacketLayout.head`, W a power of two: `WRT_ENDS(name)` declares the ends of
 an interval per lane. `WRT_BOUND(name, value)`, in a loop over the lanes i, widens them; the value is that of ray `k`, and ray
-`one`, an active one, replaces inactive rays. `wrt_least(name_low)`, `wrt_greatest(name_high)` are the ends over all lanes."""
+`one`, an active one, replaces inactive rays. `packet_ends` has the ends over all lanes."""
+
+
+def packet_ends(names: Sequence[str], width: int) -> str:
+    """C++ that sets `NAME_least` and `NAME_most`, the ends over all lanes of the intervals of `PACKET_INTERVALS`, for all names
+    together. Lower ends are kept negated until then."""
+    rows = [f"{name}_{end}" for name in names for end in ("low", "high")]
+    values = "".join(
+        f"    const float {name}_least = -ends_of_{names[0]}[{2 * j}], {name}_most = ends_of_{names[0]}[{2 * j + 1}];\n"
+        for j, name in enumerate(names)
+    )
+    return f"    float ends_of_{names[0]}[{len(rows)}];{row_maxima(rows, width, f'ends_of_{names[0]}')}{values}"

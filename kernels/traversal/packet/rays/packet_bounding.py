@@ -4,54 +4,52 @@
 Inactive rays are replaced by the first active one, so that the loops need no masks.
 """
 
-from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS, PACKET_INTERVALS
+from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS, PACKET_INTERVALS, packet_ends
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.triangle import TRIANGLE_TESTS
 
 
 def bounding_head(layout: PacketLayout, slopes: bool) -> str:
-    """C++ for the head of a function that ends in `BOUND`, after `PacketLayout.head`; slopes: whether slopes are bounded
+    """C++ for the head of a function that ends in `bound_packet`, after `PacketLayout.head`; slopes: whether slopes are bounded
     too."""
     passes = TRIANGLE_TESTS[layout.triangle_test].packet_form.passes
     constants = f"    constexpr int PASSES = {passes};\n    constexpr bool SLOPES = {str(slopes).lower()};\n"
     return constants + INTERVALS + PACKET_INTERVALS
 
 
-BOUND = """
+_BOUND = """
     int one = 0;
     while (one < P && !(t[one] >= -0.0f)) ++one;  // an active ray's t is not negative
     bounds.active = 0;
     if (one == P) return;
     WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
+    WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
     const int* axis = (const int*)main_axis;
     int active = 0, main_axes = 0;
     WRT_FOR_LANES(i) {
         WRT_BOUND(ix, inverse_x[k]) WRT_BOUND(iy, inverse_y[k]) WRT_BOUND(iz, inverse_z[k])
         if (SLOPES) { WRT_BOUND(sx, slope_x[k]) WRT_BOUND(sy, slope_y[k]) }
+        if (!SHARED) {
+            WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
+            WRT_BOUND(wide, slack[k])
+        }
         WRT_UNROLLED for (int f = 0; f < P; f += W) {
             const int bit = 1 << axis[f + i], mask = t[f + i] >= -0.0f ? -1 : 0;
             active -= mask;
             main_axes |= bit & mask;
         }
     }
+    WRT_ALL_ENDS
     bounds.active = active;
     if (ranged) {
         WRT_ENDS(start); WRT_ENDS(end);
         WRT_FOR_LANES(i) { WRT_BOUND(start, t_min[k]) WRT_BOUND(end, t[k]) }
-        bounds.t_min = wrt_least(start_low); bounds.t_max = wrt_greatest(end_high);
+        WRT_RANGE_ENDS
+        bounds.t_min = start_least; bounds.t_max = end_most;
     } else {
         bounds.t_min = t_min[one]; bounds.t_max = t[one];
     }
-    if (!SHARED) {
-        WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
-        WRT_FOR_LANES(i) {
-            WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
-            WRT_BOUND(wide, slack[k])
-        }
-        lows[0] = wrt_least(ox_low); lows[1] = wrt_least(oy_low); lows[2] = wrt_least(oz_low);
-        highs[0] = wrt_greatest(ox_high); highs[1] = wrt_greatest(oy_high); highs[2] = wrt_greatest(oz_high);
-        slack0 = wrt_greatest(wide_high);
-    }
+    WRT_ORIGIN_ENDS
     bounds.main_axes = main_axes;
     bounds.passes = PASSES == 1 ? 1 : main_axes;
     bounds.slack = slack0;
@@ -59,8 +57,7 @@ BOUND = """
         const int main = main_axes == 1 ? 0 : main_axes == 2 ? 1 : 2;
         const int next = main == 2 ? 0 : main + 1, other = next == 2 ? 0 : next + 1;
         const float plane = SHARED ? lows[main] : 0.5f * (lows[main] + highs[main]);
-        bounds.slope_low = wp::vec2(wrt_least(sx_low), wrt_least(sy_low));
-        bounds.slope_high = wp::vec2(wrt_greatest(sx_high), wrt_greatest(sy_high));
+        WRT_SLOPE_ENDS
         bounds.plane = plane;
         if (SHARED) {
             bounds.through_low = bounds.through_high = wp::vec2(lows[next], lows[other]);
@@ -73,12 +70,12 @@ BOUND = """
                 WRT_BOUND(cx, across_x[k] - slope_x[k] * (along[k] - plane))
                 WRT_BOUND(cy, across_y[k] - slope_y[k] * (along[k] - plane))
             }
-            bounds.through_low = wp::vec2(wrt_least(cx_low) - slack0, wrt_least(cy_low) - slack0);
-            bounds.through_high = wp::vec2(wrt_greatest(cx_high) + slack0, wrt_greatest(cy_high) + slack0);
+            WRT_CROSSING_ENDS
+            bounds.through_low = wp::vec2(cx_least - slack0, cy_least - slack0);
+            bounds.through_high = wp::vec2(cx_most + slack0, cy_most + slack0);
         }
     }
-    const float inverse_low[3] = {wrt_least(ix_low), wrt_least(iy_low), wrt_least(iz_low)};
-    const float inverse_high[3] = {wrt_greatest(ix_high), wrt_greatest(iy_high), wrt_greatest(iz_high)};
+    const float inverse_low[3] = {ix_least, iy_least, iz_least}, inverse_high[3] = {ix_most, iy_most, iz_most};
     const float none = WRT_NAN;
     int mixed_axes = 0;
     WRT_UNROLLED for (int a = 0; a < 3; ++a) {
@@ -105,9 +102,32 @@ BOUND = """
         bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
     }
 """
-"""C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray, only
-`active` is set.
 
-The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`: whether
-rays may have a t_min or t of their own.
+_ORIGIN_ENDS = """
+    lows[0] = ox_least; lows[1] = oy_least; lows[2] = oz_least;
+    highs[0] = ox_most; highs[1] = oy_most; highs[2] = oz_most;
+    slack0 = wide_most;
 """
+
+_SLOPE_ENDS = """
+        bounds.slope_low = wp::vec2(sx_least, sy_least);
+        bounds.slope_high = wp::vec2(sx_most, sy_most);
+"""
+
+
+def bound_packet(layout: PacketLayout, slopes: bool) -> str:
+    """C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray,
+    only `active` is set.
+
+    The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`:
+    whether rays may have a t_min or t of their own.
+    """
+    names = ["ix", "iy", "iz", *(["sx", "sy"] if slopes else []), *([] if layout.shared_origin else ["ox", "oy", "oz", "wide"])]
+    pieces = {"WRT_ALL_ENDS": packet_ends(names, layout.width), "WRT_RANGE_ENDS": packet_ends(["start", "end"], layout.width)}
+    pieces["WRT_ORIGIN_ENDS"] = "" if layout.shared_origin else _ORIGIN_ENDS
+    pieces["WRT_SLOPE_ENDS"] = _SLOPE_ENDS if slopes else ""
+    pieces["WRT_CROSSING_ENDS"] = packet_ends(["cx", "cy"], layout.width)
+    code = _BOUND
+    for name, piece in pieces.items():
+        code = code.replace(name, piece)
+    return code

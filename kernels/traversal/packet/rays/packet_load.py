@@ -7,7 +7,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.traversal.packet.rays.packet_bounding import BOUND, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_numbers import FETCH, NUMBERS
@@ -77,7 +77,7 @@ _FILL = """
 
 
 def fill_head(layout: PacketLayout, slopes: bool) -> str:
-    """C++ for the head of a function that contains `fill_packet` and ends in `BOUND`, after `PacketLayout.head`."""
+    """C++ for the head of a function that contains `fill_packet` and ends in `bound_packet`, after `PacketLayout.head`."""
     return f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}" + bounding_head(layout, slopes)
 
 
@@ -97,7 +97,7 @@ def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     """
     head = layout.head + fill_head(layout, slopes) + NUMBERS
 
-    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout) + BOUND)
+    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout) + bound_packet(layout, slopes))
     def load_packet_native(
         rays: RayBatch,
         first: int,

@@ -25,7 +25,7 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.traversal.packet.rays.lane_intervals import PACKET_INTERVALS
+from wrt.kernels.traversal.packet.rays.lane_intervals import PACKET_INTERVALS, packet_ends
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -49,8 +49,8 @@ _REVERSE = """
         WRT_BOUND(ez, origin_z[k] + t[k] * (1.0f / inverse_z[k]))
         WRT_BOUND(span, t[k] - t_min[k])
     }
-    const float lows[3] = {wrt_least(ex_low), wrt_least(ey_low), wrt_least(ez_low)};
-    const float highs[3] = {wrt_greatest(ex_high), wrt_greatest(ey_high), wrt_greatest(ez_high)};
+    WRT_ALL_ENDS
+    const float lows[3] = {ex_least, ey_least, ez_least}, highs[3] = {ex_most, ey_most, ez_most};
     float ends = 0.0f, origins = 0.0f, reach = 0.0f, size = 0.0f;
     auto widen = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
     WRT_UNROLLED for (int a = 0; a < 3; ++a) {
@@ -72,7 +72,7 @@ _REVERSE = """
     }
     bounds.slack = wide;
     bounds.t_min = 0.0f;
-    bounds.t_max = wrt_greatest(span_high) * (1.0f + ENDS_ERROR);
+    bounds.t_max = span_most * (1.0f + ENDS_ERROR);
 """
 
 
@@ -81,7 +81,9 @@ def reverse_bounds(layout: PacketLayout) -> wp.Function:
     """`wp.func(low, high, packet, bounds)`: reverses the bounds if that makes them tighter; low, high: bounds of the scene."""
     constants = f"    constexpr float CLOSER = {CLOSER!r}f, SLACK = {SLACK!r}f, ENDS_ERROR = {ENDS_ERROR!r}f;\n"
 
-    @wp.func_native(layout.head + constants + PACKET_INTERVALS + _REVERSE)
+    reverse = _REVERSE.replace("WRT_ALL_ENDS", packet_ends(["ex", "ey", "ez", "span"], layout.width))
+
+    @wp.func_native(layout.head + constants + PACKET_INTERVALS + reverse)
     def reverse_bounds_native(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
 
     return reverse_bounds_native

@@ -1,0 +1,30 @@
+"""The greatest of the lanes of several rows, folded together, against NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import warp as wp
+
+from wrt.kernels.runtime.options import specialised_kernel
+from wrt.kernels.simd.row_maxima import row_maxima
+
+
+@pytest.mark.parametrize("width", [4, 8, 16])
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 13, 16, 19])
+def test_row_maxima(count, width, device):
+    code = f"    float* to = results.data;{row_maxima([f'rows.data + {j * width}' for j in range(count)], width, 'to')}"
+
+    @wp.func_native(code)
+    def maxima(rows: wp.array(dtype=float), results: wp.array(dtype=float)): ...
+
+    def reduce(rows: wp.array(dtype=float), results: wp.array(dtype=float)):
+        maxima(rows, results)
+
+    rng = np.random.default_rng(width * count)
+    rows = rng.normal(size=(count, width)).astype(np.float32)
+    rows[rng.random(rows.shape) < 0.1] = -np.inf
+    rows[0, -1] = np.inf
+    results = wp.zeros(count, dtype=float, device=device)
+    wp.launch(specialised_kernel(reduce), 1, [wp.array(rows.ravel(), dtype=float, device=device), results], device=device)
+    np.testing.assert_array_equal(results.numpy(), rows.max(axis=1))
