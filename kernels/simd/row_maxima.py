@@ -42,8 +42,8 @@ def row_maxima(rows: Sequence[str], width: int, results: str) -> str:
         registers, names = folded, folded_names
     for lanes, name in zip(registers, names, strict=True):
         code += [f"{results}[{number}] = {name}[{k}];" for k, number in enumerate(lanes) if number < len(rows)]
-    vectors = "".join(f"        {line}\n" for line in code)
-    return f"\n#if defined(__clang__) && !defined(__CUDA_ARCH__)\n    {{\n{vectors}    }}\n#else\n{_plain(rows, width, results)}#endif\n"
+    vectors, plain = "".join(f"        {line}\n" for line in code), _plain(rows, width, results)
+    return f"\n#if defined(__clang__) && !defined(__CUDA_ARCH__)\n    {{\n{vectors}    }}\n#else\n{plain}#endif\n"
 
 
 def _plain(rows: Sequence[str], width: int, results: str) -> str:
