@@ -67,6 +67,7 @@ class Limits(NamedTuple):
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
         instance_share: the same through instances.
         large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
+        crowded: rays per triangle from which packets of rays from one point are larger still.
     """
 
     incoherent: float
@@ -76,16 +77,19 @@ class Limits(NamedTuple):
     short_share: float
     instance_share: float
     large_packet: int
+    crowded: float
 
 
 LIMITS = {
-    8: Limits(incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, large_packet=4),
-    16: Limits(80_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2),
+    8: Limits(
+        incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, large_packet=4, crowded=12.0
+    ),
+    16: Limits(80_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2, crowded=4.0),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
 (notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `incoherent`:
-notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md). Fewer lanes are taken
-for 8; they have not been measured.
+notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `crowded`:
+notebooks/records/2026-11-23-edge-functions.md). Fewer lanes are taken for 8; they have not been measured.
 """
 
 

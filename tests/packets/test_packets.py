@@ -277,7 +277,7 @@ def test_plans_of_fine_and_rough_views():
     mesh = wrt.scenes.build("teapot")
     scene = wrt.Scene(mesh, device="cpu")
     few_rays = "stream" if scene.width == 16 else "interleaved"
-    for share, traversal, culling in ((0.1, few_rays, ""), (1.0, "packet", "transient_frustum"), (4.0, "packet", "vertex")):
+    for share, traversal, culling in ((0.1, few_rays, ""), (0.9, "packet", "transient_frustum"), (3.0, "packet", "interval")):
         size = int((share * mesh.triangle_count) ** 0.5)
         plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
         assert (plan.traversal, plan.culling) == (traversal, culling)

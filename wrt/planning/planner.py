@@ -31,12 +31,16 @@ DEFAULT_TEST = "woop"
 
 PACKET_VECTORS = 2
 """Rays of a packet, in vectors of the tree's width: best or within 5 % of the best of 1, 2, 4 and 8 with 16 lanes
-(notebooks/records/2026-11-21-plans.md); `Limits.large_packet` has the exception.
+(notebooks/records/2026-11-21-plans.md); `Limits.large_packet` and CROWDED_PACKET have the exceptions.
 """
 
-ROUGH_RAYS_PER_TRIANGLE = 2.0
-"""Rays per triangle of the scene up to which camera rays use a transient frustum at each leaf in place of vertex culling: a
-packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md).
+CROWDED_PACKET = 64
+"""Rays of a packet of camera rays that are at least `Limits.crowded` for each triangle
+(notebooks/records/2026-11-23-edge-functions.md)."""
+
+ROUGH_RAYS_PER_TRIANGLE = 1.0
+"""Rays per triangle of the scene up to which camera rays use a transient frustum at each leaf: a packet then reaches a leaf
+with few active rays (notebooks/records/2026-11-23-edge-functions.md).
 """
 
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
@@ -239,22 +243,26 @@ def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: T
     """Rays of a packet, in vectors of the tree's width."""
     if traversal.packet_vectors:
         return traversal.packet_vectors
+    limits = limits_for(scene.width)
+    if is_dense(scene, rays, limits.crowded):
+        return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
     measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays) or (query == ANY and not scene.instances)
-    return limits_for(scene.width).large_packet if measured and large else PACKET_VECTORS
+    large = is_dense(scene, rays, ROUGH_RAYS_PER_TRIANGLE) or (query == ANY and not scene.instances)
+    return limits.large_packet if measured and large else PACKET_VECTORS
 
 
-def is_dense(scene: SceneState, rays: RayBuffers) -> bool:
-    """Whether rays from one point are many for each triangle, in a scene of one level."""
+def is_dense(scene: SceneState, rays: RayBuffers, least: float) -> bool:
+    """Whether rays from one point are at least so many for each triangle, in a scene of one level."""
     from_one_point = rays.arrays_or_batch.origin_stride == 0 and not scene.instances
-    return from_one_point and rays.count >= ROUGH_RAYS_PER_TRIANGLE * scene.triangle_count
+    return from_one_point and rays.count >= least * scene.triangle_count
 
 
 def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    dense, kind, best, name = is_dense(scene, rays), scene.accelerator.kind, 0.0, ""
+    dense, kind, best, name = is_dense(scene, rays, ROUGH_RAYS_PER_TRIANGLE), scene.accelerator.kind, 0.0, ""
     for culling in CULLINGS.values():
-        score = culling.dense_score if dense else culling.sparse_score
+        dense_score = culling.filtered_score if test.packet_form.filter else culling.dense_score
+        score = dense_score if dense else culling.sparse_score
         if score > best and fits(culling, traversal, kind, test):
             best, name = score, culling.name
     return name

@@ -61,6 +61,8 @@ class Culling:
             (`wrt.kernels.traversal.packet.rays.reversed_bounds`).
         dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
             among the cullings that fit, and never one whose score is 0.
+        filtered_score: in place of `dense_score` if the test filters pairs of rays and triangles (`PacketForm.filter`), after
+            which a triangle that culling leaves costs little.
     """
 
     name: str
@@ -74,6 +76,7 @@ class Culling:
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
     reversible: bool = False
     dense_score: float = 0.0
+    filtered_score: float = 0.0
     sparse_score: float = 0.0
 
     @property
@@ -103,6 +106,7 @@ CULLINGS: dict[str, Culling] = {
             interval.cull_triangles,
             reversible=True,
             dense_score=1.0,
+            filtered_score=3.0,
             sparse_score=1.0,
         ),
         Culling(
@@ -130,6 +134,7 @@ CULLINGS: dict[str, Culling] = {
             slopes=True,
             reversible=True,
             dense_score=3.0,
+            filtered_score=2.0,
             sparse_score=2.0,
         ),
         Culling(
@@ -142,6 +147,7 @@ CULLINGS: dict[str, Culling] = {
             leaf=transient.leaf,
             reversible=True,
             dense_score=2.0,
+            filtered_score=1.0,
             sparse_score=3.0,
         ),
         Culling(
