@@ -38,7 +38,9 @@ from wrt.kernels.traversal.packet import CULLINGS
 from wrt.kernels.traversal.packet.core import occluder_cache as occluder
 from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
+from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_load import finish_packet
 from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
 from wrt.kernels.triangle.support.record_blocks import TriangleBlocks
@@ -63,12 +65,19 @@ def walk_memory(config: TraversalConfig) -> int:
     return MAILBOXES[config.mailbox].size + CACHE_LINE + config.stack.levels * (config.width + 1)
 
 
+def finishes_later(config: TraversalConfig) -> bool:
+    """Whether the rays of a packet are prepared for tests at its first leaf: those that nothing else needs prepared."""
+    culling = CULLINGS[config.packet.culling]
+    return config.packet.shared_origin and not culling.every_ray and culling.start is no_start
+
+
 @cache
 def visit_leaf(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node."""
     culling, width = CULLINGS[config.packet.culling], config.width
     count_rays, counts_rays = culling.leaf(packet_layout(config)), culling.needs_boxes
     test_leaf, test_few = leaf_step(config), few_rays_step(config)
+    later, finish = finishes_later(config), finish_packet(packet_layout(config))
 
     @wp.func
     def visit(
@@ -84,6 +93,9 @@ def visit_leaf(config: TraversalConfig) -> wp.Function:
         child = load_int(tree.child, node * wp.static(width) + lane)
         first = bvh.first_block(child)
         count = bvh.leaf_triangles(child)
+        if wp.static(later):
+            if bounds.finished == 0:
+                finish(packet, bounds)
         ray_count = count_rays(tree.bounds, node, lane, packet, bounds)
         if ray_count > wp.static(MAX_FEW_RAYS):
             test_leaf(triangles, first, count, packet, bounds, mailbox, work)
@@ -169,4 +181,5 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
 def make_kernel(config: TraversalConfig) -> wp.Kernel:
     """The kernel for one specialisation."""
     walks = make_walk_packet(config), make_walk(config)
-    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, walk_memory(config), reversible=True)
+    memory = walk_memory(config)
+    return make_packet_kernel(config, WideNodes, *walks, MIXED_AXES, memory, reversible=True, later=finishes_later(config))

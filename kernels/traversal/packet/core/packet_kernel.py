@@ -258,6 +258,7 @@ def packet_step(
     walk_ray: wp.Function,
     mixed_axes: int,
     reversible: bool = False,
+    later: bool = False,
 ) -> wp.Function:
     """`wp.func(tree, below, triangles, rays, begin, packet, memory, hits, counters, work)`: traces the packet at `begin`.
 
@@ -272,9 +273,10 @@ def packet_step(
         walk_ray: `wp.func(tree, triangles, ray, hits, i, work) -> best`: traces one valid ray.
         mixed_axes: greatest number of axes with both signs for which a packet is traversed as a whole.
         reversible: whether the walk may see the rays from their ends (`reversed_bounds`).
+        later: whether the walk calls `finish_packet` before its first test.
     """
-    layout, parts = packet_layout(config), not config.packet.shared_origin
-    load, store = load_packet(layout, CULLINGS[config.packet.culling].slopes), store_packet(layout, config.query == ANY)
+    layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
+    load, store = load_packet(layout, culling.slopes, later), store_packet(layout, config.query == ANY)
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
     trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible)
 
@@ -314,9 +316,10 @@ def make_packet_kernel(
     mixed_axes: int,
     memory_size: int,
     reversible: bool = False,
+    later: bool = False,
 ) -> wp.Kernel:
     """The kernel for one specialisation; memory_size: ints of memory for a walk; the other arguments as in `packet_step`."""
-    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible)
+    step = packet_step(config, Tree, walk_packet, walk_ray, mixed_axes, reversible, later)
     packet_rays, size = config.packet.rays, packet_layout(config).size
 
     def packet_traversal(

@@ -75,32 +75,53 @@ _BOUND = """
             bounds.through_high = wp::vec2(cx_most + slack0, cy_most + slack0);
         }
     }
-    const float inverse_low[3] = {ix_least, iy_least, iz_least}, inverse_high[3] = {ix_most, iy_most, iz_most};
+    bounds.finished = WRT_FINISHED;
     const float none = WRT_NAN;
     int mixed_axes = 0;
-    WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-        const float least = inverse_low[a], most = inverse_high[a];
-        const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
+    bounds.forward_small = wp::vec3(); bounds.backward_small = wp::vec3();
+    WRT_AXES
+    bounds.mixed_axes = mixed_axes;
+"""
+
+_SIDES = """
         mixed_axes += mixed ? 1 : 0;
         bounds.backward.c[a] = backward ? 1 : 0;
-        bounds.inverse_large.c[a] = mixed ? none : backward ? least : most;
-        bounds.inverse_small.c[a] = mixed ? none : backward ? most : least;
         bounds.origin_in.c[a] = backward ? lows[a] - slack0 : highs[a] + slack0;
         bounds.origin_out.c[a] = backward ? highs[a] + slack0 : lows[a] - slack0;
         bounds.origin_low.c[a] = lows[a]; bounds.origin_high.c[a] = highs[a];
-    }
-    bounds.mixed_axes = mixed_axes;
-    bounds.forward_small = wp::vec3(); bounds.backward_small = wp::vec3();
-    if (mixed_axes) for (int a = 0; a < 3; ++a) {
+"""
+
+_INVERSE_AXES = f"""
+    const float inverse_low[3] = {{ix_least, iy_least, iz_least}}, inverse_high[3] = {{ix_most, iy_most, iz_most}};
+    WRT_UNROLLED for (int a = 0; a < 3; ++a) {{
+        const float least = inverse_low[a], most = inverse_high[a];
+        const bool backward = most < 0.0f, mixed = (least < 0.0f) & !backward;
+        bounds.inverse_large.c[a] = mixed ? none : backward ? least : most;
+        bounds.inverse_small.c[a] = mixed ? none : backward ? most : least;{_SIDES}
+    }}
+    if (mixed_axes) for (int a = 0; a < 3; ++a) {{
         if (!((inverse_low[a] < 0.0f) & !(inverse_high[a] < 0.0f))) continue;
         const float* inverse = a == 0 ? inverse_x : a == 1 ? inverse_y : inverse_z;
         WRT_INTERVAL(forward); WRT_INTERVAL(behind);
-        WRT_FOR(P, k) {
+        WRT_FOR(P, k) {{
             const bool valid = t[k] >= -0.0f, ahead = valid & !(inverse[k] < 0.0f), back = valid & !ahead;
             WRT_WIDEN(forward, inverse[k], ahead) WRT_WIDEN(behind, inverse[k], back)
-        }
+        }}
         bounds.forward_small.c[a] = wrt_value(forward_low); bounds.backward_small.c[a] = wrt_value(behind_high);
-    }
+    }}
+"""
+
+_DIRECTION_AXES = f"""
+    // a direction of -0 counts as +0, whose reciprocal bounds the same boxes; division is monotone on either side of 0
+    const float least_of[3] = {{ix_least + 0.0f, iy_least + 0.0f, iz_least + 0.0f}};
+    const float most_of[3] = {{ix_most + 0.0f, iy_most + 0.0f, iz_most + 0.0f}};
+    WRT_UNROLLED for (int a = 0; a < 3; ++a) {{
+        const float of_least = 1.0f / least_of[a], of_most = 1.0f / most_of[a];
+        const bool backward = most_of[a] < 0.0f, mixed = (least_of[a] < 0.0f) & !backward;
+        bounds.inverse_large.c[a] = mixed ? none : backward ? of_most : of_least;
+        bounds.inverse_small.c[a] = mixed ? none : backward ? of_least : of_most;
+        bounds.forward_small.c[a] = mixed ? of_most : 0.0f; bounds.backward_small.c[a] = mixed ? of_least : 0.0f;{_SIDES}
+    }}
 """
 
 _ORIGIN_ENDS = """
@@ -115,9 +136,9 @@ _SLOPE_ENDS = """
 """
 
 
-def bound_packet(layout: PacketLayout, slopes: bool) -> str:
+def bound_packet(layout: PacketLayout, slopes: bool, later: bool = False) -> str:
     """C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray,
-    only `active` is set.
+    only `active` is set. later: the components of 1 / direction hold directions (`packet_load.finish_packet`).
 
     The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`:
     whether rays may have a t_min or t of their own.
@@ -127,6 +148,8 @@ def bound_packet(layout: PacketLayout, slopes: bool) -> str:
     pieces["WRT_ORIGIN_ENDS"] = "" if layout.shared_origin else _ORIGIN_ENDS
     pieces["WRT_SLOPE_ENDS"] = _SLOPE_ENDS if slopes else ""
     pieces["WRT_CROSSING_ENDS"] = packet_ends(["cx", "cy"], layout.width)
+    pieces["WRT_AXES"] = _DIRECTION_AXES if later else _INVERSE_AXES
+    pieces["WRT_FINISHED"] = "0" if later else "1"
     code = _BOUND
     for name, piece in pieces.items():
         code = code.replace(name, piece)

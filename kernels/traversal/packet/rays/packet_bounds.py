@@ -27,6 +27,8 @@ class PacketBounds:
     """Number of active rays."""
     mixed_axes: int
     """Number of axes along which the directions have both signs."""
+    finished: int
+    """1 if the packet has what only tests need (`wrt.kernels.traversal.packet.rays.packet_load.finish_packet`), else 0."""
     passes: int
     """Passes over the rays that the triangle test needs, one bit each (`PacketForm.passes`)."""
     t_min: float

@@ -1,4 +1,9 @@
-"""Loads rays into a packet and computes its bounds, with the arithmetic of `load_ray`, `ray_slabs` and the test's `prepare`."""
+"""Loads rays into a packet and computes its bounds, with the arithmetic of `load_ray`, `ray_slabs` and the test's `prepare`.
+
+Many packets of a view meet no leaf. Those of rays from one point need the divisions of 1 / direction for its tests only: their
+bounds take the ends of the directions instead, as division is monotone. So these are left until the first leaf
+(`finish_packet`).
+"""
 
 from functools import cache
 
@@ -59,8 +64,6 @@ _FILL = """
             origin_x[k] = ox; origin_y[k] = oy; origin_z[k] = oz;
             slack[k] = SLACK * reach(ox, oy, oz);
         }
-        const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
-        inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
         t_min[k] = least[k];
         t[k] = valid ? farthest : -INF;
         ((int*)primitive)[k] = -1;
@@ -71,7 +74,28 @@ _FILL = """
         const float sx = (main_x ? y : main_y ? z : x) / major, sy = (main_x ? z : main_y ? x : y) / major;
         slope_x[k] = sx; slope_y[k] = sy;
         ((int*)main_axis)[k] = main_x ? 0 : main_y ? 1 : 2;
+        WRT_INVERSES
+    }
+"""
+
+_INVERSES = """
+        const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
+        inverse_x[k] = ix; inverse_y[k] = iy; inverse_z[k] = iz;
         WRT_PREPARE
+"""
+
+_DIRECTIONS = """
+        inverse_x[k] = x; inverse_y[k] = y; inverse_z[k] = z;
+"""
+
+_FINISH = """
+    bounds.finished = 1;
+    const float ox = bounds.origin_low.c[0], oy = bounds.origin_low.c[1], oz = bounds.origin_low.c[2];
+    const int* axis = (const int*)main_axis;
+    WRT_FOR(P, k) {
+        const float x = inverse_x[k], y = inverse_y[k], z = inverse_z[k], sx = slope_x[k], sy = slope_y[k];
+        const bool main_x = axis[k] == 0, main_y = axis[k] == 1;
+        WRT_INVERSES
     }
 """
 
@@ -81,23 +105,29 @@ def fill_head(layout: PacketLayout, slopes: bool) -> str:
     return f"    constexpr float SLACK = {SLACK!r}f;\n{DIRECTION_LANES}" + bounding_head(layout, slopes)
 
 
-def fill_packet(layout: PacketLayout) -> str:
+def inverses(layout: PacketLayout) -> str:
+    """C++ that computes what of ray k only tests need: 1 / direction and the test's state."""
+    return _INVERSES.replace("WRT_PREPARE", TRIANGLE_TESTS[layout.triangle_test].packet_form.prepare)
+
+
+def fill_packet(layout: PacketLayout, later: bool = False) -> str:
     """C++ that fills the components of a packet from arrays of P floats: directions to_x, to_y, to_z; t_min and t_max least,
-    most; origins from_x, from_y, from_z, or ox0, oy0, oz0 if it is shared. low, high: bounds of the tree."""
-    return _FILL.replace("WRT_PREPARE", TRIANGLE_TESTS[layout.triangle_test].packet_form.prepare)
+    most; origins from_x, from_y, from_z, or ox0, oy0, oz0 if it is shared. low, high: bounds of the tree. later: the
+    components of 1 / direction are left with the directions, for `finish_packet`."""
+    return _FILL.replace("WRT_INVERSES", _DIRECTIONS if later else inverses(layout))
 
 
 @cache
-def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
+def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False) -> wp.Function:
     """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`ray_numbers`); low, high: bounds of the
     scene.
 
-    slopes: whether slopes are bounded (`Culling.slopes`). Invalid rays and places beyond the end of the batch are inactive:
-    their t is -inf, which no hit improves.
+    slopes: whether slopes are bounded (`Culling.slopes`). later: leaves what only tests need to `finish_packet`. Invalid rays
+    and places beyond the end of the batch are inactive: their t is -inf, which no hit improves.
     """
     head = layout.head + fill_head(layout, slopes) + NUMBERS
 
-    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout) + bound_packet(layout, slopes))
+    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later) + bound_packet(layout, slopes, later))
     def load_packet_native(
         rays: RayBatch,
         first: int,
@@ -108,3 +138,13 @@ def load_packet(layout: PacketLayout, slopes: bool = True) -> wp.Function:
     ): ...
 
     return load_packet_native
+
+
+@cache
+def finish_packet(layout: PacketLayout) -> wp.Function:
+    """`wp.func(packet, bounds)`: computes what `load_packet` left for later, in a packet with a shared origin."""
+
+    @wp.func_native(layout.head + _FINISH.replace("WRT_INVERSES", inverses(layout)))
+    def finish_packet_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
+
+    return finish_packet_native
