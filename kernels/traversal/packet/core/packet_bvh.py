@@ -31,7 +31,8 @@ from wrt.kernels.layout import bvh_nodes as bvh
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.unchecked import CACHE_LINE, first_line, load_int, store_int
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.box_lanes import NO_CHILD, entry_of, nearest_child
+from wrt.kernels.simd.box_lanes import NO_CHILD, NO_CHILD_CONSTANT, entry_of, nearest_child
+from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import Counters
 from wrt.kernels.traversal.mailbox import MAILBOXES
 from wrt.kernels.traversal.packet import CULLINGS
@@ -40,6 +41,7 @@ from wrt.kernels.traversal.packet.core.few_active_rays import few_rays_step
 from wrt.kernels.traversal.packet.core.packet_kernel import leaf_step, make_packet_kernel, packet_layout
 from wrt.kernels.traversal.packet.culling.culling_hooks import no_start
 from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import finish_packet
 from wrt.kernels.traversal.single.single_bvh import make_walk
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
@@ -50,6 +52,10 @@ exact_module(__name__)
 MIXED_AXES = 2
 """Greatest number of axes with both signs for which a packet is traversed as a whole."""
 
+MIN_FETCHED = 1 << 21
+"""Floats of the scene's records from which packets fetch the children of a node before they visit them, for closest hits: about
+the second-level cache of a core (notebooks/records/2026-11-23-edge-functions.md)."""
+
 MAX_STEPS_PER_RAY = 3
 """Steps per ray (nodes and leaves) after which the traversal of a packet that can be split is abandoned
 (notebooks/records/2026-11-21-packets.md)."""
@@ -57,6 +63,26 @@ MAX_STEPS_PER_RAY = 3
 MAX_STEPS_UNSPLIT = 10
 """The same for rays from one point, which cannot be split: about the cost of tracing them one by one
 (notebooks/records/2026-11-23-scans.md)."""
+
+
+_FETCH = """
+#if !defined(__CUDA_ARCH__)
+    int kept[W];
+    WRT_FOR_LANES(i) kept[i] = keys.data[first + i] != NO_CHILD ? -1 : 0;
+    for (unsigned bits = wrt_bits(kept); bits; bits &= bits - 1u) {
+        const int child = tree.child.data[node * W + wrt_lowest_bit(bits)], block = ~child >> 6;
+        if (child < 0) {
+            const char* record = (const char*)(triangles.records.data + (size_t)block * (RECORD * W));
+            WRT_UNROLLED for (int b = 0; b < 4 * RECORD * W; b += 64) WRT_FETCH(record + b);
+            WRT_FETCH(triangles.primitive.data + (size_t)block * W);
+        } else {
+            const char* boxes = (const char*)(tree.bounds.data + (size_t)child * (6 * W));
+            WRT_UNROLLED for (int b = 0; b < 24 * W; b += 64) WRT_FETCH(boxes + b);
+            WRT_FETCH(tree.child.data + child * W);
+        }
+    }
+#endif
+"""
 
 
 def walk_memory(config: TraversalConfig) -> int:
@@ -69,6 +95,17 @@ def finishes_later(config: TraversalConfig) -> bool:
     """Whether the rays of a packet are prepared for tests at its first leaf: those that nothing else needs prepared."""
     culling = CULLINGS[config.packet.culling]
     return config.packet.shared_origin and not culling.every_ray and culling.start is no_start
+
+
+@cache
+def fetch_kept(layout: PacketLayout) -> wp.Function:
+    """`wp.func(tree, triangles, node, keys, first)`: fetches the children of a node that culling has kept into the caches, of
+    leaves the first block; `keys`, from `first` on, are those of `Culling.boxes`."""
+
+    @wp.func_native(f"{layout.constants}{BITS}    constexpr int NO_CHILD = {NO_CHILD_CONSTANT};{_FETCH}")
+    def fetch(tree: wp.ref[WideNodes], triangles: wp.ref[TriangleBlocks], node: int, keys: wp.array(dtype=int), first: int): ...
+
+    return fetch
 
 
 @cache
@@ -94,8 +131,7 @@ def visit_leaf(config: TraversalConfig) -> wp.Function:
         first = bvh.first_block(child)
         count = bvh.leaf_triangles(child)
         if wp.static(later):
-            if bounds.finished == 0:
-                finish(packet, bounds)
+            finish(packet, bounds)
         ray_count = count_rays(tree.bounds, node, lane, packet, bounds)
         if ray_count > wp.static(MAX_FEW_RAYS):
             test_leaf(triangles, first, count, packet, bounds, mailbox, work)
@@ -111,6 +147,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     abandoned."""
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
     cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
+    fetch = fetch_kept(layout)
     box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
     cached_leaf, cache_leaf, any_hit = occluder.cached_leaf(layout), occluder.cache_leaf(layout), config.query == ANY
@@ -129,6 +166,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     ):
         for i in range(wp.static(mailbox_size)):
             store_int(memory, i, 0)
+        fetching = wp.static(not any_hit) and triangles.records.shape[0] >= wp.static(MIN_FETCHED)
         keys = first_line(memory, wp.static(mailbox_size))
         path = keys + wp.static(row)
         store_int(memory, path, 0)
@@ -143,6 +181,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
         level = int(-1)
         if bounds.t_max >= 0.0:
             key = cull_boxes(tree.bounds, 0, packet, bounds, memory, keys)
+            if fetching:
+                fetch(tree, triangles, 0, memory, keys)
             level = wp.where(entry_of(key, wp.static(width)) <= bounds.t_max, 0, -1)
             if wp.static(counting):
                 work.nodes += 1
@@ -158,6 +198,8 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
                     level += 1
                     store_int(memory, path + level, child)
                     key = cull_boxes(tree.bounds, child, packet, bounds, memory, keys + level * wp.static(width))
+                    if fetching:
+                        fetch(tree, triangles, child, memory, keys + level * wp.static(width))
                     if wp.static(counting):
                         work.nodes += 1
                         work.boxes += wp.static(box_tests)

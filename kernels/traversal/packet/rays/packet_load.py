@@ -89,6 +89,7 @@ _DIRECTIONS = """
 """
 
 _FINISH = """
+    if (bounds.finished) return;
     bounds.finished = 1;
     const float ox = bounds.origin_low.c[0], oy = bounds.origin_low.c[1], oz = bounds.origin_low.c[2];
     const int* axis = (const int*)main_axis;
@@ -142,7 +143,8 @@ def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False) 
 
 @cache
 def finish_packet(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds)`: computes what `load_packet` left for later, in a packet with a shared origin."""
+    """`wp.func(packet, bounds)`: computes what `load_packet` left for later, in a packet with a shared origin, if it is not done
+    yet."""
 
     @wp.func_native(layout.head + _FINISH.replace("WRT_INVERSES", inverses(layout)))
     def finish_packet_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
