@@ -143,8 +143,8 @@ def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False) 
 
 @cache
 def finish_packet(layout: PacketLayout) -> wp.Function:
-    """`wp.func(packet, bounds)`: computes what `load_packet` left for later, in a packet with a shared origin, if it is not done
-    yet."""
+    """`wp.func(packet, bounds)`: computes what `load_packet` left for later in a packet with a shared origin, unless that is
+    done."""
 
     @wp.func_native(layout.head + _FINISH.replace("WRT_INVERSES", inverses(layout)))
     def finish_packet_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
