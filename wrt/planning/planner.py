@@ -261,8 +261,8 @@ def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, te
     """Name of the culling with the best score among those that fit."""
     dense, kind, best, name = is_dense(scene, rays, ROUGH_RAYS_PER_TRIANGLE), scene.accelerator.kind, 0.0, ""
     for culling in CULLINGS.values():
-        dense_score = culling.filtered_score if test.packet_form.filter else culling.dense_score
-        score = dense_score if dense else culling.sparse_score
+        dense_score, sparse_score = culling.filtered_scores if test.packet_form.filter else culling.scores
+        score = dense_score if dense else sparse_score
         if score > best and fits(culling, traversal, kind, test):
             best, name = score, culling.name
     return name

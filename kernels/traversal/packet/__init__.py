@@ -28,7 +28,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from wrt.kernels.traversal.packet.culling import corner_rays, entry_exit, every_ray, side_planes
+from wrt.kernels.traversal.packet.culling import corner_rays, entry_exit, every_ray, leaf_boxes, side_planes
 from wrt.kernels.traversal.packet.culling import interval_culling as interval
 from wrt.kernels.traversal.packet.culling import inverse_frustum as frustum
 from wrt.kernels.traversal.packet.culling import transient_frustum as transient
@@ -59,10 +59,10 @@ class Culling:
             are listed in `bounds.few`, and no other bounds are updated. 0 skips the leaf.
         reversible: whether its functions also hold for bounds as seen from the ends of the rays
             (`wrt.kernels.traversal.packet.rays.reversed_bounds`).
-        dense_score, sparse_score: how well it suits dense rays from one point, and other rays. "auto" takes the highest score
-            among the cullings that fit, and never one whose score is 0.
-        filtered_score: in place of `dense_score` if the test filters pairs of rays and triangles (`PacketForm.filter`), after
-            which a triangle that culling leaves costs little.
+        scores: how well it suits dense rays from one point, and other rays. "auto" takes the highest score among the cullings
+            that fit, and never one whose score is 0.
+        filtered_scores: the same if the test filters pairs of rays and triangles (`PacketForm.filter`), after which a triangle
+            that culling leaves costs little.
     """
 
     name: str
@@ -75,9 +75,8 @@ class Culling:
     start: Callable[[PacketLayout], wp.Function] = no_start
     leaf: Callable[[PacketLayout], wp.Function] = no_leaf
     reversible: bool = False
-    dense_score: float = 0.0
-    filtered_score: float = 0.0
-    sparse_score: float = 0.0
+    scores: tuple[float, float] = (0.0, 0.0)
+    filtered_scores: tuple[float, float] = (0.0, 0.0)
 
     @property
     def needs_boxes(self) -> bool:
@@ -105,9 +104,17 @@ CULLINGS: dict[str, Culling] = {
             interval.cull_boxes,
             interval.cull_triangles,
             reversible=True,
-            dense_score=1.0,
-            filtered_score=3.0,
-            sparse_score=1.0,
+            scores=(1.0, 1.0),
+            filtered_scores=(4.0, 1.0),
+        ),
+        Culling(
+            "leaf_boxes",
+            "Reshetov: Faster ray packets - triangle intersection through vertex culling (2007), rays at leaves, interval",
+            interval.cull_boxes,
+            interval.cull_triangles,
+            leaf=leaf_boxes.leaf,
+            reversible=True,
+            filtered_scores=(1.0, 4.0),
         ),
         Culling(
             "corner_rays",
@@ -133,9 +140,8 @@ CULLINGS: dict[str, Culling] = {
             accurate=True,
             slopes=True,
             reversible=True,
-            dense_score=3.0,
-            filtered_score=2.0,
-            sparse_score=2.0,
+            scores=(3.0, 2.0),
+            filtered_scores=(3.0, 2.0),
         ),
         Culling(
             "transient_frustum",
@@ -146,9 +152,8 @@ CULLINGS: dict[str, Culling] = {
             start=transient.start,
             leaf=transient.leaf,
             reversible=True,
-            dense_score=2.0,
-            filtered_score=1.0,
-            sparse_score=3.0,
+            scores=(2.0, 3.0),
+            filtered_scores=(2.0, 3.0),
         ),
         Culling(
             "two_plane",

@@ -137,7 +137,7 @@ def engines(scene: Scene, case: Case) -> dict[str, Plan]:
             continue
         plan = make_plan(state, buffers, traversal.name, AUTO, kind)
         test = TRIANGLE_TESTS[plan.triangle_test]
-        able = [one for one in CULLINGS.values() if max(one.dense_score, one.sparse_score) > 1.0]
+        able = [one for one in CULLINGS.values() if max(*one.scores, *one.filtered_scores) > 1.0]
         for culling in able if traversal.packets else [None]:
             if culling is None or fits(culling, traversal, state.accelerator.kind, test):
                 one = plan if culling is None else replace(plan, culling=culling.name)

@@ -26,38 +26,16 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.packet.culling.inverse_frustum import FRAME
+from wrt.kernels.traversal.packet.culling.leaf_boxes import MEETING, MEETING_HEAD
 from wrt.kernels.traversal.packet.culling.two_plane_frustum import POINTS_ON_PLANES
 from wrt.kernels.traversal.packet.rays.lane_intervals import INTERVALS
-from wrt.kernels.traversal.packet.rays.packet_bounds import MAX_FEW_RAYS, PacketBounds
+from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
-from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS
 
 exact_module(__name__)
 
-_MEETING = f"""
-    const float* box = &boxes.data[(size_t)node * (6 * W)] + lane;
-    const float low[3] = {{box[0], box[W], box[2 * W]}}, high[3] = {{box[3 * W], box[4 * W], box[5 * W]}};{SHARED_ORIGIN}
-    int meets[P], met = 0;
-    unsigned vector[P / W];
-    for (int f = 0; f < P; f += W) {{
-        WRT_FOR_LANES(i) {{
-            const int k = f + i;
-            float enter = t_min[k], leave = t[k];
-{SLABS}
-            meets[k] = ((enter <= leave) & (t[k] > -INF)) ? -1 : 0;
-        }}
-        vector[f / W] = wrt_bits(meets + f);
-        met += wrt_count_bits(vector[f / W]);
-    }}
-    if (!met) return 0;
-    if (met <= MAX_FEW_RAYS) {{
-        for (int f = 0, place = 0; f < P; f += W) {{
-            for (unsigned bits = vector[f / W]; bits; bits &= bits - 1u) bounds.few.c[place++] = f + wrt_lowest_bit(bits);
-        }}
-        return met;
-    }}
+_FRUSTUM = """
     if (bounds.frame < 0) return met;
     const int z = bounds.frame, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
     const bool back = bounds.forward < 0.0f;
@@ -81,9 +59,7 @@ def leaf(layout: PacketLayout) -> wp.Function:
     """`Culling.leaf`: sets the frustum of the rays that meet a leaf's box; returns 0 if none does."""
     points = POINTS_ON_PLANES.replace("WRT_COUNTS", "meets[k] != 0")
 
-    few = f"    constexpr int MAX_FEW_RAYS = {MAX_FEW_RAYS};\n"
-
-    @wp.func_native(layout.head + few + INTERVALS + BITS + _MEETING + points + "    return met;\n")
+    @wp.func_native(layout.head + MEETING_HEAD + INTERVALS + MEETING + _FRUSTUM + points + "    return met;\n")
     def transient_frustum(
         boxes: wp.array(dtype=float), node: int, lane: int, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]
     ) -> int: ...
