@@ -65,9 +65,12 @@ class Limits(NamedTuple):
         coherent: the same for coherent rays that part.
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
+        view_share: the same for rays from one point, whose pairs with triangles packets filter by edge functions.
         instance_share: the same through instances.
         large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
-        crowded: rays per triangle from which packets of rays from one point are larger still.
+        rough: rays per triangle of the scene up to which packets of rays from one point test each ray against the boxes of
+            leaves.
+        crowded: rays per triangle from which they are larger still.
     """
 
     incoherent: float
@@ -75,21 +78,43 @@ class Limits(NamedTuple):
     few: float
     long_share: float
     short_share: float
+    view_share: float
     instance_share: float
     large_packet: int
+    rough: float
     crowded: float
 
 
 LIMITS = {
     8: Limits(
-        incoherent=0, coherent=0, few=0, long_share=0.2, short_share=0.3, instance_share=0.2, large_packet=4, crowded=12.0
+        incoherent=0,
+        coherent=0,
+        few=0,
+        long_share=0.2,
+        short_share=0.3,
+        view_share=0.285,
+        instance_share=0.2,
+        large_packet=4,
+        rough=1.0,
+        crowded=12.0,
     ),
-    16: Limits(80_000, 500_000, few=8192, long_share=0.2, short_share=0.245, instance_share=0.22, large_packet=2, crowded=4.0),
+    16: Limits(
+        incoherent=80_000,
+        coherent=500_000,
+        few=8192,
+        long_share=0.2,
+        short_share=0.245,
+        view_share=0.285,
+        instance_share=0.22,
+        large_packet=2,
+        rough=12.0,
+        crowded=4.0,
+    ),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
 (notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `incoherent`:
-notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `crowded`:
-notebooks/records/2026-11-23-edge-functions.md). Fewer lanes are taken for 8; they have not been measured.
+notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`,
+`rough`, `crowded`: notebooks/records/2026-11-23-edge-functions.md). Fewer lanes are taken for 8; they have not been measured.
 """
 
 
@@ -190,6 +215,8 @@ class Situation(NamedTuple):
         limits = self.limits
         if self.instances:
             return self.overlap.share <= limits.instance_share
+        if self.shared_origin:
+            return self.overlap.share <= limits.view_share
         is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
         return self.overlap.share <= (limits.short_share if is_short else limits.long_share)
 

@@ -38,10 +38,13 @@ CROWDED_PACKET = 64
 """Rays of a packet of camera rays that are at least `Limits.crowded` for each triangle
 (notebooks/records/2026-11-23-edge-functions.md)."""
 
-ROUGH_RAYS_PER_TRIANGLE = 1.0
-"""Rays per triangle of the scene up to which camera rays use a transient frustum at each leaf: a packet then reaches a leaf
-with few active rays (notebooks/records/2026-11-23-edge-functions.md).
-"""
+MANY_RAYS_PER_TRIANGLE = 1.0
+"""Rays per triangle of the scene from which packets of camera rays have `Limits.large_packet` vectors
+(notebooks/records/2026-11-23-edge-functions.md)."""
+
+ROUGH_RAYS_PER_TRIANGLE = 2.0
+"""Rays per triangle up to which camera rays use a transient frustum at each leaf if the triangle test does not filter pairs: a
+packet then reaches a leaf with few active rays (notebooks/records/2026-11-21-plans.md). Else it is `Limits.rough`."""
 
 STREAMS, CUDA_STREAM = (4096, 1024, 256), 64
 """Rays of a stream, the largest first. Longer streams fill their vector lanes better, if each thread still has several
@@ -247,7 +250,7 @@ def packet_vectors(scene: SceneState, rays: RayBuffers, query: str, traversal: T
     if is_dense(scene, rays, limits.crowded):
         return max(CROWDED_PACKET // scene.width, PACKET_VECTORS)
     measured = scene.accelerator.kind == "bvh" and traversal.walks_boxes("bvh")
-    large = is_dense(scene, rays, ROUGH_RAYS_PER_TRIANGLE) or (query == ANY and not scene.instances)
+    large = is_dense(scene, rays, MANY_RAYS_PER_TRIANGLE) or (query == ANY and not scene.instances)
     return limits.large_packet if measured and large else PACKET_VECTORS
 
 
@@ -259,7 +262,8 @@ def is_dense(scene: SceneState, rays: RayBuffers, least: float) -> bool:
 
 def choose_culling(scene: SceneState, rays: RayBuffers, traversal: Traversal, test: TriangleTest) -> str:
     """Name of the culling with the best score among those that fit."""
-    dense, kind, best, name = is_dense(scene, rays, ROUGH_RAYS_PER_TRIANGLE), scene.accelerator.kind, 0.0, ""
+    least = limits_for(scene.width).rough if test.packet_form.filter else ROUGH_RAYS_PER_TRIANGLE
+    dense, kind, best, name = is_dense(scene, rays, least), scene.accelerator.kind, 0.0, ""
     for culling in CULLINGS.values():
         dense_score, sparse_score = culling.filtered_scores if test.packet_form.filter else culling.scores
         score = dense_score if dense else sparse_score
