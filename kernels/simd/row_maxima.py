@@ -17,7 +17,7 @@ def row_maxima(rows: Sequence[str], width: int, results: str) -> str:
     """C++ that sets `results[j]` to the greatest of the `width` floats at the j-th of `rows`, none of them NaN.
 
     rows: C++ expressions of pointers to floats; results: name of an array of floats, as many as rows.
-    width: W, a power of two from 4 on.
+    width: W, a power of two.
     """
     row = f"wrt_row_{width}"
     registers = [[number] * width for number in range(len(rows))]  # of each lane: the row that it is of
@@ -67,7 +67,7 @@ def _halves(rows: list[int]) -> tuple[list[list[int]], list[list[int]]]:
             chosen.append([run * _RUN + k for run in kept for k in range(_RUN)])
         return halves
     for number, run in enumerate(runs):
-        places = {row: [number * _RUN + k for k in range(_RUN) if run[k] == row] for row in run}
+        places = {row: [number * _RUN + k for k, other in enumerate(run) if other == row] for row in run}
         for side, chosen in enumerate(halves):
             chosen.append([k for own in places.values() for k in own[side * len(own) // 2 : (side + 1) * len(own) // 2]])
     return halves

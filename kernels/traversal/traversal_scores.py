@@ -65,7 +65,7 @@ class Limits(NamedTuple):
         coherent: the same for coherent rays that part.
         few: number of incoherent rays below which they are faster in any scene.
         long_share, short_share: greatest `Overlap.share` with which packets are faster than these, for long and short walks.
-        view_share: the same for rays from one point, whose pairs with triangles packets filter by edge functions.
+        view_share: the same for short walks of rays from one point.
         instance_share: the same through instances.
         large_packet: rays of a packet, in vectors, in a BVH of one level: of dense rays from one point, and of any-hit queries.
         rough: rays per triangle of the scene up to which packets of rays from one point test each ray against the boxes of
@@ -92,7 +92,7 @@ LIMITS = {
         few=0,
         long_share=0.2,
         short_share=0.3,
-        view_share=0.285,
+        view_share=0.29,
         instance_share=0.2,
         large_packet=4,
         rough=1.0,
@@ -104,7 +104,7 @@ LIMITS = {
         few=8192,
         long_share=0.2,
         short_share=0.245,
-        view_share=0.285,
+        view_share=0.29,
         instance_share=0.22,
         large_packet=2,
         rough=12.0,
@@ -215,10 +215,10 @@ class Situation(NamedTuple):
         limits = self.limits
         if self.instances:
             return self.overlap.share <= limits.instance_share
-        if self.shared_origin:
-            return self.overlap.share <= limits.view_share
         is_short = self.overlap.steps < SHORT_WALK or self.rays >= DENSE_RAYS_PER_TRIANGLE * self.triangles
-        return self.overlap.share <= (limits.short_share if is_short else limits.long_share)
+        if is_short:
+            return self.overlap.share <= (limits.view_share if self.shared_origin else limits.short_share)
+        return self.overlap.share <= limits.long_share
 
 
 Score = Callable[[Situation], tuple[float, str] | None]

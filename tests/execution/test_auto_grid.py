@@ -161,18 +161,23 @@ def test_the_grid_has_all_kinds():
 @pytest.mark.parametrize(
     ("lanes", "query", "count", "stride", "instances", "vectors"),
     [
-        (8, CLOSEST, 200, 0, (), 4),
-        (8, CLOSEST, 199, 0, (), 2),
-        (8, CLOSEST, 200, 1, (), 2),
+        (8, CLOSEST, 100, 0, (), 4),
+        (8, CLOSEST, 99, 0, (), 2),
+        (8, CLOSEST, 1199, 0, (), 4),
+        (8, CLOSEST, 1200, 0, (), 8),
+        (8, CLOSEST, 1200, 1, (), 2),
+        (8, CLOSEST, 1200, 0, ("instance",), 2),
         (8, ANY, 10, 1, (), 4),
         (8, ANY, 10, 1, ("instance",), 2),
-        (16, CLOSEST, 200, 0, (), 2),
+        (16, CLOSEST, 399, 0, (), 2),
+        (16, CLOSEST, 400, 0, (), 4),
         (16, ANY, 10, 1, (), 2),
     ],
 )
 def test_larger_packets(lanes, query, count, stride, instances, vectors):
     """With 8 lanes, dense rays from one point, and any-hit rays, go in larger packets
-    (notebooks/records/2026-11-23-short-rows.md)."""
+    (notebooks/records/2026-11-23-short-rows.md); rays from one point that are denser still, in packets of 64
+    (notebooks/records/2026-11-23-edge-functions.md)."""
     scene = SimpleNamespace(width=lanes, accelerator=SimpleNamespace(kind="bvh"), instances=instances, triangle_count=100)
     rays = SimpleNamespace(count=count, arrays_or_batch=SimpleNamespace(origin_stride=stride))
     assert planner.packet_vectors(scene, rays, query, TRAVERSALS["packet"]) == vectors

@@ -15,6 +15,7 @@ import wrt.kernels
 import wrt.planning
 import wrt.state
 from wrt.kernels.traversal import TRAVERSALS
+from wrt.kernels.traversal.traversal_scores import limits_for
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.planner import choose_culling, choose_traversal
 from wrt.state.query_kinds import FEW_RAYS
@@ -131,14 +132,19 @@ def test_choices_on_cuda(kind):
 
 @pytest.mark.parametrize("triangle_test", TRIANGLE_TESTS)
 def test_choices_of_a_culling(triangle_test):
-    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and sparse rays."""
+    """Cullings by vertices need a test without hits beside the triangle; frusta at leaves need boxes, and sparse rays. Where
+    pairs are filtered, dense rays do without."""
     test = TRIANGLE_TESTS[triangle_test]
+    filtered = bool(test.packet_form.filter)
     packets = [way for way in TRAVERSALS.values() if way.packets]
     for way, kind, count, shared in product(packets, ("bvh", "kdtree", "instances bvh"), (999, 1000, 100_000), (False, True)):
         scene, rays = make_scene(kind, 500, False, False, 0.0), make_rays(count, True, shared)
-        dense = shared and count >= 1000 and kind != "instances bvh"
+        least = 500 * limits_for(scene.width).rough if filtered else 1000
+        dense = shared and count >= least and kind != "instances bvh"
         boxes = way.wide or kind != "kdtree"
         accurate = "vertex" if dense or not boxes else "transient_frustum"
+        if filtered:
+            accurate = "interval" if dense else "leaf_boxes" if boxes else "vertex"
         assert choose_culling(scene, rays, way, test) == (accurate if test.accurate else "interval")
 
 

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.width
 
 LAYOUTS = [PacketLayout(64, 16, True, "woop"), PacketLayout(32, 8, False, "woop")]
 START, TRIANGLES, BOXES, LEAF = range(4)
-NONE, INTERVAL, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE, ENTRY_EXIT = range(len(CULLINGS))
+NONE, INTERVAL, LEAF_BOXES, CORNER_RAYS, FRUSTUM, VERTEX, TRANSIENT, TWO_PLANE, ENTRY_EXIT = range(len(CULLINGS))
 VERTICES = load_corners(TRIANGLE_TESTS["woop"].record.components)
 FRUSTA = ("frustum", "two_plane", "transient_frustum")
 ERROR = 40.0 / 16.0
@@ -38,11 +38,11 @@ ERROR = 40.0 / 16.0
 @cache
 def culling_loops(layout: PacketLayout) -> wp.Kernel:
     """All loops of all cullings. Item: a packet; `stage` is a hundred times one of those above, and a place in the table."""
-    keep0, keep1, keep2, keep3, keep4, keep5, keep6, keep7 = (culling.triangles(layout) for culling in CULLINGS.values())
+    keep0, keep1, keep2, keep3, keep4, keep5, keep6, keep7, keep8 = (each.triangles(layout) for each in CULLINGS.values())
     none, interval, separated = (CULLINGS[name].boxes(layout) for name in ("none", "interval", "frustum"))
     slopes, planes = CULLINGS["frustum"].start(layout), CULLINGS["two_plane"].start(layout)
     transient, leaf = CULLINGS["transient_frustum"].start(layout), CULLINGS["transient_frustum"].leaf(layout)
-    beside = CULLINGS["entry_exit"].leaf(layout)
+    reaching, beside = CULLINGS["leaf_boxes"].leaf(layout), CULLINGS["entry_exit"].leaf(layout)
 
     @wp.func
     def keep(culling: int, records: wp.array(dtype=float), block: int, bounds: wp.ref[PacketBounds]):
@@ -60,7 +60,9 @@ def culling_loops(layout: PacketLayout) -> wp.Kernel:
             return keep5(records, block, bounds)
         elif culling == 6:
             return keep6(records, block, bounds)
-        return keep7(records, block, bounds)
+        elif culling == 7:
+            return keep7(records, block, bounds)
+        return keep8(records, block, bounds)
 
     @wp.func
     def start(culling: int, low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]):
@@ -85,12 +87,14 @@ def culling_loops(layout: PacketLayout) -> wp.Kernel:
                     loop.answers[i, j] = int(keep(culling, loop.triangles.records, loop.blocks[i, j], bounds))
             elif stage == BOXES * 100 + NONE:
                 loop.answers[i, 0] = none(loop.boxes, block, packet, bounds, loop.keys[i], 0)
-            elif stage == BOXES * 100 + INTERVAL:
+            elif stage == BOXES * 100 + INTERVAL or stage == BOXES * 100 + LEAF_BOXES:
                 loop.answers[i, 0] = interval(loop.boxes, block, packet, bounds, loop.keys[i], 0)
             elif stage / 100 == BOXES:
                 loop.answers[i, 0] = separated(loop.boxes, block, packet, bounds, loop.keys[i], 0)
             elif stage == LEAF * 100 + TRANSIENT:
                 loop.answers[i, 0] = leaf(loop.boxes, block, loop.answers[i, 1], packet, bounds)
+            elif stage == LEAF * 100 + LEAF_BOXES:
+                loop.answers[i, 0] = reaching(loop.boxes, block, loop.answers[i, 1], packet, bounds)
             elif stage == LEAF * 100 + ENTRY_EXIT:
                 loop.answers[i, 0] = beside(loop.boxes, block, loop.answers[i, 1], packet, bounds)
         loop.bounds[i] = bounds
@@ -110,7 +114,7 @@ def twins(loop: Loop, culling: int, shared_origin: bool):
             keep = bool(False)
             if culling == NONE:
                 keep = every_ray_keeps(bounds, corners)
-            elif culling == INTERVAL or (culling == CORNER_RAYS and not shared_origin):
+            elif culling == INTERVAL or culling == LEAF_BOXES or (culling == CORNER_RAYS and not shared_origin):  # noqa: SIM109
                 keep = interval_keeps(bounds, corners)
             elif culling == CORNER_RAYS:
                 keep = corner_rays_keep(bounds, corners)
@@ -179,7 +183,7 @@ def leaf_lanes(packets: Packets) -> np.ndarray:
 def started(packets: Packets, plain: PlainRays, culling: str) -> np.ndarray:
     """Sets the packets up, and for a leaf if the culling looks at leaves; the packets that triangles are culled for."""
     run(packets, START, culling)
-    if culling != "transient_frustum":
+    if culling not in ("transient_frustum", "leaf_boxes"):
         return packets.bounds()["active"] > 0
     answers = packets.loop.answers.numpy().copy()
     answers[:, 1] = leaf_lanes(packets)
@@ -203,7 +207,7 @@ def test_triangles(packets, culling):
     plain = plain_rays(packets)
     there = started(packets, plain, culling)
     lanes = kept_lanes(packets, culling, there)
-    if culling != "transient_frustum":  # a leaf's frustum is for the triangles in its box
+    if culling not in ("transient_frustum", "leaf_boxes"):  # they leave out rays beside a leaf's box, and so its triangles
         t = plain.candidates[there][..., 0]
         ray = plain.ray[there][..., None, None]
         hit = (t >= ray["t_min"]) & (t <= ray["t_max"]) & plain.valid[there][..., None, None]
@@ -302,6 +306,20 @@ def check_few(packets: Packets, meet: np.ndarray, there: np.ndarray) -> None:
         np.testing.assert_array_equal(few[packet, : count[packet]], np.flatnonzero(meet[packet]))
 
 
+def rays_at_leaves(packets: Packets, plain: PlainRays) -> tuple[np.ndarray, np.ndarray]:
+    """(packets, P) whether a ray meets the box of the packet's leaf, and (packets, 1) the leaf's lane."""
+    enter, leave = meeting(packets, plain)
+    lane = leaf_lanes(packets)[:, None, None]
+    meet = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
+    return meet, lane[:, 0]
+
+
+def test_rays_at_leaves(packets):
+    plain = plain_rays(packets)
+    there = started(packets, plain, "leaf_boxes")
+    check_few(packets, rays_at_leaves(packets, plain)[0], there)
+
+
 @pytest.mark.parametrize("culling", FRUSTA)
 def test_frusta(packets, culling):
     """Frusta hold the rays: of the whole packet, or those that meet a leaf's box, which are listed if they are few."""
@@ -309,11 +327,9 @@ def test_frusta(packets, culling):
     there = started(packets, plain, culling)
     counts, bounds = plain.valid, packets.bounds()
     if culling == "transient_frustum":
-        enter, leave = meeting(packets, plain)
-        lane = leaf_lanes(packets)[:, None, None]
-        counts = np.take_along_axis(enter <= leave, np.broadcast_to(lane, (*enter.shape[:2], 1)), 2)[..., 0]
+        counts, lane = rays_at_leaves(packets, plain)
         check_few(packets, counts, there)
-        check_planes(packets, bounds, lane[:, 0, 0], there & (bounds["frame"] >= 0))
+        check_planes(packets, bounds, lane[:, 0], there & (bounds["frame"] >= 0))
     axes = bounds["main_axes"]
     framed = there & (bounds["frame"] >= 0)
     assert 0.1 < framed.mean() < 1.0

@@ -277,7 +277,7 @@ def test_plans_of_fine_and_rough_views():
     mesh = wrt.scenes.build("teapot")
     scene = wrt.Scene(mesh, device="cpu")
     few_rays = "stream" if scene.width == 16 else "interleaved"
-    for share, traversal, culling in ((0.1, few_rays, ""), (0.9, "packet", "transient_frustum"), (3.0, "packet", "interval")):
+    for share, traversal, culling in ((0.1, few_rays, ""), (0.9, "packet", "leaf_boxes"), (16.0, "packet", "interval")):
         size = int((share * mesh.triangle_count) ** 0.5)
         plan = scene.explain(wrt.PinholeCamera(size, size, position=(0.0, 2.0, 8.0), look_at=(0.0, 0.0, 0.0)).rays())
         assert (plan.traversal, plan.culling) == (traversal, culling)
@@ -288,7 +288,7 @@ def test_plans_that_do_not_fit():
     mesh = wrt.scenes.build("teapot", level=2)
     scene = wrt.Scene(mesh, "bvh", device="cpu")
     origins, directions = beams(mesh, 10, True)
-    plan = packet_plan(scene, wrt.Rays(origins, directions), "woop")
+    plan = packet_plan(scene, wrt.Rays(origins, directions), "woop", culling="vertex")
     for change, name in (
         ({"packet": plan.width + 1}, "packet"),
         ({"packet": 100 * plan.width}, "packet"),

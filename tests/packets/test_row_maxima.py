@@ -10,7 +10,7 @@ from wrt.kernels.runtime.options import specialised_kernel
 from wrt.kernels.simd.row_maxima import row_maxima
 
 
-@pytest.mark.parametrize("width", [4, 8, 16])
+@pytest.mark.parametrize("width", [1, 2, 4, 8, 16])
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 13, 16, 19])
 def test_row_maxima(count, width, device):
     code = f"    float* to = results.data;{row_maxima([f'rows.data + {j * width}' for j in range(count)], width, 'to')}"

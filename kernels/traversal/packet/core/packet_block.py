@@ -14,7 +14,7 @@ import warp as wp
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.lanes import BITS
 from wrt.kernels.traversal.leaf import FRONT
-from wrt.kernels.traversal.packet.core.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MACROS, MEETS
+from wrt.kernels.traversal.packet.culling.edge_functions import COEFFICIENTS, CONVERGING, EDGES, MACROS, MEETS
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_box_slabs import SHARED_ORIGIN, SLABS

@@ -30,6 +30,7 @@ _CENTRE = """
     float ox0 = 0.0f, oy0 = 0.0f, oz0 = 0.0f;
     if (SHARED) centred(0, ox0, oy0, oz0);
     else fetch(rays.origin_stride, [&](int k, int n) { centred(n, from_x[k], from_y[k], from_z[k]); });
+    if (!SHARED && rays.origin_stride) fetch_next(rays.origins.data);
     fetch(rays.t_min_stride, [&](int k, int n) { least[k] = rays.t_min.data[n]; });
     fetch(rays.t_max_stride, [&](int k, int n) { most[k] = rays.t_max.data[n]; });
     const bool ranged = rays.t_min_stride || rays.t_max_stride;

@@ -54,10 +54,15 @@ FETCH = """
         if (stride) for_rays(take);
         else { WRT_FOR(P, k) take(k, 0); }
     };
+    auto fetch_next = [&](const wp::vec3* data) {  // into the caches, what the next packet takes from there
+        if (!whole || picture) return;
+        WRT_UNROLLED for (int b = 0; b < 12 * P; b += 64) WRT_FETCH((const char*)(data + first + P) + b);
+    };
     fetch(rays.direction_stride, [&](int k, int n) {
         const float* d = (const float*)rays.directions.data + 3 * (size_t)n;
         to_x[k] = d[0]; to_y[k] = d[1]; to_z[k] = d[2];
     });
+    if (rays.direction_stride) fetch_next(rays.directions.data);
     for (int k = here; k < P; ++k) to_x[k] = to_y[k] = to_z[k] = 0.0f;  // beyond the end of the batch: no direction misses
 """
 """C++ after `NUMBERS`: the directions of the P rays, and `fetch` for what else they have, each its own or all one."""

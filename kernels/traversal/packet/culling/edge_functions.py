@@ -72,8 +72,7 @@ EDGES = f"""
 
 MEETS = """
                         const float sx = slope_x[k], sy = slope_y[k];
-                        const float a = WRT_FMA(sx, a1, WRT_FMA(sy, a2, a0)), b = WRT_FMA(sx, b1, WRT_FMA(sy, b2, b0));
-                        const float c = WRT_FMA(sx, c1, WRT_FMA(sy, c2, c0));
+                        const float a = WRT_LINEAR(a0, a1, a2), b = WRT_LINEAR(b0, b1, b2), c = WRT_LINEAR(c0, c1, c2);
                         const float less = a < b ? a : b, more = a < b ? b : a;
                         const float least = less < c ? less : c, most = more > c ? more : c;
                         const bool may_meet = !((least < -error) & (most > error));
@@ -82,9 +81,9 @@ MEETS = """
 
 MACROS = """
 #if (defined(__FMA__) || defined(__ARM_FEATURE_FMA)) && defined(__clang__) && !defined(__CUDA_ARCH__)
-#define WRT_FMA(x, y, z) __builtin_fmaf(x, y, z)
+#define WRT_LINEAR(w0, w1, w2) __builtin_fmaf(sx, w1, __builtin_fmaf(sy, w2, w0))
 #else
-#define WRT_FMA(x, y, z) ((x) * (y) + (z))
+#define WRT_LINEAR(w0, w1, w2) (sx * (w1) + (sy * (w2) + (w0)))
 #endif
 #define WRT_WIDER(value) size = WRT_ABS(value) > size ? WRT_ABS(value) : size;
 #define WRT_EDGE(n, to, from, at) \\
@@ -93,7 +92,8 @@ MACROS = """
     vx = at##x - from_x; vy = at##y - from_y; vz = at##z - from_z; \\
     edges[n][i] = ex * vy - ey * vx; edges[n + 1][i] = ey * vz - ez * vy; edges[n + 2][i] = ez * vx - ex * vz;
 """
-"""C++ of `WRT_EDGE(n, to, from, at)`: the normal of the plane through the point and the edge, whose vertex is `at`."""
+"""C++ of `WRT_LINEAR(w0, w1, w2)`, which is w0 + w1 sx + w2 sy, and of `WRT_EDGE(n, to, from, at)`: the normal of the plane
+through the point and the edge, whose vertex is `at`."""
 
 COEFFICIENTS = """
                 const float a0 = edges[0][lane], a1 = edges[1][lane], a2 = edges[2][lane], b0 = edges[3][lane];
