@@ -59,8 +59,7 @@ def test_threads_waves_and_steps_do_not_show(scene, integrator, sampler):
 @pytest.mark.parametrize("lights", [LIGHTS, LIGHTS[1:], [wrt.Sky(1.0)]])
 def test_tiles_of_paths_do_not_show(scene, sample_lights, lights, monkeypatch):
     """Tile by tile or generation by generation: the same picture and as many rays. Tiles once read the origin of all camera
-    rays where the first tile had written that of its next ray. Under a sky without flat or round lamps, the last generation is
-    only asked whether it hits anything."""
+    rays where the first tile had written that of its next ray."""
     monkeypatch.setattr(path_chain, "TILE", 512)
     monkeypatch.setattr(path_chain, "FIRST_SAMPLES", 1024)
     options = {"sample_lights": sample_lights, "lights": lights, "depth": 4, "wave": 3000}

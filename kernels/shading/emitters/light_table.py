@@ -53,6 +53,9 @@ class Lights:
     """Sum of area times luminance of the emissive triangles."""
     triangle_entry: int
     """The entry of the emissive triangles; -1 for none."""
+    triangle_low: wp.vec3
+    """A box that holds the emissive triangles, relative to the scene's centre, with room for rounding."""
+    triangle_high: wp.vec3
     sky: Environment
     sky_entry: int
     """-1 for none."""

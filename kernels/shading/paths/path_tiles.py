@@ -11,26 +11,17 @@ import warp as wp
 
 from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
+from wrt.kernels.shading.paths.last_rays import MOVE
 from wrt.kernels.shading.paths.plain_paths import WIDTH, shade_plain_paths
 from wrt.kernels.shading.ray_trees.tile_memories import TileMemories
 from wrt.kernels.shading.wavefront.path_step import UNKNOWN, PathStep, follow_path
+from wrt.kernels.shading.wavefront.picture import Film, develop_pixel
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.ray_at_hit import AHEAD, fetch_hits
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 
 exact_module(__name__)
-
-
-@wp.kernel
-def mark_hits(first: int, stop: int, group: int, blocked: wp.array(dtype=wp.bool), hits: HitBatch):
-    """Writes triangle 0, or -1 for a miss, as what rays hit that were only asked whether they hit anything.
-
-    Item: a group of rays before `stop`.
-    """
-    begin = (first + wp.tid()) * group
-    for i in range(begin, wp.min(begin + group, stop)):
-        hits.primitive[i] = wp.where(blocked[i], 0, -1)
 
 
 @cache
@@ -114,24 +105,12 @@ def gather_lit(
     gather_range((first + wp.tid()) * size, stop, blocked, rays, lit_slot)
 
 
-@wp.func_native("""
-    int next[9] = {};
-    auto octant = [&](int i) {
-        const int* d = (const int*)(source.direction.data + i);
-        return (int)((unsigned)d[0] >> 31 | (unsigned)d[1] >> 31 << 1 | (unsigned)d[2] >> 31 << 2);
-    };
+@wp.func_native(f"""{MOVE}
+    int next[9] = {{}};
     for (int i = begin; i < stop; ++i) ++next[octant(i) + 1];
     next[0] = begin;
     for (int k = 0; k < 8; ++k) next[k + 1] += next[k];
-    for (int i = begin; i < stop; ++i) {
-        const int place = next[octant(i)]++;
-        target.origin.data[place] = source.origin.data[i];
-        target.direction.data[place] = source.direction.data[i];
-        target.weight.data[place] = source.weight.data[i];
-        target.density.data[place] = source.density.data[i];
-        target.slot.data[place] = source.slot.data[i];
-        target.media.data[place] = source.media.data[i];
-    }
+    for (int i = begin; i < stop; ++i) move_ray(i, target, next[octant(i)]++);
 """)
 def order_range(begin: int, stop: int, source: RayQueue, target: RayQueue):
     """Copies the rays begin .. stop - 1 to another queue, in the order of the octants of their directions."""
@@ -143,3 +122,16 @@ def order_tile(first: int, size: int, stop: int, source: RayQueue, target: RayQu
     """Copies the rays of a tile to another queue, in the order of the octants of their directions. Item: a tile memory, whose
     rays end before `stop`."""
     order_range((first + wp.tid()) * size, stop, source, target)
+
+
+@wp.kernel
+def develop_tile(
+    first: int, size: int, stop: int, wave: Wave, radiance: wp.array(dtype=wp.vec3), film: Film, memories: TileMemories
+):
+    """Adds the samples of a tile to their pixels, if tiles hold all samples of their pixels. Item: a tile memory, whose samples
+    end before `stop`."""
+    memory = first + wp.tid()
+    if size % wave.samples == 0:
+        begin = memories.first_sample[memory]
+        for i in range(begin / wave.samples, (begin + stop - memory * size) / wave.samples):
+            develop_pixel(wave, i, radiance, film)

@@ -15,7 +15,7 @@ from wrt.kernels.shading.wavefront.lane_words import lane_words
 from wrt.kernels.shading.wavefront.path_step import PathStep
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.plain_lamps import GATHER, LAMPS
-from wrt.kernels.shading.wavefront.plain_step import BEGIN, COLLECT, CONSTANTS, ENDS, KINDS, POINTS, RECORDS, SCATTER
+from wrt.kernels.shading.wavefront.plain_step import BEGIN, COLLECT, CONSTANTS, CROSSED, ENDS, KINDS, POINTS, RECORDS, SCATTER
 from wrt.kernels.shading.wavefront.ray_queue import Gathered, RayQueue, Wave
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.kernels.simd.lanes import FOR_LANES
@@ -97,7 +97,7 @@ _APPEND = """
 def make_shade_plain_paths(width: int) -> Any:
     """`shade_plain_paths` for so many lanes."""
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = (CONSTANTS, _STEP, BEGIN, lane_words(width), KINDS, RECORDS, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
+    parts = (CONSTANTS, _STEP, BEGIN, lane_words(width), KINDS, RECORDS, CROSSED, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
 
     @wp.func_native(f"{head}{''.join(parts)}{ENDS}{_PACK}{_APPEND}\n#endif\n")
     def shade_plain_paths(

@@ -110,10 +110,17 @@ def leave_memory(taken: wp.array(dtype=int), memory: int) -> int:
 
 @wp.kernel
 def follow_tiles(
-    first: int, stages: wp.array(dtype=wp.int64), stage_count: int, room: int, size: int, count: int, memories: TileMemories
+    first: int,
+    stages: wp.array(dtype=wp.int64),
+    stage_count: int,
+    last_count: int,
+    room: int,
+    size: int,
+    count: int,
+    memories: TileMemories,
 ):
-    """Follows the samples of a tile through all stages, as many at a time as find place. Item: a tile of `size` of the `count`
-    samples."""
+    """Follows the samples of a tile through all stages, as many at a time as find place. The last stages, `last_count` of them,
+    are for all samples that found place, even if no rays are left. Item: a tile of `size` of the `count` samples."""
     here = (first + wp.tid()) * size
     end = wp.min(here + size, count)
     memory = take_memory(memories.taken)
@@ -124,9 +131,11 @@ def follow_tiles(
         memories.left[memory] = samples
         memories.most[memory] = samples
         memories.traced[memory] = 0
-        run_stages(stages, 0, stage_count, memories.left, room, memory)
+        run_stages(stages, 0, stage_count - last_count, memories.left, room, memory)
         most = memories.most[memory]
         if most <= room or samples == 1:
+            memories.left[memory] = samples
+            run_stages(stages, stage_count - last_count, stage_count, memories.left, room, memory)
             memories.total[memory] += memories.traced[memory]
             here += samples
             if 4 * most <= room and samples == fitting:

@@ -25,31 +25,62 @@ TONE_MAPPINGS = ("linear", "srgb", "reinhard", "aces")
 LINEAR, SRGB, REINHARD, ACES = (wp.constant(number) for number in range(4))
 
 
-@wp.kernel
-def develop_wave(
-    first: int,
-    wave: Wave,
-    limit: float,
+@wp.func_native("""
+    const float* value = (const float*)(radiance.data + first);
+    float r = total.c[0], g = total.c[1], b = total.c[2], square = squares;
+    for (int sample = 0; sample < samples; ++sample, value += 3) {
+        float x = value[0], y = value[1], z = value[2];
+        const float most = wp::max(x, wp::max(y, z));
+        if (most > limit) {
+            const float share = limit / most;
+            x *= share; y *= share; z *= share;
+        }
+        r += x; g += y; b += z;
+        const float brightness = 0.2126f * x + 0.7152f * y + 0.0722f * z;
+        square += brightness * brightness;
+    }
+    total = wp::vec3(r, g, b);
+    squares = square;
+""")
+def add_samples(
     radiance: wp.array(dtype=wp.vec3),
-    film: wp.array(dtype=wp.vec3),
-    squares: wp.array(dtype=float),
+    first: int,
+    samples: int,
+    limit: float,
+    total: wp.ref[wp.vec3],
+    squares: wp.ref[float],
 ):
-    """Adds the samples of a wave to their pixel, in order. Item: a pixel of the wave. `limit` bounds a sample's largest
-    component."""
-    i = first + wp.tid()
+    """Adds so many samples from number `first` on to a sum, and the squares of their luminance to another."""
+    ...
+
+
+@wp.struct
+class Film:
+    """What pixels have collected so far."""
+
+    sums: wp.array(dtype=wp.vec3)
+    """(P,) sums of the samples' radiance."""
+    squares: wp.array(dtype=float)
+    """(P,) sums of the squares of their luminance."""
+    limit: float
+    """Greatest component of a sample; larger ones are dimmed to it."""
+
+
+@wp.func
+def develop_pixel(wave: Wave, i: int, radiance: wp.array(dtype=wp.vec3), film: Film):
+    """Adds the samples of pixel i of a wave to it, in order."""
     pixel = wave.order[wave.first_pixel + i]
-    total = film[pixel]
-    square = squares[pixel]
-    for sample in range(wave.samples):
-        value = radiance[i * wave.samples + sample]
-        most = wp.max(value[0], wp.max(value[1], value[2]))
-        if most > limit:
-            value = value * (limit / most)
-        total += value
-        brightness = luminance(value)
-        square += brightness * brightness
-    film[pixel] = total
-    squares[pixel] = square
+    total = wp.vec3(film.sums[pixel])
+    square = float(film.squares[pixel])
+    add_samples(radiance, i * wave.samples, wave.samples, film.limit, total, square)
+    film.sums[pixel] = total
+    film.squares[pixel] = square
+
+
+@wp.kernel
+def develop_wave(first: int, wave: Wave, radiance: wp.array(dtype=wp.vec3), film: Film):
+    """Adds the samples of a wave to their pixel. Item: a pixel of the wave."""
+    develop_pixel(wave, first + wp.tid(), radiance, film)
 
 
 @wp.kernel

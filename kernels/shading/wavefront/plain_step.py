@@ -127,6 +127,30 @@ RECORDS = """
 """
 """C++: what is read of triangles and rays."""
 
+CROSSED = """
+    auto crossed = [&](int e, const V3& start, const V3& direction, vf end, vf& density) {
+        const auto& shape = lights.shape.data[e];
+        const V3 middle = all3(lights.position.data[e]) - start;
+        if (lights.kind.data[e] == SPHERE) {
+            const vf along = dot(middle, direction), square = dot(middle, middle), round = all(shape.c[2] * shape.c[2]);
+            const V3 miss = middle - direction * along;
+            const vf inside = round - dot(miss, miss), t = along - root(inside), sine = round / square;
+            density = (1.0f + root(1.0f - sine)) / (TWO_PI * sine);
+            return (inside > 0.0f) & (square > round) & (t > 0.0f) & (t < end);
+        }
+        const V3 axis = all3(lights.axis.data[e]), e1 = all3(lights.edge1.data[e]), e2 = all3(lights.edge2.data[e]);
+        const vf slope = dot(axis, direction), t = dot(middle, axis) / slope;
+        const V3 at = direction * t - middle, area = cross(e1, e2);
+        const vf scale = 1.0f / dot(area, area);
+        const vf s = dot(cross(at, e2), area) * scale, r = dot(cross(e1, at), area) * scale;
+        const vf limit = lights.kind.data[e] == TRIANGLE ? s + r : larger(s, r);
+        const vi faces = shape.c[3] != 0.0f ? (vi)-1 : (slope < 0.0f), inside = (s >= 0.0f) & (r >= 0.0f) & (limit <= 1.0f);
+        density = t * t / (size_of(slope) * shape.c[2]);
+        return faces & (size_of(slope) > 1e-6f) & (t > 0.0f) & (t < end) & inside;
+    };
+"""
+"""C++: `crossed(e, ...)`, which rays cross a flat or round lamp before they end, and its density: `crossed_light`."""
+
 COLLECT = """
     auto power_weight = [&](vf own, vf other) {
         const vf square = own * own;
@@ -140,28 +164,8 @@ COLLECT = """
         const vf end = load(hits.t.data + first), own = samples_lights ? load(queue.density.data + first) : all(0.0f);
         V3 found = {all(0.0f), all(0.0f), all(0.0f)};
         for (int e = 0; e < lights.areas; ++e) {
-            const auto& shape = lights.shape.data[e];
-            const V3 middle = all3(lights.position.data[e]) - start;
-            vi crosses; vf density;
-            if (lights.kind.data[e] == SPHERE) {
-                const vf along = dot(middle, direction), square = dot(middle, middle), round = all(shape.c[2] * shape.c[2]);
-                const V3 miss = middle - direction * along;
-                const vf inside = round - dot(miss, miss), t = along - root(inside), sine = round / square;
-                crosses = (inside > 0.0f) & (square > round) & (t > 0.0f) & (t < end);
-                density = (1.0f + root(1.0f - sine)) / (TWO_PI * sine);
-            } else {
-                const V3 axis = all3(lights.axis.data[e]), e1 = all3(lights.edge1.data[e]), e2 = all3(lights.edge2.data[e]);
-                const vf slope = dot(axis, direction), t = dot(middle, axis) / slope;
-                const V3 at = direction * t - middle, area = cross(e1, e2);
-                const vf scale = 1.0f / dot(area, area);
-                const vf s = dot(cross(at, e2), area) * scale, r = dot(cross(e1, at), area) * scale;
-                const vf limit = lights.kind.data[e] == TRIANGLE ? s + r : larger(s, r);
-                const vi faces = shape.c[3] != 0.0f ? (vi)-1 : (slope < 0.0f);
-                const vi inside = (s >= 0.0f) & (r >= 0.0f) & (limit <= 1.0f);
-                crosses = faces & (size_of(slope) > 1e-6f) & (t > 0.0f) & (t < end) & inside;
-                density = t * t / (size_of(slope) * shape.c[2]);
-            }
-            crosses = crosses & plain;
+            vf density;
+            const vi crosses = crossed(e, start, direction, end, density) & plain;
             if (!is_any(crosses)) continue;
             const vf other = density * (lights.sums.data[e + 1] - lights.sums.data[e]);
             const vf part = pick(own > 0.0f, power_weight(own, other), all(1.0f));
@@ -182,7 +186,7 @@ COLLECT = """
         }
     };
 """
-"""C++: `collect(plain)` adds `crossed_lights` and `sky_light` to the samples of these rays."""
+"""C++, after `CROSSED`: `collect(plain)` adds `crossed_lights` and `sky_light` to the samples of these rays."""
 
 _END = """
     if (!is_any(matte | mirror | glass)) {
@@ -316,9 +320,9 @@ _WRITE = """
 def make_shade_plain(width: int) -> Any:
     """`shade_plain` for so many lanes."""
     head = f"{FOR_LANES}\n#if defined(__CUDA_ARCH__)\nreturn 0;\n#else\nconstexpr int W = {width};\n"
-    parts = (CONSTANTS, BEGIN, lane_words(width), KINDS, RECORDS, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER, ENDS, _WRITE)
+    parts = (CONSTANTS, BEGIN, lane_words(width), KINDS, RECORDS, CROSSED, COLLECT, _END, POINTS, LAMPS, GATHER, SCATTER)
 
-    @wp.func_native(f"{head}{''.join(parts)}\n#endif\n")
+    @wp.func_native(f"{head}{''.join(parts)}{ENDS}{_WRITE}\n#endif\n")
     def shade_plain(
         first: int,
         generation: int,

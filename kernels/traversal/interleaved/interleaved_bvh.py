@@ -32,10 +32,11 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.traversal.interleaved.leaf_pairs import block_tester
 from wrt.kernels.traversal.interleaved.ray_slots import pair_room, slot_words, walk_to_leaves
-from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows, StreamCounters, store_stream, stream_ray
+from wrt.kernels.traversal.stream.stream_kernel import StreamCounterRows, StreamCounters, ray_words, store_stream, stream_ray
 from wrt.kernels.traversal.stream.stream_lists import Pairs
 from wrt.kernels.traversal.stream.stream_load import load_stream
 from wrt.kernels.traversal.traversal_config import TraversalConfig
@@ -56,6 +57,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     counting, size = config.counters, min(config.stream.rays, LOADED)
     load, store, test_blocks = load_stream(config.triangle_test, size, width), store_stream(config), block_tester(config)
     block_words = 2 * pair_room(width)
+    bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
 
     def interleaved_bvh(
         first: int,
@@ -65,8 +67,13 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: StreamCounterRows,
     ):
-        stream = wp.zeros(shape=(size,), dtype=StreamRay)
-        memory = wp.zeros(shape=(room,), dtype=int)
+        scratch = wp.uint64(0)
+        if wp.static(on_cuda):
+            stream = wp.zeros(shape=(size,), dtype=StreamRay)
+        else:
+            scratch = take_scratch(wp.static(size * bytes))
+            stream = wp.array(ptr=scratch, shape=(size,), dtype=StreamRay)
+        memory = wp.zeros(shape=(room,), dtype=int)  # slots are slower in scratch memory
         blocks = wp.zeros(shape=(block_words,), dtype=int)
         pairs = Pairs()
         begin = (first + wp.tid()) * rays.run
@@ -91,5 +98,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
                 work.intersection_active = work.triangles
                 counters.rows[begin] = work
             begin += count
+        if wp.static(not on_cuda):
+            leave_scratch(scratch)
 
     return specialised_kernel(interleaved_bvh)

@@ -24,6 +24,7 @@ import warp as wp
 
 from wrt.kernels.layout.bvh_nodes import WideNodes
 from wrt.kernels.layout.ray_batch import HitBatch, RayBatch
+from wrt.kernels.layout.scratch import leave_scratch, take_scratch
 from wrt.kernels.layout.unchecked import load_int, store_int
 from wrt.kernels.runtime.options import exact_module, specialised_kernel
 from wrt.kernels.simd.box_lanes import NO_CHILD
@@ -31,6 +32,7 @@ from wrt.kernels.traversal.stream.stream_kernel import (
     LIST_LANES,
     StreamCounterRows,
     StreamCounters,
+    ray_words,
     round_up,
     store_stream,
     stream_ray,
@@ -130,6 +132,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
     StreamRay = stream_ray(config.triangle_test)
     counting, size = config.counters, config.stream.rays
     load, store, trace = load_stream(config.triangle_test, size, config.width), store_stream(config), make_trace(config)
+    bytes, on_cuda = 4 * ray_words(config.triangle_test), config.stack.block > 0
     room = (config.stack.levels + 1) * size + LIST_LANES
 
     def stream_bvh(
@@ -140,8 +143,14 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
         hits: HitBatch,
         counters: StreamCounterRows,
     ):
-        stream = wp.zeros(shape=(size,), dtype=StreamRay)
-        words = wp.zeros(shape=(room,), dtype=int)
+        scratch = wp.uint64(0)
+        if wp.static(on_cuda):
+            stream = wp.zeros(shape=(size,), dtype=StreamRay)
+            words = wp.zeros(shape=(room,), dtype=int)
+        else:
+            scratch = take_scratch(wp.static(size * bytes + 4 * room))
+            stream = wp.array(ptr=scratch, shape=(size,), dtype=StreamRay)
+            words = wp.array(ptr=scratch + wp.uint64(wp.static(size * bytes)), shape=(room,), dtype=int)
         begin = (first + wp.tid()) * rays.run
         end = wp.min(begin + rays.run, rays.count)
         while begin < end:
@@ -154,5 +163,7 @@ def make_kernel(config: TraversalConfig) -> wp.Kernel:
             if wp.static(counting):
                 counters.rows[begin] = work
             begin += count
+        if wp.static(not on_cuda):
+            leave_scratch(scratch)
 
     return specialised_kernel(stream_bvh)

@@ -25,10 +25,11 @@ from wrt.imaging.lights.device_lights import samples_sky
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.launch import get_num_threads
 from wrt.kernels.runtime.launch_chain import LaunchChain, Stage
-from wrt.kernels.shading.paths import path_tiles
+from wrt.kernels.shading.paths import last_rays, path_tiles
 from wrt.kernels.shading.ray_trees.tile_memories import start_tile
 from wrt.kernels.shading.wavefront import path_step, ray_queue
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel
+from wrt.kernels.shading.wavefront.picture import Film
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.memory import empty
@@ -47,11 +48,11 @@ TILES_PER_THREAD = 8
 SORTED_TRIANGLES = 1024
 """Triangles of a scene from which the paths of a tile are sorted by the octants of their directions."""
 
-STOP_OF_MARKS = 1
-"""Which argument of `mark_hits` says where the rays end, the number of the first item counted."""
+WAVE_OF_START, WAVE_OF_STEP, WAVE_OF_LAST = 5, 8, 3
+"""Which argument of `start_tile`, `step_tile` and `develop_tile` is the wave."""
 
-WAVE_OF_START, WAVE_OF_STEP = 5, 8
-"""Which argument of `start_tile` and of `step_tile` is the wave."""
+FILM_OF_LAST = 5
+"""Which argument of `develop_tile` is the film."""
 
 
 def tile_size(slots: int) -> int:
@@ -114,21 +115,38 @@ class PathChain:
         self._chain: LaunchChain | None = None
         self._of_wave: list[tuple[PackedKernel, int]] = []
 
-    def run(self, camera: CameraModel, samples: ray_queue.Wave, count: int, sample: tuple[wp.array, wp.array] | None) -> int:
+    def develops(self, samples: int) -> bool:
+        """Whether `run` adds waves with so many samples of each pixel to the film: if a tile has all those of a pixel."""
+        return self._runs.size % samples == 0
+
+    def run(
+        self,
+        camera: CameraModel,
+        samples: ray_queue.Wave,
+        count: int,
+        film: Film,
+        sample: tuple[wp.array, wp.array] | None,
+    ) -> int:
         """Follows the paths of so many samples, and returns the number of rays.
 
         Args:
             camera: the camera.
             samples: of the wave.
             count: number of samples.
+            film: to which samples are added if the wave `develops`.
             sample: origins and directions of camera rays, at least `FIRST_SAMPLES` or `count` of them; of the first wave.
         """
         if self._chain is None:
             self._chain = self._begin(camera, samples, min(count, FIRST_SAMPLES), sample)
+            runs = self._runs
+            inputs = [runs.size, 0, samples, self._paths.radiance, film, runs.memories]
+            self._last = self._chain.add(Stage(path_tiles.develop_tile, inputs, runs.size, (STOP, "")))[0]
+            self._of_wave.append((self._last, WAVE_OF_LAST))
         else:
             for packed, index in self._of_wave:
                 packed.replace(index, samples)
-        return self._runs.run(self._chain, count)
+            self._last.replace(FILM_OF_LAST, film)
+        return self._runs.run(self._chain, count, 1)
 
     def _begin(
         self, camera: CameraModel, samples: ray_queue.Wave, known: int, sample: tuple[wp.array, wp.array]
@@ -146,17 +164,14 @@ class PathChain:
         eye = wp.array(sample[0].numpy()[:1].copy(), dtype=wp.vec3, device=chain.device) if self._one_point else None
         inputs: list[Any] = [size, 0, camera, paths.samples, samples, queue, rays.radiance, memories, lanes]
         self._of_wave.append((chain.add(Stage(start_tile, inputs, size, (STOP, "")))[0], WAVE_OF_START))
-        only_sky = scene.lights.areas == 0 and scene.lights.triangle_entry < 0
         for generation in range(paths.depth):
             step, is_first = paths.step_of(generation), generation == 0
+            if step.is_last and not is_first:
+                self._add_sky_rays(chain, other, queue, known)
+                queue, other = other, queue
             origins = eye if is_first and self._one_point else queue.origin
-            if step.is_last and only_sky and not is_first:  # then all that counts is whether rays hit anything
-                chain.add(*tracer.stages(ANY, origins, queue.direction, known, size, blocked, False, False))
-                inputs = [0, paths.group, self._blocked.occluded, hits]
-                chain.add(Stage(path_tiles.mark_hits, inputs, paths.group, (STOP_OF_MARKS, "")))
-            else:
-                seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
-                chain.add(*tracer.stages(CLOSEST, origins, queue.direction, known, size, hits, is_first, False, sample=seen))
+            seen = (eye if self._one_point else sample[0], sample[1]) if is_first else None
+            chain.add(*tracer.stages(CLOSEST, origins, queue.direction, known, size, hits, is_first, False, sample=seen))
             casts = has_shadows and not step.is_last
             inputs = [size, 0, lanes, casts, step, scene, paths.samples, samples, queue, hits, rays, self._lit_slot, other]
             stage = Stage(path_tiles.make_step_tile(), [*inputs, memories], size, (STOP, ""))
@@ -167,10 +182,25 @@ class PathChain:
                 chain.add(*tracer.stages(ANY, *shadows, counts=memories.shadows))
                 inputs = [size, 0, self._blocked.occluded, rays, self._lit_slot]
                 chain.add(Stage(path_tiles.gather_lit, inputs, size, (STOP, ""), memories.shadows))
-            if step.is_last:
-                break
+            if generation + 2 >= paths.depth:
+                continue
             if by_octant:
                 chain.add(Stage(path_tiles.order_tile, [size, 0, other, queue], size, (STOP, "")))
             else:
                 queue, other = other, queue
         return chain
+
+    def _add_sky_rays(self, chain: LaunchChain, source: ray_queue.RayQueue, target: ray_queue.RayQueue, known: int) -> None:
+        """Adds the stages of those rays of the last generation that can bring the light of the sky only; the others are left
+        in the queue `source`."""
+        paths, runs = self._paths, self._runs
+        scene, size, memories = paths.scene, runs.size, runs.memories
+        inputs: list[Any] = [size, 0, scene.lights, source, self._hits.primitive, target, memories]
+        chain.add(Stage(last_rays.part_tile, inputs, size, (STOP, "")))
+        if scene.lights.sky_entry < 0:
+            return
+        blocked, own = self._blocked.struct(), memories.shadows
+        rays = target.origin, target.direction, known, size, blocked, False, False
+        chain.add(*self._tracer.stages(ANY, *rays, counts=own))
+        inputs = [size, 0, paths.step.samples_lights, scene, self._blocked.occluded, target, self._rays.radiance]
+        chain.add(Stage(last_rays.gather_sky, inputs, size, (STOP, ""), own))

@@ -39,7 +39,8 @@ TOGETHER = "packet"
 way is tried, too."""
 
 LEAST_TRIANGLES = 1024
-"""Triangles of a scene from which either may be the faster one. With fewer, streams are."""
+"""Triangles of a scene from which either may be the faster one. With fewer, streams are if the plan says so; if it does not,
+they may be (notebooks/records/2026-11-23-last-generation.md)."""
 
 ROUND = 1 << 12
 """Plans are made for numbers of rays rounded up to a power of two, not below this, so that few are made."""
@@ -168,7 +169,7 @@ class RayTracer:
         if by_speed and similar:
             if can_answer(TRAVERSALS[TOGETHER], state, kind, False):
                 plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
-        elif by_speed and state.triangle_count >= LEAST_TRIANGLES and plan.traversal in INCOHERENT:
+        elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < LEAST_TRIANGLES :]:  # all, or all but streams
             plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
         batch, made = rays.given.batch(), []
         for plan in plans:

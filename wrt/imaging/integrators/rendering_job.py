@@ -195,9 +195,14 @@ class Rendering:
 
     def _follow_in_tiles(self, wave: ray_queue.Wave, count: int) -> bool:
         """Follows the paths of a wave tile by tile, if that is possible."""
-        if self._motion is not None:  # what is prepared would serve one time only
-            return False
-        return self._wave.follow_in_tiles(self._tracer, self._model, wave, count, self._starts_at_one_point)
+        inputs = self._tracer, self._model, wave, count, self._collected, self._starts_at_one_point
+        return self._motion is None and self._wave.follow_in_tiles(*inputs)  # stages for a moving scene would serve once
+
+    @property
+    def _collected(self) -> picture.Film:
+        film = picture.Film()
+        film.sums, film.squares, film.limit = self._film, self._squares, float(self.settings.max_radiance)
+        return film
 
     def _start(self, wave: ray_queue.Wave, count: int) -> None:
         """Writes the camera rays of a wave of so many samples."""
@@ -209,8 +214,11 @@ class Rendering:
         if not self._follow_in_tiles(wave, count):
             self._start(wave, count)
             self._wave.finish(self._tracer, self._wave.first_hits(self._tracer, self._starts_at_one_point))
-        inputs = [wave, float(self.settings.max_radiance), self._wave.radiance, self._film, self._squares]
-        launch(picture.develop_wave, pixels, inputs, device=self._scene.device, chunk=4096)
+        elif self._wave.develops_in_tiles(samples):
+            return
+        launch(
+            picture.develop_wave, pixels, [wave, self._wave.radiance, self._collected], device=self._scene.device, chunk=4096
+        )
 
     def _of_pixels(self, kernel: wp.Kernel, dtype: type, *inputs: Any) -> wp.array:
         """The result of a kernel over the pixels, from what the film holds."""
@@ -348,9 +356,8 @@ class Rendering:
         return self
 
     def __repr__(self) -> str:
-        return (
-            f"Rendering({self.integrator!r}, {self.camera.width} x {self.camera.height}, {self.done} of {self.samples} samples)"
-        )
+        size = f"{self.camera.width} x {self.camera.height}"
+        return f"Rendering({self.integrator!r}, {size}, {self.done} of {self.samples} samples)"
 
 
 def camera_model(camera: Camera, settings: RenderSettings, scene: Scene, samples: int) -> CameraModel:

@@ -48,15 +48,21 @@ class TileRuns:
         """The fewest samples of the last wave that were tried together, because more found no place."""
         return int(self.memories.fewest.numpy().min())
 
-    def run(self, chain: LaunchChain, count: int) -> int:
+    def run(self, chain: LaunchChain, count: int, last: int = 0) -> int:
         """Follows so many samples through the stages, and returns the number of rays; -1 if those of a single sample find no
-        place."""
+        place.
+
+        Args:
+            chain: the stages.
+            count: number of samples.
+            last: how many of the stages, the last ones, are for samples, whether their rays are left or not.
+        """
         memories = self.memories
         memories.fitting.fill_(self.size)
         memories.fewest.fill_(self.size)
         memories.total.zero_()
         memories.failed.zero_()
-        inputs = [chain.stages, len(chain), self.room, self.size, count, memories]
+        inputs = [chain.stages, len(chain), last, self.room, self.size, count, memories]
         if self._launch is None:
             self._launch = PreparedLaunch(tile_memories.follow_tiles, inputs, chain.device)
         self._launch.update(inputs)

@@ -27,6 +27,7 @@ from wrt.kernels.layout.ray_batch import HitBatch
 from wrt.kernels.runtime.launch import launch
 from wrt.kernels.shading.wavefront import path_step, ray_queue, tree_step
 from wrt.kernels.shading.wavefront.camera_rays import CameraModel, start_rays
+from wrt.kernels.shading.wavefront.picture import Film
 from wrt.kernels.shading.wavefront.pixel_samples import PixelSamples
 from wrt.kernels.shading.wavefront.scene_light import LitScene
 from wrt.memory import empty
@@ -111,9 +112,10 @@ class Wave:
         self.goes_on, self._places = (empty(places, wp.int32, self._device) for _ in range(2))
 
     def follow_in_tiles(
-        self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, from_one_point: bool
+        self, tracer: RayTracer, camera: CameraModel, wave: ray_queue.Wave, count: int, film: Film, from_one_point: bool
     ) -> bool:
-        """Follows so many samples tile by tile, if that is possible: on the CPU, with whole textures."""
+        """Follows so many samples tile by tile, if that is possible: on the CPU, with whole textures. If the wave
+        `develops_in_tiles`, they are then in the film."""
         if self._tiles is not None or self._device.is_cuda:
             return False
         if self._chain_tracer is not tracer:
@@ -123,12 +125,20 @@ class Wave:
                 self.start(camera, wave, min(count, FIRST_SAMPLES))
         if self._chain is None:
             return False
-        traced = self._chain.run(camera, wave, count, (self.queue.origin, self.queue.direction))
+        first = self.queue.origin, self.queue.direction
+        if isinstance(self._chain, PathChain):
+            traced = self._chain.run(camera, wave, count, film, first)
+        else:
+            traced = self._chain.run(camera, wave, count, first)
         if traced < 0:
             self._chain = None
             return False
         self.ray_count += traced
         return True
+
+    def develops_in_tiles(self, samples: int) -> bool:
+        """Whether waves with so many samples of each pixel that were followed in tiles need no development."""
+        return isinstance(self._chain, PathChain) and self._chain.develops(samples)
 
     def _new_chain(self, tracer: RayTracer, count: int, from_one_point: bool) -> PathChain | TreeChain | None:
         """The stages for tiles; None if waves of so many samples cannot be followed tile by tile."""

@@ -27,6 +27,9 @@ EVEN_SKY_SHARE = 0.7
 """Share of the choices below which a path never chooses a sky of one colour: scattering samples such a sky as well as can be,
 and the lamps are then chosen more often (notebooks/records/2026-11-23-light-tiles.md)."""
 
+BOX_ROOM = 1e-4
+"""What a box is larger than what it holds on each side, in radii of the scene: many times the error of a hit."""
+
 FLAT = {"rectangle": light_table.PARALLELOGRAM, "triangle": light_table.TRIANGLE, "sphere": light_table.SPHERE}
 
 
@@ -66,12 +69,15 @@ def device_lights(scene: Scene, lights: Sequence[Light], emission: np.ndarray, o
     table.areas = len(areas)
     table.far = 4.0 * max(radius, 1e-30)
     table.triangle_entry, table.sky_entry = -1, -1
-    triangles, powers = _emissive_triangles(scene, emission, of_face)
+    triangles, powers, points = _emissive_triangles(scene, emission, of_face)
     if len(triangles):
         table.triangle_entry = len(rows)
         rows.append(_row(light_table.TRIANGLES, power=np.pi * powers.sum()))
         table.triangle_power = float(powers.sum())
         table.triangle = wp.array(triangles.astype(np.int32), dtype=int, device=device)
+        room = BOX_ROOM * radius
+        table.triangle_low = wp.vec3(*map(float, points.min(axis=0) - center - room))
+        table.triangle_high = wp.vec3(*map(float, points.max(axis=0) - center + room))
         table.triangle_sums = wp.array(_sums(powers), dtype=float, device=device)
     sky = next((light for light in lights if isinstance(light, Sky)), None)
     if sky is not None:
@@ -143,31 +149,32 @@ def _lamp_row(light: Any, center: np.ndarray, radius: float) -> dict[str, Any]:
     return _row(light_table.SPOT, light.position - center, power, axis=light.direction, radiance=light.intensity, shape=shape)
 
 
-def _emissive_triangles(scene: Scene, emission: np.ndarray, of_face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the scene's emissive triangles, and area times luminance of each."""
+def _emissive_triangles(scene: Scene, emission: np.ndarray, of_face: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Numbers of the scene's emissive triangles, area times luminance of each, and the corners of all whose material emits."""
     brightness = emission @ LUMINANCE
     if not brightness.any():
-        return np.zeros(0, dtype=np.int64), np.zeros(0)
+        return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 3))
     starts = np.cumsum([0] + [mesh.triangle_count for mesh in scene.meshes])
     if scene.instances:
         placed = list(zip(scene.geometry_ids, (instance.transform for instance in scene.instances), strict=True))
     else:
         placed = [(number, None) for number in range(len(scene.meshes))]
-    numbers, powers, first = [], [], 0
+    numbers, powers, points, first = [], [], [], 0
     for geometry, transform in placed:
         mesh = scene.meshes[geometry]
         own = of_face[starts[geometry] : starts[geometry + 1]]
         bright = np.flatnonzero(brightness[own] > 0.0)
         corners = mesh.vertices[mesh.faces[bright]].astype(np.float64)
         if transform is not None:
-            corners = corners @ transform[:3, :3].T
+            corners = corners @ transform[:3, :3].T + transform[:3, 3]
+        points.append(corners.reshape(-1, 3))
         area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
         numbers.append(first + bright)
         powers.append(area * brightness[own[bright]])
         first += mesh.triangle_count
     joined = np.concatenate(powers)
     used = joined > 0.0
-    return np.concatenate(numbers)[used], joined[used]
+    return np.concatenate(numbers)[used], joined[used], np.concatenate(points)
 
 
 def _sums(weights: np.ndarray) -> np.ndarray:
