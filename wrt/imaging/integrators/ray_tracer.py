@@ -171,8 +171,9 @@ class RayTracer:
                 plans.insert(0, find_plan(state, rays, query._replace(traversal=TOGETHER)).carried_out)
         elif by_speed and plan.traversal in INCOHERENT[state.triangle_count < LEAST_TRIANGLES :]:  # all, or all but streams
             plans += [replace(plan, traversal=name) for name in INCOHERENT if name != plan.traversal]
-        batch, made = rays.given.batch(), []
+        made = []
         for plan in plans:
+            batch = rays.given.batch()  # one for each plan, as the rays per item differ
             traversal = traversal_of(plan)
             if traversal.streams:
                 plan = replace(plan, stream=min(plan.stream, STREAM))
