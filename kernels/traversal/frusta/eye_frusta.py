@@ -103,7 +103,7 @@ def make_walk(config: TraversalConfig) -> wp.Function:
     Returns those whose rays were made. block: place of the first of them in the order of blocks.
     """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
-    load, start, visit = load_packet(layout, culling.slopes), culling.start(layout), visit_leaf(config)
+    load, start, visit = load_packet(layout, culling.slopes), culling.start(layout), visit_leaf(config, False)
     push, meets, order = push_children(config.width), meets_triangles(config), frustum_at(layout.rays)
     width, counting, packet_rays = config.width, config.counters, layout.rays
 

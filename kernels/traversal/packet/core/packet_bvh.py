@@ -109,12 +109,15 @@ def fetch_kept(layout: PacketLayout) -> wp.Function:
 
 
 @cache
-def visit_leaf(config: TraversalConfig) -> wp.Function:
-    """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node."""
+def visit_leaf(config: TraversalConfig, later: bool) -> wp.Function:
+    """`wp.func(tree, triangles, node, lane, packet, bounds, mailbox, work)`: visits the leaf in a lane of a node.
+
+    later: whether the rays may still have to be prepared for tests (`finish_packet`).
+    """
     culling, width = CULLINGS[config.packet.culling], config.width
     count_rays, counts_rays = culling.leaf(packet_layout(config)), culling.needs_boxes
     test_leaf, test_few = leaf_step(config), few_rays_step(config)
-    later, finish = finishes_later(config), finish_packet(packet_layout(config))
+    finish = finish_packet(packet_layout(config))
 
     @wp.func
     def visit(
@@ -146,7 +149,7 @@ def make_walk_packet(config: TraversalConfig) -> wp.Function:
     """`wp.func(tree, triangles, packet, memory, bounds, work) -> bool`: traces one packet; False if its traversal was
     abandoned."""
     culling, layout = CULLINGS[config.packet.culling], packet_layout(config)
-    cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config), nearest_child(config.width)
+    cull_boxes, visit, nearest = culling.boxes(layout), visit_leaf(config, finishes_later(config)), nearest_child(config.width)
     fetch = fetch_kept(layout)
     box_tests = config.width * (config.packet.rays if culling.every_ray else 1)
     mailbox_size = MAILBOXES[config.mailbox].size
