@@ -178,7 +178,8 @@ class RayTracer:
             if traversal.streams:
                 plan = replace(plan, stream=min(plan.stream, STREAM))
             config = config_for_layout(traversal_config(plan, self._state, kind, False), plan, self._state)
-            batch.run = tile if traversal.streams else traversal.rays_per_item(config)
+            run = tile if traversal.streams else traversal.rays_per_item(config)
+            batch.run = min(run, tile) if traversal.long_items else run
             work = no_work(traversal.counters, self._state.device.alias)
             kernel, inputs = kernel_and_inputs(self._state, plan, config, batch, hits, work)
             made.append(Stage(kernel, inputs, batch.run, (RAYS, "count"), counts))
