@@ -9,7 +9,7 @@ exact_module(__name__)
 MAX_FEW_RAYS = 2
 """Greatest number of rays at a leaf that are tested one by one, each against W triangles at a time
 (`wrt.kernels.traversal.packet.core.few_active_rays`). A larger value favours reflected rays, a smaller one shadow rays
-(notebooks/records/2026-11-22-leaf-rays.md)."""
+(notebooks/records/2026-11-22-leaf-rays.md, notebooks/records/2026-11-23-edge-functions.md)."""
 
 FewRays = wp.types.vector(length=MAX_FEW_RAYS, dtype=wp.int32)
 
