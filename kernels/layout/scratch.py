@@ -1,7 +1,7 @@
 """Memory of an item of a kernel that it writes before it reads, so that nothing need clear it.
 
-`wp.zeros` in a kernel clears the array twice and copies it once for each item. For the two hundred kilobytes of a stream that
-takes as long as tracing some hundred rays (notebooks/records/2026-11-23-last-generation.md).
+`wp.zeros` in a kernel clears the array twice and copies it once for each item, which large memory feels
+(notebooks/records/2026-11-23-last-generation.md).
 """
 
 import warp as wp

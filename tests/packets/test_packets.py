@@ -12,7 +12,7 @@ import wrt
 import wrt.planning.planner
 from wrt.kernels.traversal import TRAVERSALS
 from wrt.kernels.traversal.packet import CULLINGS
-from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_PER_RAY, MIN_FETCHED
+from wrt.kernels.traversal.packet.core.packet_bvh import MAX_STEPS_PER_RAY
 from wrt.kernels.triangle import TRIANGLE_TESTS
 from wrt.planning.plan import Plan
 
@@ -398,20 +398,3 @@ def test_repacked_packets(own_origins, device):
     children = 2 if plan.width == 2 else 1  # a node of two has no empty lane, so tests come in twos
     assert not (by_rays % (children * plan.packet // 4)).any()
     assert (by_rays % (children * plan.packet // 2)).any()
-
-
-@pytest.mark.width
-def test_large_scenes(device):
-    """Packets fetch children ahead in scenes of so many triangles; single rays do not."""
-    side = 350
-    x, y = np.meshgrid(np.linspace(-1.0, 1.0, side + 1), np.linspace(-1.0, 1.0, side + 1), indexing="ij")
-    points = np.stack([x, y, 0.1 * np.sin(9.0 * x) * np.cos(7.0 * y)], axis=-1).reshape(-1, 3)
-    corner = (np.arange(side)[:, None] * (side + 1) + np.arange(side)).reshape(-1, 1, 1)
-    faces = (corner + np.array([[0, side + 1, 1], [1, side + 1, side + 2]])).reshape(-1, 3)
-    scene = wrt.Scene(wrt.TriangleMesh(points.astype(np.float32), faces), "bvh", device=device)
-    rays = wrt.PinholeCamera(128, 96, position=(0.4, -2.0, 1.2), look_at=(0.0, 0.0, 0.0)).rays()
-    plan = scene.explain(rays, traversal="packet")
-    assert len(scene.state.tree.primitive) * TRIANGLE_TESTS["woop"].record.components >= MIN_FETCHED
-    hits = scene.intersect(rays, traversal=plan)
-    assert 0.3 < hits.is_hit.mean() < 1.0
-    assert_same_hits(hits, scene.intersect(rays, traversal="single"))
