@@ -95,11 +95,11 @@ LIMITS = {
         view_share=0.29,
         instance_share=0.2,
         large_packet=4,
-        rough=1.0,
+        rough=2.0,
         crowded=12.0,
     ),
     16: Limits(
-        incoherent=80_000,
+        incoherent=120_000,
         coherent=500_000,
         few=8192,
         long_share=0.2,
@@ -112,9 +112,9 @@ LIMITS = {
     ),
 }
 """`Limits` of CPUs with 8 lanes (AVX2), and with 16 (AVX-512), where an instruction compacts the lists of streams
-(notebooks/records/2026-11-22-auto.md, notebooks/records/2026-11-22-interleaved-rays.md; `incoherent`:
-notebooks/records/2026-11-23-root-filter.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`,
-`rough`, `crowded`: notebooks/records/2026-11-23-edge-functions.md). Fewer lanes are taken for 8; they have not been measured.
+(notebooks/records/2026-11-22-auto.md; `large_packet`: notebooks/records/2026-11-23-short-rows.md; `view_share`, `crowded`:
+notebooks/records/2026-11-23-edge-functions.md; `incoherent`, `rough`:
+notebooks/records/2026-11-23-limits.md). Fewer lanes are taken for 8; they have not been measured.
 """
 
 

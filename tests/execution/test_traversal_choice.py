@@ -23,7 +23,7 @@ from wrt.state.query_kinds import FEW_RAYS
 SCENES = ("bvh", "kdtree", "lazy", "instances bvh", "instances kdtree", "spaces")
 RAYS = (1, 1024, 1025, 100_000, 10_000_000)
 QUERIES = ("closest", "any", "count", "all")
-TRIANGLES = (500, 400_000, 1_000_000)
+TRIANGLES = (500, 100_000, 400_000, 1_000_000)
 
 SIMILAR, DISSIMILAR = "neighbouring rays are coherent", "neighbouring rays are incoherent"
 SINGLE_RAYS = "two levels, one ray at a time"
@@ -82,7 +82,7 @@ def expected(
         if kind == "bvh":
             return "stream", f"{hits} of many rays"
         return "single", f"the traversal that finds {hits} on a kd-tree"
-    enough = triangles >= 80_000 or count < 8192
+    enough = triangles >= 120_000 or count < 8192
     is_wide = kind == "kdtree" and (wide or savings + count / (16 if coherent else 1) >= triangles)
     if kind != "bvh" and not is_wide and coherent:
         crowd = (8 * count if shared else count // 2) >= triangles

@@ -9,6 +9,7 @@ from packet_loops import OPTIONS
 
 from wrt.kernels.layout.ray_batch import RayBatch
 from wrt.kernels.simd.boxes import SLACK
+from wrt.kernels.traversal.packet.core.packet_splitting import activate_part, finish_part
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
@@ -24,10 +25,11 @@ LIGHT = np.array([0.9, 1.2, 0.8])
 
 
 @cache
-def bounding_kernel() -> wp.Kernel:
-    """Loads a packet, and reverses its bounds. Item: a packet."""
+def bounding_kernel(part: int = 0) -> wp.Kernel:
+    """Loads a packet, halves it if a `part` of it is asked for, and reverses its bounds. Item: a packet."""
     layout = PacketLayout(RAYS, 8, False, "woop")
-    load, reverse, size = load_packet(layout), reverse_bounds(layout), layout.size
+    load, reverse, size = load_packet(layout, ends=True), reverse_bounds(layout), layout.size
+    halve, activate = finish_part(layout), activate_part(layout, ends=True)
 
     def run(
         rays: RayBatch, low: wp.vec3, high: wp.vec3, loaded: wp.array(dtype=PacketBounds), found: wp.array(dtype=PacketBounds)
@@ -35,22 +37,27 @@ def bounding_kernel() -> wp.Kernel:
         packet = wp.zeros(shape=(size,), dtype=float)
         bounds = PacketBounds()
         load(rays, wp.tid() * wp.static(RAYS), low, high, packet, bounds)
+        if wp.static(part > 0):
+            halve(packet, bounds, 0, 1, False)
+            activate(packet, bounds, wp.static(part))
         loaded[wp.tid()] = bounds
-        reverse(low, high, packet, bounds)
+        reverse(low, high, bounds)
         found[wp.tid()] = bounds
 
     return wp.kernel(run, **OPTIONS)
 
 
-def bounds_of(origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Bounds of packets (N, RAYS, ...) after loading, and after reversing."""
+def bounds_of(
+    origins: np.ndarray, directions: np.ndarray, t_min: np.ndarray, t_max: np.ndarray, part: int = 0
+) -> tuple[np.ndarray, ...]:
+    """Bounds of packets (N, RAYS, ...), or of one of their halves, after loading, and after reversing."""
     device, count = wp.get_device("cpu"), len(origins)
     rays = RayBatch()
     rays.count, rays.origin_stride, rays.direction_stride, rays.t_min_stride, rays.t_max_stride = count * RAYS, 1, 1, 1, 1
     rays.origins, rays.directions = (wp.array(x.reshape(-1, 3), dtype=wp.vec3, device=device) for x in (origins, directions))
     rays.t_min, rays.t_max = (wp.array(x.ravel(), dtype=float, device=device) for x in (t_min, t_max))
     loaded, found = (wp.zeros(count, dtype=PacketBounds, device=device) for _ in range(2))
-    wp.launch(bounding_kernel(), count, [rays, wp.vec3(*LOW), wp.vec3(*HIGH), loaded, found], device=device)
+    wp.launch(bounding_kernel(part), count, [rays, wp.vec3(*LOW), wp.vec3(*HIGH), loaded, found], device=device)
     return loaded.numpy(), found.numpy()
 
 
@@ -78,6 +85,24 @@ def test_rays_that_end_at_a_light_are_seen_from_it():
     assert (found["t_max"] < 0.75001).all()
     for kept in ("origin_low", "origin_high", "active", "mixed_axes"):
         np.testing.assert_array_equal(found[kept], loaded[kept])
+
+
+@pytest.mark.parametrize("part", [0, 1, 2])
+def test_ends_are_those_of_the_active_rays(part):
+    origins, directions = rays_to(LIGHT, 50, 0.1)
+    rng = np.random.default_rng(3)
+    end = rng.uniform(0.1, 0.9, origins.shape[:2]).astype(np.float32)
+    begin = end * rng.uniform(0.0, 1.0, end.shape).astype(np.float32)
+    loaded, _ = bounds_of(origins, directions, begin, end, part)
+    low, high = origins.min(axis=1), origins.max(axis=1)
+    axis = (high - low).argmax(axis=1)
+    along, middle = (x[np.arange(50), ..., axis] for x in (origins, low + np.float32(0.5) * (high - low)))
+    active = np.stack([along == along, along < middle[:, None], along >= middle[:, None]])[part]
+    np.testing.assert_array_equal(loaded["active"], active.sum(axis=1))
+    ends = origins + end[..., None] * directions
+    np.testing.assert_allclose(loaded["end_low"], np.where(active[..., None], ends, np.inf).min(axis=1), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(loaded["end_high"], np.where(active[..., None], ends, -np.inf).max(axis=1), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(loaded["span"], np.where(active, end - begin, 0.0).max(axis=1), rtol=1e-6)
 
 
 @pytest.mark.parametrize("why", ["no common end", "no end", "one origin", "both signs", "no active ray"])

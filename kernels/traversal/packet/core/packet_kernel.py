@@ -23,7 +23,7 @@ from wrt.kernels.traversal.packet.rays.lane_usage import active_lanes, lanes_tes
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.packet_load import load_packet
-from wrt.kernels.traversal.packet.rays.packet_store import store_packet
+from wrt.kernels.traversal.packet.rays.packet_store import fetch_hits, store_packet
 from wrt.kernels.traversal.packet.rays.ray_numbers import ray_at
 from wrt.kernels.traversal.packet.rays.reversed_bounds import reverse_bounds
 from wrt.kernels.traversal.traversal_config import ANY, TraversalConfig
@@ -179,15 +179,20 @@ def trace_single_rays(config: TraversalConfig, Tree: type, walk_ray: wp.Function
     return trace
 
 
+def reverses_bounds(config: TraversalConfig, reversible: bool) -> bool:
+    """Whether packets may be bounded as seen from the ends of their rays; reversible: as of `packet_step`."""
+    return reversible and CULLINGS[config.packet.culling].reversible and config.query == ANY and not config.packet.shared_origin
+
+
 @cache
-def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function) -> wp.Function:
+def trace_parts(config: TraversalConfig, Tree: type, trace_unsplit: wp.Function, ends: bool) -> wp.Function:
     """`wp.func(tree, below, triangles, packet, memory, bounds, work) -> bool`: traces a packet, split if necessary.
 
     False if some rays are still to be traced one by one (`packet_splitting.needs_single_ray`). trace_unsplit: the same for a
-    packet that is not to be split.
+    packet that is not to be split. ends: whether it needs the bounds of the ends of rays.
     """
     layout = packet_layout(config)
-    activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes)
+    activate = packet_splitting.activate_part(layout, CULLINGS[config.packet.culling].slopes, ends)
     finish, count_single_rays = packet_splitting.finish_part(layout), packet_splitting.count_single_rays(layout)
 
     @wp.func
@@ -226,7 +231,7 @@ def trace_packet(
     """
     layout, culling = packet_layout(config), CULLINGS[config.packet.culling]
     start_packet = culling.start(layout)
-    reverses = reversible and culling.reversible and config.query == ANY and not config.packet.shared_origin
+    reverses = reverses_bounds(config, reversible)
     reverse = reverse_bounds(layout) if reverses else None
 
     @wp.func
@@ -243,11 +248,11 @@ def trace_packet(
         if completed and bounds.active > 0:
             start_packet(tree.low, tree.high, packet, bounds)
             if wp.static(reverses):
-                reverse(tree.low, tree.high, packet, bounds)
+                reverse(tree.low, tree.high, bounds)
             completed = walk_packet(below, triangles, packet, memory, bounds, work)
         return completed
 
-    return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit)
+    return trace_unsplit if config.packet.shared_origin else trace_parts(config, Tree, trace_unsplit, reverses)
 
 
 @cache
@@ -276,7 +281,9 @@ def packet_step(
         later: whether the walk calls `finish_packet` before its first test.
     """
     layout, parts, culling = packet_layout(config), not config.packet.shared_origin, CULLINGS[config.packet.culling]
-    load, store = load_packet(layout, culling.slopes, later), store_packet(layout, config.query == ANY)
+    load = load_packet(layout, culling.slopes, later, reverses_bounds(config, reversible))
+    store = store_packet(layout, config.query == ANY)
+    fetch, any_hit = fetch_hits(layout), config.query == ANY
     single_rays, counting = trace_single_rays(config, Tree, walk_ray), config.counters
     trace = trace_packet(config, Tree, walk_packet, mixed_axes, reversible)
 
@@ -294,6 +301,8 @@ def packet_step(
         work: wp.ref[Counters],
     ):
         bounds = PacketBounds()
+        if wp.static(not any_hit):
+            fetch(rays, begin, hits)
         load(rays, begin, tree.low, tree.high, packet, bounds)
         completed = trace(tree, below, triangles, packet, memory, bounds, work)
         if completed or wp.static(parts):  # left-over rays are stored again when they are traced

@@ -25,7 +25,7 @@ from functools import cache
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
-from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import KEPT, bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -74,11 +74,12 @@ _ACTIVATE = """
 
 
 @cache
-def activate_part(layout: PacketLayout, slopes: bool = True) -> wp.Function:
-    """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes: see
+def activate_part(layout: PacketLayout, slopes: bool = True, ends: bool = False) -> wp.Function:
+    """`wp.func(packet, bounds, number)`: makes the rays of a part the active ones, and computes their bounds; slopes, ends: see
     `load_packet`."""
+    bound = bound_packet(layout, slopes, direction=KEPT if ends else None)
 
-    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound_packet(layout, slopes))
+    @wp.func_native(layout.head + _CONSTANTS + bounding_head(layout, slopes) + _ACTIVATE + bound)
     def activate_part_native(packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds], number: int): ...
 
     return activate_part_native

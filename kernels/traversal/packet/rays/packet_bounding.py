@@ -24,6 +24,7 @@ _BOUND = """
     if (one == P) return;
     WRT_ENDS(ix); WRT_ENDS(iy); WRT_ENDS(iz); WRT_ENDS(sx); WRT_ENDS(sy);
     WRT_ENDS(ox); WRT_ENDS(oy); WRT_ENDS(oz); WRT_ENDS(wide);
+    WRT_ENDS(ex); WRT_ENDS(ey); WRT_ENDS(ez); WRT_ENDS(span);
     const int* axis = (const int*)main_axis;
     int active = 0, main_axes = 0;
     WRT_FOR_LANES(i) {
@@ -33,6 +34,7 @@ _BOUND = """
             WRT_BOUND(ox, origin_x[k]) WRT_BOUND(oy, origin_y[k]) WRT_BOUND(oz, origin_z[k])
             WRT_BOUND(wide, slack[k])
         }
+        WRT_RAY_ENDS
         WRT_UNROLLED for (int f = 0; f < P; f += W) {
             const int bit = 1 << axis[f + i], mask = t[f + i] >= -0.0f ? -1 : 0;
             active -= mask;
@@ -50,6 +52,7 @@ _BOUND = """
         bounds.t_min = t_min[one]; bounds.t_max = t[one];
     }
     WRT_ORIGIN_ENDS
+    WRT_SET_RAY_ENDS
     bounds.main_axes = main_axes;
     bounds.passes = PASSES == 1 ? 1 : main_axes;
     bounds.slack = slack0;
@@ -136,15 +139,38 @@ _SLOPE_ENDS = """
 """
 
 
-def bound_packet(layout: PacketLayout, slopes: bool, later: bool = False) -> str:
+_RAY_ENDS = """WRT_BOUND(ex, origin_x[k] + t[k] * (WRT_X)) WRT_BOUND(ey, origin_y[k] + t[k] * (WRT_Y))
+        WRT_BOUND(ez, origin_z[k] + t[k] * (WRT_Z)) WRT_BOUND(span, t[k] - t_min[k])"""
+
+_SET_RAY_ENDS = """
+    bounds.end_low = wp::vec3(ex_least, ey_least, ez_least);
+    bounds.end_high = wp::vec3(ex_most, ey_most, ez_most);
+    bounds.span = span_most;
+"""
+
+LOADED = ("to_x[k]", "to_y[k]", "to_z[k]")
+"""C++ of the components of the direction of ray k while it is loaded, for `bound_packet`."""
+
+KEPT = ("1.0f / inverse_x[k]", "1.0f / inverse_y[k]", "1.0f / inverse_z[k]")
+"""The same for a ray that has been loaded, if `later` is not set."""
+
+
+def bound_packet(layout: PacketLayout, slopes: bool, later: bool = False, direction: tuple[str, str, str] | None = None) -> str:
     """C++ after `PacketLayout.head` and `bounding_head`: sets `bounds`. An active ray has t >= 0; if there is no active ray,
     only `active` is set. later: the components of 1 / direction hold directions (`packet_load.finish_packet`).
 
     The code needs `lows[3]`, `highs[3]` and `slack0` (the shared origin and its slack, otherwise any numbers) and `ranged`:
-    whether rays may have a t_min or t of their own.
+    whether rays may have a t_min or t of their own. direction: `LOADED` or `KEPT`, to bound the ends of rays with origins of
+    their own, too.
     """
     names = ["ix", "iy", "iz", *(["sx", "sy"] if slopes else []), *([] if layout.shared_origin else ["ox", "oy", "oz", "wide"])]
-    pieces = {"WRT_ALL_ENDS": packet_ends(names, layout.width), "WRT_RANGE_ENDS": packet_ends(["start", "end"], layout.width)}
+    pieces = {"WRT_RAY_ENDS": "", "WRT_SET_RAY_ENDS": ""}
+    if direction:
+        names += ["ex", "ey", "ez", "span"]
+        x, y, z = direction
+        pieces["WRT_RAY_ENDS"] = _RAY_ENDS.replace("WRT_X", x).replace("WRT_Y", y).replace("WRT_Z", z)
+        pieces["WRT_SET_RAY_ENDS"] = _SET_RAY_ENDS
+    pieces |= {"WRT_ALL_ENDS": packet_ends(names, layout.width), "WRT_RANGE_ENDS": packet_ends(["start", "end"], layout.width)}
     pieces["WRT_ORIGIN_ENDS"] = "" if layout.shared_origin else _ORIGIN_ENDS
     pieces["WRT_SLOPE_ENDS"] = _SLOPE_ENDS if slopes else ""
     pieces["WRT_CROSSING_ENDS"] = packet_ends(["cx", "cy"], layout.width)

@@ -54,6 +54,12 @@ class PacketBounds:
     """End of the interval of `RaySlabs.origin_out` that gives the latest exit through far planes."""
     origin_low: wp.vec3
     origin_high: wp.vec3
+    end_low: wp.vec3
+    """Interval of the points origin + t_max direction at which the rays end. This and the next two fields are defined only if
+    they are asked for (`wrt.kernels.traversal.packet.rays.reversed_bounds`)."""
+    end_high: wp.vec3
+    span: float
+    """Greatest t_max - t_min of the rays."""
     slope_low: wp.vec2
     """Least slopes against the main axis. This and the next four fields are defined only if all rays have the same main axis
     and the culling needs them (`Culling.slopes`)."""

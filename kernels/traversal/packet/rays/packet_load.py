@@ -12,7 +12,7 @@ import warp as wp
 from wrt.kernels.layout.ray_batch import DIRECTION_LANES, RayBatch
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.traversal.packet.rays.packet_bounding import bound_packet, bounding_head
+from wrt.kernels.traversal.packet.rays.packet_bounding import LOADED, bound_packet, bounding_head
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 from wrt.kernels.traversal.packet.rays.ray_numbers import FETCH, NUMBERS
@@ -120,16 +120,18 @@ def fill_packet(layout: PacketLayout, later: bool = False) -> str:
 
 
 @cache
-def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False) -> wp.Function:
+def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False, ends: bool = False) -> wp.Function:
     """`wp.func(rays, first, low, high, packet, bounds)`: loads P rays of a batch (`ray_numbers`); low, high: bounds of the
     scene.
 
-    slopes: whether slopes are bounded (`Culling.slopes`). later: leaves what only tests need to `finish_packet`. Invalid rays
-    and places beyond the end of the batch are inactive: their t is -inf, which no hit improves.
+    slopes: whether slopes are bounded (`Culling.slopes`). later: leaves what only tests need to `finish_packet`. ends: bounds
+    the ends of rays, too (`PacketBounds.end_low`). Invalid rays and places beyond the end of the batch are inactive: their t is
+    -inf, which no hit improves.
     """
     head = layout.head + fill_head(layout, slopes) + NUMBERS
+    bound = bound_packet(layout, slopes, later, LOADED if ends else None)
 
-    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later) + bound_packet(layout, slopes, later))
+    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later) + bound)
     def load_packet_native(
         rays: RayBatch,
         first: int,

@@ -1,4 +1,7 @@
-"""Writes the results of a packet to a batch of hits."""
+"""Writes the results of a packet to a batch of hits.
+
+Figures of fetching ahead: notebooks/records/2026-11-23-packet-ends.md.
+"""
 
 from functools import cache
 
@@ -36,6 +39,30 @@ def store_packet(layout: PacketLayout, any_hit: bool) -> wp.Function:
     def store_packet_native(packet: wp.array(dtype=float), rays: RayBatch, first: int, hits: HitBatch): ...
 
     return store_packet_native
+
+
+_FETCH_HITS = """
+#if !defined(__CUDA_ARCH__)
+    if (!whole || picture) return;
+    auto fetch_to_write = [](void* data, int bytes) {
+        WRT_UNROLLED for (int b = 0; b < bytes; b += 64) __builtin_prefetch((char*)data + b, 1);
+    };
+    fetch_to_write(hits.t.data + first, 4 * P);
+    fetch_to_write(hits.primitive.data + first, 4 * P);
+    fetch_to_write(hits.uv.data + first, 8 * P);
+#endif
+"""
+
+
+@cache
+def fetch_hits(layout: PacketLayout) -> wp.Function:
+    """`wp.func(rays, first, hits)`: fetches into the caches where `store_packet` will write closest hits, so that it does not
+    wait for memory."""
+
+    @wp.func_native(layout.constants + NUMBERS + _FETCH_HITS)
+    def fetch_hits_native(rays: RayBatch, first: int, hits: HitBatch): ...
+
+    return fetch_hits_native
 
 
 @cache

@@ -8,9 +8,9 @@ back: the interval of the new origins is almost a point, and the bounds widen to
 the light come first. Only the bounds are reversed; triangles are tested with the rays as they are.
 
 **Exactness.** A hit at t is a point origin + t direction within the slack of its triangle's box. The same point is end -
-(t_max - t) direction, where the end origin + t_max direction and the direction 1 / (1 / direction) are rounded. The slack of
-the reversed bounds is twice that of the packet, plus that of the ends, plus `ENDS_ERROR` of the largest coordinate, a multiple
-of those roundings. So no hit is culled.
+(t_max - t) direction, where the end origin + t_max direction is rounded, and the direction may be 1 / (1 / direction). The
+slack of the reversed bounds is twice that of the packet, plus that of the ends, plus `ENDS_ERROR` of the largest coordinate, a
+multiple of those roundings. So no hit is culled.
 
 A packet keeps its bounds if its ends are not close together against its origins, as with rays that have no common end or end
 nowhere, or if its directions have both signs along some axis. The origins' own interval (`origin_low`, `origin_high`) remains,
@@ -25,7 +25,6 @@ import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
 from wrt.kernels.simd.boxes import SLACK
-from wrt.kernels.traversal.packet.rays.lane_intervals import PACKET_INTERVALS, packet_ends
 from wrt.kernels.traversal.packet.rays.packet_bounds import PacketBounds
 from wrt.kernels.traversal.packet.rays.packet_layout import PacketLayout
 
@@ -39,25 +38,15 @@ ENDS_ERROR = 2.0**-20
 last place, of which a computed end has five."""
 
 _REVERSE = """
-    int one = 0;
-    while (one < P && !(t[one] >= -0.0f)) ++one;
-    if (one == P || bounds.mixed_axes) return;
-    WRT_ENDS(ex); WRT_ENDS(ey); WRT_ENDS(ez); WRT_ENDS(span);
-    WRT_FOR_LANES(i) {
-        WRT_BOUND(ex, origin_x[k] + t[k] * (1.0f / inverse_x[k]))
-        WRT_BOUND(ey, origin_y[k] + t[k] * (1.0f / inverse_y[k]))
-        WRT_BOUND(ez, origin_z[k] + t[k] * (1.0f / inverse_z[k]))
-        WRT_BOUND(span, t[k] - t_min[k])
-    }
-    WRT_ALL_ENDS
-    const float lows[3] = {ex_least, ey_least, ez_least}, highs[3] = {ex_most, ey_most, ez_most};
+    if (bounds.mixed_axes) return;
     float ends = 0.0f, origins = 0.0f, reach = 0.0f, size = 0.0f;
     auto widen = [](float value, float& most) { most = WRT_ABS(value) > most ? WRT_ABS(value) : most; };
     WRT_UNROLLED for (int a = 0; a < 3; ++a) {
-        ends += highs[a] - lows[a];
+        const float least = bounds.end_low.c[a], most = bounds.end_high.c[a];
+        ends += most - least;
         origins += bounds.origin_high.c[a] - bounds.origin_low.c[a];
-        widen(low.c[a] - highs[a], reach); widen(high.c[a] - lows[a], reach);
-        widen(lows[a], size); widen(highs[a], size);
+        widen(low.c[a] - most, reach); widen(high.c[a] - least, reach);
+        widen(least, size); widen(most, size);
         widen(bounds.origin_low.c[a], size); widen(bounds.origin_high.c[a], size);
     }
     const float wide = 2.0f * bounds.slack + SLACK * reach + ENDS_ERROR * size;
@@ -67,23 +56,24 @@ _REVERSE = """
         bounds.backward.c[a] = backward ? 1 : 0;
         bounds.inverse_large.c[a] = -bounds.inverse_large.c[a];
         bounds.inverse_small.c[a] = -bounds.inverse_small.c[a];
-        bounds.origin_in.c[a] = backward ? lows[a] - wide : highs[a] + wide;
-        bounds.origin_out.c[a] = backward ? highs[a] + wide : lows[a] - wide;
+        bounds.origin_in.c[a] = backward ? bounds.end_low.c[a] - wide : bounds.end_high.c[a] + wide;
+        bounds.origin_out.c[a] = backward ? bounds.end_high.c[a] + wide : bounds.end_low.c[a] - wide;
     }
     bounds.slack = wide;
     bounds.t_min = 0.0f;
-    bounds.t_max = span_most * (1.0f + ENDS_ERROR);
+    bounds.t_max = bounds.span * (1.0f + ENDS_ERROR);
 """
 
 
 @cache
 def reverse_bounds(layout: PacketLayout) -> wp.Function:
-    """`wp.func(low, high, packet, bounds)`: reverses the bounds if that makes them tighter; low, high: bounds of the scene."""
+    """`wp.func(low, high, bounds)`: reverses the bounds if that makes them tighter; low, high: bounds of the scene.
+
+    The bounds of the ends are needed (`ends` of `load_packet` and `activate_part`).
+    """
     constants = f"    constexpr float CLOSER = {CLOSER!r}f, SLACK = {SLACK!r}f, ENDS_ERROR = {ENDS_ERROR!r}f;\n"
 
-    reverse = _REVERSE.replace("WRT_ALL_ENDS", packet_ends(["ex", "ey", "ez", "span"], layout.width))
-
-    @wp.func_native(layout.head + constants + PACKET_INTERVALS + reverse)
-    def reverse_bounds_native(low: wp.vec3, high: wp.vec3, packet: wp.array(dtype=float), bounds: wp.ref[PacketBounds]): ...
+    @wp.func_native(layout.constants + constants + _REVERSE)
+    def reverse_bounds_native(low: wp.vec3, high: wp.vec3, bounds: wp.ref[PacketBounds]): ...
 
     return reverse_bounds_native
