@@ -13,6 +13,7 @@ communicate through the *board*, an array of 64-bit words:
     CLOSED              1: helpers return
     MAX_SPINNING        greatest number of helpers that spin at a time
     SPIN_NS             nanoseconds for which a helper spins before it sleeps
+    STAYS               1: a sleeping helper stays on its core
     slot s, from FIRST_SLOT + s * SLOT_WORDS on
       GENERATION        odd while the job accepts helpers; each change ends or begins a job
       ACTIVE            number of helpers that work on the job
@@ -35,9 +36,7 @@ call `lead` until all helpers have left.
 **Waiting.** A helper without work spins for SPIN_NS, if at most MAX_SPINNING helpers do, and then sleeps on a futex. It
 increments SLEEPING before it looks for jobs a last time; a leader sets MASK before it reads SLEEPING. One of the two therefore
 sees the other. A leader wakes `WAKE` helpers, and each of them wakes as many while chunks are left, so that the system calls
-are shared.
-
-`wrt.kernels.runtime.schedules` describes the schedules.
+are shared. STAYS: see `wrt.kernels.runtime.own_core`; schedules: see `wrt.kernels.runtime.schedules`.
 
 **Limits.** Needs Linux (futex); works on every processor that Warp's compiler supports.
 """
@@ -45,10 +44,11 @@ are shared.
 import warp as wp
 
 from wrt.kernels.runtime.options import exact_module
+from wrt.kernels.runtime.own_core import OWN_CORE
 
 exact_module(__name__)
 
-MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MAX_SPINNING, SPIN_NS = 0, 16, 32, 48, 64, 65, 66
+MASK, EPOCH, SLEEPING, SPINNING, CLOSED, MAX_SPINNING, SPIN_NS, STAYS = 0, 16, 32, 48, 64, 65, 66, 67
 FIRST_SLOT, SLOT_WORDS, SLOTS = 128, 80, 64
 GENERATION, ACTIVE, NEXT, LOCK, JOINED, LEADER_QUEUE, PHASE, CURRENT, STOPPED, JOB = 0, 16, 32, 33, 34, 48, 49, 50, 51, 52
 JOB_WORDS = 16
@@ -75,7 +75,7 @@ NATIVE = f"""
     int wrt_clock(int, long*) __asm__("clock_gettime");
     int wrt_yield(void) __asm__("sched_yield");
     long wrt_syscall(long, void*, long, long, void*, void*, long) __asm__("syscall");
-    enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED},
+    enum {{ MASK = {MASK}, EPOCH = {EPOCH}, SLEEPING = {SLEEPING}, SPINNING = {SPINNING}, CLOSED = {CLOSED}, STAYS = {STAYS},
            MAX_SPINNING = {MAX_SPINNING}, SPIN_NS = {SPIN_NS}, FIRST_SLOT = {FIRST_SLOT}, SLOT_WORDS = {SLOT_WORDS},
            GENERATION = {GENERATION}, ACTIVE = {ACTIVE}, NEXT = {NEXT}, LOCK = {LOCK}, JOINED = {JOINED},
            LEADER_QUEUE = {LEADER_QUEUE}, PHASE = {PHASE}, CURRENT = {CURRENT}, STOPPED = {STOPPED}, JOB = {JOB} }};
@@ -204,10 +204,10 @@ NATIVE = f"""
         return s[SCHEDULE] >= ROUND_ROBIN ? get(s + JOINED) < s[HELPERS] : get(s + NEXT) < s[COUNT];
     }};
 """
-"""C++ shared by all functions: names of the words, atomics, futex calls, and the claiming of chunks."""
+"""C++ shared by all functions: names of the words, atomics, futex calls, claiming of chunks."""
 
 SERVE = (
-    NATIVE
+    f"{NATIVE}{OWN_CORE}"
     + f"""
     auto any_wants_help = [&]() {{
         for (unsigned long long mask = get(b + MASK); mask; mask &= mask - 1) {{
@@ -231,11 +231,14 @@ SERVE = (
         return helped;
     }};
     auto sleep = [&]() {{
+        Cores all = {{}}, own = {{}};
+        const bool stays = get(b + STAYS) != 0 && stay(all, own);
         const int epoch = __atomic_load_n((int*)(b + EPOCH), __ATOMIC_SEQ_CST);
         add(b + SLEEPING, 1);
         if (get(b + CLOSED) == 0 && !any_wants_help())
             wrt_syscall(SYS_FUTEX, b + EPOCH, FUTEX_WAIT_PRIVATE, epoch, nullptr, nullptr, 0);
         add(b + SLEEPING, -1);
+        if (stays) stay_no_longer(all, own);
     }};
     // Waits awake until there is work, for a while; false if it is time to sleep.
     auto spin = [&]() {{

@@ -31,6 +31,7 @@ import warp as wp
 
 from wrt.kernels.compilation.cores import available_cores
 from wrt.kernels.compilation.module_compiler import load_modules
+from wrt.kernels.compilation.target import cpu_features
 from wrt.kernels.runtime import board as layout
 from wrt.kernels.runtime.argument_packing import PackedKernel
 from wrt.kernels.runtime.schedules import Schedule
@@ -124,6 +125,7 @@ class Pool:
         words = self._board.numpy()
         words[layout.MAX_SPINNING] = available_cores() - 1
         words[layout.SPIN_NS] = int(SPIN_SECONDS * 1e9)
+        words[layout.STAYS] = "hypervisor" in cpu_features()
         self._words = words
         self._lock = threading.Lock()
         self._threads: list[threading.Thread] = []
