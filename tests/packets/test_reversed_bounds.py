@@ -105,6 +105,16 @@ def test_ends_are_those_of_the_active_rays(part):
     np.testing.assert_allclose(loaded["span"], np.where(active, end - begin, 0.0).max(axis=1), rtol=1e-6)
 
 
+def test_components_that_count_as_zero_move_no_end():
+    """Directions of 2^-126: what is smaller counts as 0, however far the ray goes."""
+    origins, _ = rays_to(LIGHT, 20, 0.1)
+    directions = np.broadcast_to(np.float32(2.0**-126) * np.float32([1.0, 0.9, -0.5]), origins.shape)
+    loaded, _ = bounds_of(origins, np.ascontiguousarray(directions), *ranges(origins, 0.0, np.float32(2.0**126)))
+    assert (loaded["active"] == RAYS).all()
+    for end, origin in (("end_low", origins.min(axis=1)), ("end_high", origins.max(axis=1))):
+        np.testing.assert_allclose(loaded[end], origin + np.float32([1.0, 0.0, 0.0]), rtol=0, atol=1e-6)
+
+
 @pytest.mark.parametrize("why", ["no common end", "no end", "one origin", "both signs", "no active ray"])
 def test_other_packets_keep_their_bounds(why):
     origins, directions = rays_to(LIGHT, 20, 0.1)

@@ -53,6 +53,7 @@ _FILL = """
     WRT_FOR(P, k) {
         float x = to_x[k], y = to_y[k], z = to_z[k];
         wrt_direction(x, y, z);
+        WRT_USABLE
         const float farthest = most[k] > FARTHEST ? FARTHEST : most[k];
         const float ox = SHARED ? ox0 : from_x[k], oy = SHARED ? oy0 : from_y[k], oz = SHARED ? oz0 : from_z[k];
         // sizes as integers, in the order of the floats: NaN and infinity are beyond all numbers
@@ -78,6 +79,8 @@ _FILL = """
         WRT_INVERSES
     }
 """
+
+_USABLE = "to_x[k] = x; to_y[k] = y; to_z[k] = z;"
 
 _INVERSES = """
         const float ix = 1.0f / x, iy = 1.0f / y, iz = 1.0f / z;
@@ -112,11 +115,13 @@ def inverses(layout: PacketLayout) -> str:
     return _INVERSES.replace("WRT_PREPARE", TRIANGLE_TESTS[layout.triangle_test].packet_form.prepare)
 
 
-def fill_packet(layout: PacketLayout, later: bool = False) -> str:
+def fill_packet(layout: PacketLayout, later: bool = False, ends: bool = False) -> str:
     """C++ that fills the components of a packet from arrays of P floats: directions to_x, to_y, to_z; t_min and t_max least,
     most; origins from_x, from_y, from_z, or ox0, oy0, oz0 if it is shared. low, high: bounds of the tree. later: the
-    components of 1 / direction are left with the directions, for `finish_packet`."""
-    return _FILL.replace("WRT_INVERSES", _DIRECTIONS if later else inverses(layout))
+    components of 1 / direction are left with the directions, for `finish_packet`. ends: to_x, to_y, to_z become the directions
+    that the packet's rays have, for `packet_bounding.LOADED`."""
+    code = _FILL.replace("WRT_USABLE", _USABLE if ends else "")
+    return code.replace("WRT_INVERSES", _DIRECTIONS if later else inverses(layout))
 
 
 @cache
@@ -131,7 +136,7 @@ def load_packet(layout: PacketLayout, slopes: bool = True, later: bool = False, 
     head = layout.head + fill_head(layout, slopes) + NUMBERS
     bound = bound_packet(layout, slopes, later, LOADED if ends else None)
 
-    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later) + bound)
+    @wp.func_native(head + FETCH + _CENTRE + fill_packet(layout, later, ends) + bound)
     def load_packet_native(
         rays: RayBatch,
         first: int,
